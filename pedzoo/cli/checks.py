@@ -1,22 +1,22 @@
 """Mistakes that are refused before anything heavy is imported: options, names, settings and files.
 
-What is checked here the command itself checks, too, so that everything of which this is not certain passes.
+The command checks all of it again. So a doubtful case passes here.
 """
 
 import json
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
-
-import yaml
 
 from pedzoo.cli.main import PAGES
 from pedzoo.cli.output import check_outputs
 from pedzoo.cli.words import given, split_names, unknown_option
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError, need, unknown
-from pedzoo.core.paths import find_config
+from pedzoo.core.limits import load_yaml, read_text
+from pedzoo.core.paths import expanded, find_config
 from pedzoo.core.registry import (
     MODELS,
     PHYSICS,
@@ -29,7 +29,7 @@ from pedzoo.core.registry import (
     names_code,
 )
 from pedzoo.core.spec import name_of, parse, unquoted
-from pedzoo.models.zoo.store import ROBOTS, find, is_file, names, no_model
+from pedzoo.models.zoo.store import ROBOTS, find, is_file, no_model
 from pedzoo.policies.crowd_names import members, parts
 from pedzoo.sim.scenario_parts.in_yaml import scenario_spec
 
@@ -89,9 +89,9 @@ def _model_class(command: str, argv: list[str]) -> str:
     while command in _TRAININGS and name:
         file = find_config(name)
         try:
-            settings = yaml.safe_load(file.read_text())
+            settings = load_yaml(read_text(file), references=True)
             path, base = settings.get("model", {}).get("class_path"), settings.get("base")
-        except (yaml.YAMLError, UnicodeDecodeError, AttributeError):
+        except (UserError, AttributeError):
             return ""  # the command says what is wrong with it
         if path or not isinstance(base, str):
             return path if isinstance(path, str) else ""
@@ -130,12 +130,11 @@ def _check_policy(text: str, command: str = "rollout") -> None:
         elif command == "evaluate" and (spec.name in ROBOT_POLICIES.names() or spec.name.startswith(ROBOTS)):
             continue
         else:
-            others = (*POLICIES.names(), *known()["baselines"], *_people())
-            check_model(spec.name, "policy", others)
+            check_model(spec.name, "policy", POLICIES.names())
             _check_known("walker", "", spec.name, renamed.new_settings(settings))
 
 
-def check_model(name: str, kind: str = "model", others: tuple[str, ...] = ()) -> None:
+def check_model(name: str, kind: str = "model", others: Sequence[str] = ()) -> None:
     """Refuse the name of a model that there is not, or of a file; a class in a file is not looked for."""
     name = name_of(name)
     if is_file(name):
@@ -143,11 +142,7 @@ def check_model(name: str, kind: str = "model", others: tuple[str, ...] = ()) ->
             raise UserError(f"no checkpoint at {name!r}")
         _check_file(kind, f"{name.partition('.py:')[0]}.py" if names_code(name) else name)
     elif name not in MODELS.names() and "://" not in name and find(name) is None:
-        raise unknown(kind, name, others) if others else no_model(name, known()["baselines"])
-
-
-def _people() -> list[str]:
-    return [name for name in names() if not name.startswith(ROBOTS)]
+        raise no_model(name, [*others, *known()["baselines"]], kind)
 
 
 def _check_settings(registry: Registry, name: str, settings: dict[str, str]) -> None:
@@ -199,7 +194,7 @@ def _check_run(option: str, text: str) -> None:
 
 
 def _check_file(what: str, text: str) -> None:
-    if not Path(text).expanduser().exists():
+    if not os.path.exists(expanded(text)):
         raise UserError(f"{what}: no file {text!r}")
 
 

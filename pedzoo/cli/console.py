@@ -4,7 +4,7 @@ from rich.console import Console
 
 
 def plain_console(stderr: bool = False, width: int = 120) -> Console:
-    """Return a console on which a text means nothing but itself.
+    """Return a console that prints every text as it is.
 
     Rich would read brackets as styles and ``:door:`` as a picture: names, paths and settings have both.
 

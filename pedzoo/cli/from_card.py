@@ -7,9 +7,9 @@ from typing import Any
 from pedzoo.cli.output import print_tables, write_json
 from pedzoo.cli.progress import progress_bar
 from pedzoo.core.machine import versions
-from pedzoo.eval.cards.numbers import Again, Compared, again, compare
+from pedzoo.eval.cards.numbers import ComparedNumber, RepeatedReport, again, compare
 from pedzoo.eval.cards.reports import about
-from pedzoo.eval.results import Page
+from pedzoo.eval.results import ResultTable
 from pedzoo.models.zoo.card import ModelCard
 from pedzoo.models.zoo.store import find, no_model
 
@@ -64,12 +64,12 @@ def _card(name: str) -> ModelCard:
     raise no_model(name, kind="model with a card")
 
 
-def _page(name: str, numbers: Sequence[Compared]) -> Page:
+def _page(name: str, numbers: Sequence[ComparedNumber]) -> ResultTable:
     rows = [
         [one.case, one.metric, _shown(one.card, one.interval), _shown(one.now), _WORDS[one.same]]
         for one in numbers
     ]
-    return Page(name, ["case", "number", "card", "now", "same"], rows, 2)
+    return ResultTable(name, ["case", "number", "card", "now", "same"], rows, 2)
 
 
 def _shown(value: float | None, interval: Sequence[float] | None = None) -> str:
@@ -78,7 +78,7 @@ def _shown(value: float | None, interval: Sequence[float] | None = None) -> str:
     return f"{value:.4g}" + (f" [{interval[0]:.3g}, {interval[1]:.3g}]" if interval else "")
 
 
-def _tell(one: Again) -> None:
+def _tell(one: RepeatedReport) -> None:
     """Print what a reader of the table has to know of an evaluation."""
     what = about(one.before["protocol"])
     if not one.now:
@@ -90,7 +90,7 @@ def _tell(one: Again) -> None:
         print(f"{what}: the card was made with {', '.join(changed)}")
 
 
-def _summed_up(name: str, numbers: Sequence[Compared]) -> str:
+def _summed_up(name: str, numbers: Sequence[ComparedNumber]) -> str:
     if not numbers:
         return f"{name}: nothing of its card could be done again"
     same = sum(one.same is True for one in numbers)
@@ -99,7 +99,9 @@ def _summed_up(name: str, numbers: Sequence[Compared]) -> str:
     return text + f"; {unsure} differ and have no interval to judge by" * bool(unsure)
 
 
-def _rows(name: str, result: Sequence[Again], numbers: Sequence[Compared]) -> list[dict[str, Any]]:
+def _rows(
+    name: str, result: Sequence[RepeatedReport], numbers: Sequence[ComparedNumber]
+) -> list[dict[str, Any]]:
     """Return a row for every case, with the card's numbers beside today's, and for what was skipped."""
     rows: list[dict[str, Any]] = []
     for case, group in groupby(numbers, key=lambda number: number.case):

@@ -5,13 +5,14 @@ Exit codes: 0 done; 1 our fault (with a traceback); 2 the user's mistake (one li
 143, 129 or 138 ended by SIGTERM, SIGHUP or Slurm's SIGUSR1.
 """
 
+import errno
 import os
 import sys
 from importlib import import_module
 from pathlib import Path
 
 from pedzoo import __version__
-from pedzoo.cli.signals import Ended, exit_code, heard
+from pedzoo.cli.signals import EndedBySignal, exit_code, heard
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError, missing_extra
 from pedzoo.core.paths import config_names, weight_files
@@ -48,11 +49,18 @@ def main(argv: list[str] | None = None) -> int:
             raise
         return _refused(refusal)
     except KeyboardInterrupt as stop:
-        print(f"pedzoo: {f'ended by {stop}' if isinstance(stop, Ended) else 'interrupted'}", file=sys.stderr)
+        print(
+            f"pedzoo: {f'ended by {stop}' if isinstance(stop, EndedBySignal) else 'interrupted'}",
+            file=sys.stderr,
+        )
         return exit_code(stop)
     except BrokenPipeError:  # of `| head`: no more is read, not at exit either
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
+    except OSError as error:
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        return _refused(UserError(f"{error.filename!r:.100}: no file has so long a name"))
 
 
 def _refused(error: UserError) -> int:

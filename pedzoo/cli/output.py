@@ -1,4 +1,4 @@
-"""What several commands write: results as tables and as JSON."""
+"""Output that commands share: results as tables and as JSON."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from pedzoo.eval.results import Page, Shown
+    from pedzoo.eval.results import ResultTable, SuiteColumns
 
 
 def check_outputs(**files: str | None) -> None:
@@ -66,7 +66,7 @@ def write_text(file: str | Path, text: str) -> None:
 
 
 def write_and_print(report: dict[str, Any], file: str | None, show: Callable[[], None]) -> None:
-    """Write a report and print it: what took long to find is in the file before anything is printed.
+    """Write a report, then print it: an error in printing does not lose the report.
 
     Args:
         report: What `write_json` takes.
@@ -86,7 +86,7 @@ def write_and_print(report: dict[str, Any], file: str | None, show: Callable[[],
 def print_report(report: dict[str, Any], only: Sequence[str] | None = None) -> None:
     """Print the rows of a report, with the metrics ``only``, in tables as wide as the terminal."""
     from pedzoo.cli.console import plain_console
-    from pedzoo.eval.results import Page
+    from pedzoo.eval.results import ResultTable
 
     rows = report["rows"]
     known = dict.fromkeys(name for row in rows for name in row["metrics"])
@@ -98,24 +98,24 @@ def print_report(report: dict[str, Any], only: Sequence[str] | None = None) -> N
         + [f"{row['metrics'][name]:.3f}" if name in row["metrics"] else "-" for name in metrics]
         for row in rows
     ]
-    _print_page(console, Page("", ["name", "n", *metrics], body, 2))
+    _print_page(console, ResultTable("", ["name", "n", *metrics], body, 2))
 
 
-def print_pages(report: dict[str, Any], shown: Mapping[str, Shown]) -> None:
+def print_pages(report: dict[str, Any], shown: Mapping[str, SuiteColumns]) -> None:
     """Print the tables of an evaluation under its protocol, as `print_tables` does.
 
     Where the terminal is narrow an interval is written below its number.
     """
     from pedzoo.cli.console import plain_console
-    from pedzoo.eval.results import pages, said
+    from pedzoo.eval.results import pages, protocol_line
 
     console = plain_console()
-    for line in [said(report, shown), *(f"note: {note}" for note in report["notes"])]:
+    for line in [protocol_line(report, shown), *(f"note: {note}" for note in report["notes"])]:
         console.print(line)
     print_tables(pages(report, shown))
 
 
-def print_tables(pages: Iterable[Page]) -> None:
+def print_tables(pages: Iterable[ResultTable]) -> None:
     """Print tables: transposed where that needs fewer parts of the terminal's width than columns do."""
     from pedzoo.cli.console import plain_console
 
@@ -128,7 +128,7 @@ _NARROW = 120
 """Characters: on a terminal with fewer, intervals are below their numbers."""
 
 
-def _print_page(console: Console, page: Page) -> None:
+def _print_page(console: Console, page: ResultTable) -> None:
     if page.title:
         console.print(f"\n{page.title}", style="bold")
     tables = _tables(page, console.width)
@@ -139,7 +139,7 @@ def _print_page(console: Console, page: Page) -> None:
         console.print(table)
 
 
-def _tables(page: Page, width: int, least: int = 9) -> list[Table]:
+def _tables(page: ResultTable, width: int, least: int = 9) -> list[Table]:
     """Return a page in as many parts as ``width`` characters need, names in each of them.
 
     Heads are broken at spaces, and at underscores where they are wider than ``least`` and their cells.
@@ -162,7 +162,7 @@ def _tables(page: Page, width: int, least: int = 9) -> list[Table]:
     return result
 
 
-def _transposed(page: Page) -> Page:
+def _transposed(page: ResultTable) -> ResultTable:
     """Return a page with its columns as rows, and its first names as columns."""
     head, *rows = map(list, zip(page.head, *page.rows, strict=True))
     return page._replace(head=head, rows=rows, names=1)

@@ -14,7 +14,7 @@ _PATIENCE = 5.0
 """Seconds in which a repeated signal means nothing new: terminals and their shells send one each."""
 
 
-class Ended(KeyboardInterrupt):
+class EndedBySignal(KeyboardInterrupt):
     """A signal asked this process to end.
 
     Attributes:
@@ -29,12 +29,12 @@ class Ended(KeyboardInterrupt):
 
 def exit_code(stop: KeyboardInterrupt) -> int:
     """Return the exit code that shells give to a signal: 130 for Ctrl-C, 143 for SIGTERM."""
-    return 128 + (stop.number if isinstance(stop, Ended) else signal.SIGINT)
+    return 128 + (stop.number if isinstance(stop, EndedBySignal) else signal.SIGINT)
 
 
 @contextmanager
 def heard() -> Iterator[None]:
-    """Let signals end a block with `Ended`. Those that are ignored stay so, as ``nohup`` wants it.
+    """Let signals end a block with `EndedBySignal`. Those that are ignored stay so, as ``nohup`` wants it.
 
     SIGUSR1 is among them in a job of Slurm, which sends it before the time is up.
     """
@@ -73,7 +73,7 @@ def _handler() -> Callable[[int, FrameType | None], None]:
         if not repeated:
             if number == getattr(signal, "SIGHUP", None):
                 _leave_terminal()
-            raise Ended(number)
+            raise EndedBySignal(number)
 
     return end
 

@@ -13,7 +13,7 @@ from pedzoo.train.run import RunFolder
 Command = Literal["fit", "validate", "test"]
 
 
-class Expanded(NamedTuple):
+class ExpandedCommand(NamedTuple):
     """A command line with what its options stand for.
 
     Attributes:
@@ -27,7 +27,7 @@ class Expanded(NamedTuple):
     beside: Path | None = None
 
 
-def expand(command: Command, argv: list[str]) -> Expanded:
+def expand(command: Command, argv: list[str]) -> ExpandedCommand:
     """Write out what ``--resume RUN``, ``--weights NAME`` and a checkpoint in a run folder stand for.
 
     Raises:
@@ -40,21 +40,21 @@ def expand(command: Command, argv: list[str]) -> Expanded:
         raise UserError(f"--weights begins a training and {other} goes on with one: give one of them")
     if folder := named.get("--resume"):
         run = RunFolder.resume(folder)
-        return Expanded([*options_to_continue(run), *argv], run)
+        return ExpandedCommand([*options_to_continue(run), *argv], run)
     configured = given(argv, "--config") or given(argv, "-c")
     if weights := named.get("--weights"):
         if configured:
             options = _without_code(architecture_options(weights, configured), argv, weights)
-            return Expanded(_behind_configs(argv, options))
+            return ExpandedCommand(_behind_configs(argv, options))
         options = _without_code(options_of(weights), argv, weights)
-        return Expanded([*options, *argv], beside=config_beside(weights))
+        return ExpandedCommand([*options, *argv], beside=config_beside(weights))
     checkpoint = named.get("--ckpt_path")
     if checkpoint and not Path(checkpoint).is_file():
         raise UserError(f"no checkpoint {checkpoint!r}")
     if command != "fit" and checkpoint and not configured:
         if config := config_beside(checkpoint):
-            return Expanded(["--config", str(config), *argv], beside=config)
-    return Expanded(argv)
+            return ExpandedCommand(["--config", str(config), *argv], beside=config)
+    return ExpandedCommand(argv)
 
 
 def _without_code(options: list[str], argv: list[str], weights: str) -> list[str]:

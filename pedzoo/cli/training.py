@@ -122,7 +122,7 @@ class TrainingCLI(RunCLI):
         check_seed(self.config["seed_everything"])
 
     def instantiate_classes(self) -> None:
-        """Build everything; what a class refuses is told in its own words.
+        """Build all objects; where a class refuses its options, the message is that of the class.
 
         Raises:
             UserError: A class refused its options.

@@ -18,7 +18,7 @@ from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import file_path, import_path, names_code
 from pedzoo.train.run import RunFolder
-from pedzoo.train.run_settings import lent
+from pedzoo.train.run_settings import reusable_settings
 from pedzoo.train.slurm import run_again
 
 
@@ -61,7 +61,7 @@ class ConfigParser(LightningArgumentParser):
         """Parse a config file; arguments as of jsonargparse's."""
         settings = load_config(os.fspath(path), self.classes)
         if self.beside and Path(path) == self.beside:
-            settings = lent(settings, self.beside)
+            settings = reusable_settings(settings, self.beside)
         else:
             settings = with_classes(settings, lambda path: import_path(path) if names_code(path) else path)
         whole = yaml.safe_dump(settings, sort_keys=False)

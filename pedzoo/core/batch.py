@@ -66,7 +66,7 @@ def usual_body(radius: Tensor) -> Tensor:
 
 
 def others_of(mask: Tensor, robots: int) -> Tensor:
-    """Return which agents of ``mask`` (B, A) bool are other ones than each of the last R (B, R, A) bool."""
+    """Return for each of the last R agents the others of ``mask`` (B, A) bool: (B, R, A) bool."""
     slots = torch.arange(mask.shape[1], device=mask.device)
     return mask.unsqueeze(1) & (slots != slots[-robots:].unsqueeze(1))
 

@@ -18,8 +18,17 @@ EXTRAS = {
 """Modules of the extras of ``pyproject.toml``; imports of these stand where they are needed."""
 
 
+LONGEST = 4000
+"""Letters of a message: what was given may be of any length."""
+
+
 class UserError(ValueError):
     """The caller's mistake; the command line prints it as one line and exits with code 2."""
+
+    def __str__(self) -> str:
+        """Return the message; of a longer one than `LONGEST` begin and end."""
+        text, half = super().__str__(), LONGEST // 2
+        return text if len(text) <= LONGEST else f"{text[:half]} ... {text[-half:]}"
 
 
 def unknown(kind: str, given: str, known: Iterable[str]) -> UserError:
@@ -53,7 +62,7 @@ def need(extra: str, what: str) -> None:
 
 
 def missing_extra(error: ModuleNotFoundError) -> UserError | None:
-    """Return the line for an import that failed for want of an extra, or None where it is no extra's."""
+    """Return the message for a failed import of a package of an extra; None for any other import."""
     module = (error.name or "").partition(".")[0]
     for extra, modules in EXTRAS.items():
         if module in modules:

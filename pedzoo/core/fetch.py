@@ -1,8 +1,8 @@
 """Downloads into the user's cache, checked and atomic: a file is there whole or not at all.
 
-What breaks off goes on where it was, today or tomorrow; what a mirror does not have comes from the next. With
-the environment variable ``PEDZOO_OFFLINE`` set, nothing asks the network. pooch has neither resume nor
-mirrors, and huggingface_hub serves its own hub alone: so this is not one of them.
+An interrupted download resumes where it stopped, also in a later process. A file that one mirror lacks comes
+from the next one. With the environment variable ``PEDZOO_OFFLINE`` set, the network is not used. pooch has
+neither resume nor mirrors, and huggingface_hub serves its own hub alone: so neither is used here.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     import requests
 
 TIMEOUT = (10.0, 30.0)
-"""Seconds until a server must have taken the connection, and until more of the file must have come."""
+"""Seconds within which a server has to accept the connection, and to send each next piece of the file."""
 
 WAITS = (0.5, 1.0, 2.0)
-"""Seconds before each further try at an address, as long as the tries come no further than before."""
+"""Seconds before each further try at an address. A try that brings more of the file starts the list again."""
 
 LONGEST_WAIT = 30.0
 """Seconds that a busy server may ask for."""
@@ -36,13 +36,13 @@ BUSY = (408, 425, 429, 500, 502, 503, 504)
 """Answers that another try may change."""
 
 PATIENCE, SLOWEST = 180.0, 1000.0
-"""Seconds that a file may take, and bytes that must have come for every second more."""
+"""Seconds that any file may take, and the fewest bytes per second after that."""
 
 _BLOCK = 1 << 13
 """Bytes per piece, at most."""
 
 _FAILED: set[str] = set()
-"""Hosts that no try reached in this process: asked last, so that many files do not wait for each."""
+"""Hosts that failed in this process. They are asked last, so that not every file waits for them."""
 
 
 class _RefusedError(Exception):
@@ -77,10 +77,10 @@ def fetch(
     folder: Path | None = None,
     token: str | None = None,
 ) -> Path:
-    """Return the local copy of a file, downloading it first where there is none or another one.
+    """Return the local copy of a file; download it first where it is missing or has other content.
 
-    Two processes that want one file download it once. A broken download is kept beside the file and
-    continued by the next call; without a ``sha256`` it starts again, because two files look alike.
+    Two processes that want one file download it once. An interrupted download is stored beside the file and
+    continued by the next call; without a ``sha256`` it starts again, because its part may be of another file.
 
     Args:
         urls: The file's address, or those of its mirrors in the order in which they are tried.
@@ -115,7 +115,7 @@ def fetch(
             target.parent.mkdir(parents=True, exist_ok=True)
             for url in sorted(addresses, key=lambda url: _host(url) in _FAILED):
                 try:
-                    os.replace(_whole(url, target, sha256, Expected(size, limit), token), target)
+                    os.replace(_whole(url, target, sha256, ExpectedLength(size, limit), token), target)
                     return target
                 except _RefusedError as error:
                     said.append(f"{url}: {error}")
@@ -154,10 +154,10 @@ def _alone(target: Path) -> Iterator[None]:
         lock.release()
 
 
-def _whole(url: str, target: Path, sha256: str | None, expected: Expected, token: str | None) -> Path:
+def _whole(url: str, target: Path, sha256: str | None, expected: ExpectedLength, token: str | None) -> Path:
     """Try at one address until all of the file has come, and return where it is."""
     part = target.with_name(f".{target.name}.part")
-    clock = Clock(time.monotonic(), _length(part))
+    clock = DownloadTimer(time.monotonic(), _length(part))
     mixed, furthest, waits = part.exists(), 0, iter(WAITS)
     while True:
         if sha256 is None:
@@ -179,31 +179,31 @@ def _whole(url: str, target: Path, sha256: str | None, expected: Expected, token
         part.unlink()
         if not mixed:
             raise _RefusedError(f"does not have the expected content: sha256 {digest}, expected {sha256}")
-        mixed = False  # some of it was left by an earlier download: once more, all from here
+        mixed = False  # part of it is of an earlier download: try once more from the start
 
 
-class Expected(NamedTuple):
-    """What is known of a file's length: itself, or the largest that is taken."""
+class ExpectedLength(NamedTuple):
+    """The known length of a file, or the greatest that is accepted."""
 
     size: int | None
     limit: int | None
 
     def check(self, length: int) -> None:
-        """Check the length of what a server has sent, or says that it sends."""
+        """Check a length that a server has sent or announced."""
         if self.size is not None and length > self.size:
             raise _RefusedError(f"has more than the expected {self.size} bytes")
         if self.limit is not None and length > self.limit:
             raise _RefusedError(f"has {length} bytes, and at most {self.limit} are read of such a file")
 
 
-class Clock(NamedTuple):
+class DownloadTimer(NamedTuple):
     """When a download began, and how much of the file was there then."""
 
     began: float
     had: int
 
     def check(self, length: int) -> None:
-        """Check that the server, with all its breaks, is not so slow that this never ends."""
+        """Check that the server is fast enough, its interruptions included."""
         seconds = time.monotonic() - self.began
         got = max(length - self.had, 0)
         if seconds > PATIENCE + got / SLOWEST:
@@ -218,8 +218,8 @@ def _length(part: Path) -> int:
     return part.stat().st_size if part.exists() else 0
 
 
-def _stream(url: str, part: Path, expected: Expected, clock: Clock, token: str | None) -> None:
-    """Ask once for what a file lacks, and append it to ``part`` or begin it anew."""
+def _stream(url: str, part: Path, expected: ExpectedLength, clock: DownloadTimer, token: str | None) -> None:
+    """Ask once for the missing rest of a file. Append it to ``part``, or begin ``part`` anew."""
     import requests  # takes 0.1 s: only downloads pay for it
     import urllib3
 
@@ -243,7 +243,9 @@ def _stream(url: str, part: Path, expected: Expected, clock: Clock, token: str |
         raise (_RefusedError if final else _BrokeOffError)(_root(error)) from error
 
 
-def _read(answer: requests.Response, part: Path, start: int, expected: Expected, clock: Clock) -> None:
+def _read(
+    answer: requests.Response, part: Path, start: int, expected: ExpectedLength, clock: DownloadTimer
+) -> None:
     from tqdm import tqdm
 
     size = expected.size
@@ -271,7 +273,9 @@ def _read(answer: requests.Response, part: Path, start: int, expected: Expected,
     look = {"unit": "B", "unit_scale": True, "disable": None, "leave": False, "delay": 0.5}
     bar = tqdm(total=total, initial=done, desc=part.name[1:-5], **look)
     with part.open("ab" if goes_on else "wb") as file, bar:
-        while block := answer.raw.read1(_BLOCK):  # what is there: `iter_content` waits for whole blocks
+        while block := answer.raw.read1(
+            _BLOCK
+        ):  # all bytes that have come: `iter_content` waits for whole blocks
             done += file.write(block)
             bar.update(len(block))
             expected.check(done)

@@ -13,14 +13,14 @@ def rotate(vectors: Tensor, direction: Tensor) -> Tensor:
     """Turn ``vectors`` (..., 2) by the angle of the unit vectors ``direction`` (..., 2)."""
     c, s = direction.unbind(-1)
     x, y = vectors.unbind(-1)
-    return torch.stack((c * x - s * y, s * x + c * y), dim=-1)
+    return torch.stack((torch.addcmul(c * x, s, y, value=-1), torch.addcmul(c * y, s, x)), dim=-1)
 
 
 def unrotate(vectors: Tensor, direction: Tensor) -> Tensor:
     """Turn ``vectors`` (..., 2) back by the angle of ``direction`` (..., 2): the inverse of `rotate`."""
     c, s = direction.unbind(-1)
     x, y = vectors.unbind(-1)
-    return torch.stack((c * x + s * y, c * y - s * x), dim=-1)
+    return torch.stack((torch.addcmul(c * x, s, y), torch.addcmul(c * y, s, x, value=-1)), dim=-1)
 
 
 def limit_speed(velocity: Tensor, top_speed: Tensor) -> Tensor:
@@ -60,7 +60,7 @@ def opposed(ahead: Tensor) -> Tensor:
 
 def identity_pose(scenes: int, device: torch.device | None = None) -> Tensor:
     """Return the scene poses (B, 4) that leave every scene where its floor plan is."""
-    return torch.tensor([0.0, 1.0, 0.0, 0.0], device=device).repeat(scenes, 1)
+    return torch.tensor([[0.0, 1.0, 0.0, 0.0]], device=device).expand(scenes, 4).contiguous()
 
 
 def turn_to_scene(vectors: Tensor, pose: Tensor) -> Tensor:
@@ -75,6 +75,13 @@ def turn_to_map(vectors: Tensor, pose: Tensor) -> Tensor:
     pose = _align(pose, vectors)
     turned = unrotate(vectors, direction_of(pose[..., 0]))
     return torch.stack((turned[..., 0], turned[..., 1] * pose[..., 1]), dim=-1)
+
+
+def turn_matrix(pose: Tensor) -> Tensor:
+    """Return the matrices (N, 2, 2) of `turn_to_map` for poses (N, 4)."""
+    angle, mirror = pose[:, 0], pose[:, 1]
+    c, s = angle.cos(), angle.sin()
+    return torch.stack((c, s, -s * mirror, c * mirror), dim=-1).view(-1, 2, 2)
 
 
 def move_to_scene(points: Tensor, pose: Tensor) -> Tensor:

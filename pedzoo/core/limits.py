@@ -1,7 +1,7 @@
-"""Limits of what files and servers may ask for: beyond all real use, and checked before memory is taken.
+"""Limits of the sizes of input files and downloads: above all real use, and checked before memory is taken.
 
-A small file can ask for much: references that multiply, pictures of one colour, frame numbers far apart. What
-exceeds a limit is refused with the limit and a way out.
+A small file can expand to a large one: references that multiply, pictures of one colour, frame numbers far
+apart. The error of a file above a limit names the limit and a remedy.
 """
 
 from pathlib import Path
@@ -38,11 +38,14 @@ LONGEST_RECORDING = 366 * 86_400.0
 DEEPEST = 20
 """Levels of values in YAML and JSON; libyaml does not survive a hundred thousand."""
 
-MOST_VALUES = 1_000_000
-"""Values of a config."""
+MOST_VALUES = 100_000
+"""Values in YAML: 10,000 people of a scenario have 70,000, and a second reads so many."""
+
+MOST_DIGITS = 300
+"""Letters of a whole number: a number of more is larger than every floating point number."""
 
 _NO_YAML = (yaml.YAMLError, ValueError, LookupError, AttributeError)
-"""What reading values ends in that are not what they say they are, such as the 99th of a month."""
+"""Errors of values that do not fit their form, such as a date on the 99th of a month."""
 
 
 def check_limit(value: float, limit: float, what: str, unit: str, remedy: str) -> None:
@@ -114,15 +117,31 @@ def read_mapping(path: Path, what: str, expected: str) -> dict[Any, Any]:
     return settings
 
 
+_SAFE: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's: `pedzoo models` reads all cards
+
+
+class _Loader(_SAFE):
+    """The safe loader, with whole numbers of at most `MOST_DIGITS`."""
+
+    def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
+        """Return a whole number."""
+        check_limit(len(node.value), MOST_DIGITS, f"{node.value[:20]}...", "digits", "write a smaller number")
+        return super().construct_yaml_int(node)
+
+
+_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
+
+
 def _loaded(text: bytes | str, references: bool) -> Any:
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's: `pedzoo models` reads all cards
     expected = f"{'' if references else 'no references (*) and '}at most {DEEPEST} levels of values"
-    depth = 0
-    for event in yaml.parse(text, loader):
+    depth = values = 0
+    for event in yaml.parse(text, _Loader):
+        values += not isinstance(event, yaml.CollectionEndEvent)
+        check_limit(values, MOST_VALUES, "it", "values or more", "write fewer")
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         if depth > DEEPEST or (isinstance(event, yaml.AliasEvent) and not references):
             raise UserError(f"expected {expected}")
-    return yaml.load(text, loader)
+    return yaml.load(text, _Loader)
 
 
 def _values_in(value: Any, known: dict[int, int]) -> int:

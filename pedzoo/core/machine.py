@@ -1,4 +1,4 @@
-"""The machine at hand: devices by name, and the versions of what is installed."""
+"""The machine: its devices by name, and the versions of installed packages."""
 
 from __future__ import annotations
 

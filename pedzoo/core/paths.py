@@ -1,4 +1,4 @@
-"""Where things are: shipped configs and checkpoints, the user's data and cache."""
+"""Folders and files: shipped configs and checkpoints, the user's data and cache."""
 
 import os
 from collections.abc import Iterator
@@ -17,6 +17,11 @@ def shipped(folder: str) -> Path:
     """Return ``configs`` or ``checkpoints``: beside the package in a checkout, inside it in a wheel."""
     inside = _PACKAGE / folder
     return inside if inside.is_dir() else _PACKAGE.parent / folder
+
+
+def expanded(path: str | Path) -> Path:
+    """Return a path with ``~`` written out; of a user whom nobody knows it stays, and no file is there."""
+    return Path(os.path.expanduser(path))
 
 
 def weight_files() -> dict[str, Path]:
@@ -54,7 +59,7 @@ def data_root(root: str | None) -> Path:
         if (downloaded := data_home()).is_dir():
             return downloaded
         raise UserError(f"no recordings found: {how}; `--data.fold embedded` needs none")
-    path = Path(given).expanduser()
+    path = expanded(given)
     if not path.is_dir():
         raise UserError(f"data root {given!r} is not a folder: {how}; `--data.fold embedded` needs none")
     return path
@@ -63,7 +68,7 @@ def data_root(root: str | None) -> Path:
 def cache_home() -> Path:
     """Return the folder for downloads: ``PEDZOO_HOME``, or the user's cache."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(os.environ.get("PEDZOO_HOME") or Path(base) / "pedzoo").expanduser()
+    return expanded(os.environ.get("PEDZOO_HOME") or Path(base) / "pedzoo")
 
 
 def data_home() -> Path:
@@ -72,7 +77,7 @@ def data_home() -> Path:
 
 
 PARTS = ".*.part*"
-"""Pattern of what a process that was killed leaves beside the file that it was writing."""
+"""Pattern of the unfinished files that a killed process leaves behind."""
 
 
 def write_whole(path: Path, data: bytes | memoryview) -> None:

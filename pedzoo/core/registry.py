@@ -21,9 +21,10 @@ from typing import Any
 from zlib import crc32
 
 from pedzoo.core.errors import UserError, unknown
+from pedzoo.core.paths import expanded
 
 _OF_FILES = "pedzoo_user_"
-"""How the names of modules begin that are files of users."""
+"""The prefix of module names of users' files."""
 
 ROOT = Path(__file__).parents[2]
 """The checkout, or where the wheel is installed."""
@@ -245,9 +246,9 @@ def _in_file(spec: str, kind: str, wanted: Callable[[Any], bool]) -> Any:
 def _file(path: str | Path) -> Path | None:
     """Return where a file is, or None; systems refuse to look for names that are long or have a zero byte."""
     try:
-        found = Path(path).expanduser().resolve()
-        return found if found.is_file() else None
-    except (OSError, ValueError, RuntimeError):  # the last: ~ of nobody
+        file = expanded(path).resolve()
+        return file if file.is_file() else None
+    except (OSError, ValueError, RuntimeError):  # the last: a link to itself
         return None
 
 

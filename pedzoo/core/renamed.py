@@ -113,6 +113,23 @@ def takes_world(function: Function) -> Function:
     return cast("Function", call)
 
 
+def old_classes(module: dict[str, Any], names: Mapping[str, str]) -> Callable[[str], Any]:
+    """Return a module's ``__getattr__`` by which files of others import its classes by their old names.
+
+    Args:
+        module: The module's ``globals()``.
+        names: Old names, and the new ones.
+    """
+
+    def get(name: str) -> Any:
+        if name not in names:
+            raise AttributeError(f"module {module['__name__']!r} has no attribute {name!r}")
+        say(f"{module['__name__']}.{name}", names[name])
+        return module[names[name]]
+
+    return get
+
+
 def new_words(argv: list[str]) -> list[str]:
     """Return a command line with ``--world`` written as ``--physics``."""
     result = list(argv)

@@ -30,7 +30,7 @@ class Spec(NamedTuple):
     settings: Mapping[str, Any]
 
 
-class Written(NamedTuple):
+class SpecText(NamedTuple):
     """A name and the settings that were written behind it, as text: in quotes if they were written so."""
 
     name: str
@@ -45,7 +45,7 @@ def name_of(text: str) -> str:
     return f"{name}:{inside}" if name.endswith(".py") else name
 
 
-def parse(text: str) -> Written:
+def parse(text: str) -> SpecText:
     """Return the parts of ``name``, ``name:key=value,key=[a,b]`` or ``path/to/file.py:Class:key=value``.
 
     A name may be an address: ``hf://owner/repo:key=value``.
@@ -68,7 +68,7 @@ def parse(text: str) -> Written:
         if key.strip() in settings:
             raise UserError(f"{text!r:.200}: {key.strip()!r:.200} is given twice")
         settings[key.strip()] = value.strip()
-    return Written(name, settings)
+    return SpecText(name, settings)
 
 
 def spelled(text: str, settings: Mapping[str, Any]) -> str:
@@ -99,14 +99,14 @@ def _as_text(where: str, value: Any) -> str:
     raise UserError(f"{where}: expected a number, a text or a list of these, not {value!r:.60}")
 
 
-def build(registry: Registry, what: str | Spec | Written, base: type, **given: Any) -> Any:
+def build(registry: Registry, what: str | Spec | SpecText, base: type, **given: Any) -> Any:
     """Return an instance of what is named, every setting checked for its type.
 
     Args:
         registry: Where the name is looked up.
         what: A text as `parse` takes it, or a name with values.
         base: The class that it must be a subclass of.
-        given: Arguments from elsewhere; the settings of ``what`` count more.
+        given: Further arguments; the settings of ``what`` override them.
 
     Raises:
         UserError: An unknown name or setting, or a value of the wrong type.
@@ -115,11 +115,11 @@ def build(registry: Registry, what: str | Spec | Written, base: type, **given: A
     return make(registry.get(spec.name, base), registry.kind, spec, **given)
 
 
-def make(cls: type, kind: str, spec: Spec | Written, **given: Any) -> Any:
+def make(cls: type, kind: str, spec: Spec | SpecText, **given: Any) -> Any:
     """Return ``cls`` built from the settings of ``spec`` and from ``given`` values; errors as in `build`."""
     name, settings = spec
     types = setting_types(cls)
-    written = isinstance(spec, Written)
+    written = isinstance(spec, SpecText)
     arguments = {key: value for key, value in given.items() if key in types}
     for key, value in settings.items():
         if key not in types:
@@ -131,7 +131,7 @@ def make(cls: type, kind: str, spec: Spec | Written, **given: Any) -> Any:
         raise UserError(
             f"{kind} {name!r:.200}: {error}; its settings: {', '.join(types) or 'none'}"
         ) from error
-    return made(cls, arguments)
+    return make_ungrouped(cls, arguments)
 
 
 def _typed(where: str, value: Any, hint: Any, written: bool) -> Any:
@@ -153,7 +153,7 @@ def _typed(where: str, value: Any, hint: Any, written: bool) -> Any:
         if written:
             return parser.parse_args([f"--value={value}"]).value
         return parser.parse_object({"value": [value]}).value[0]
-    except ArgumentError as error:
+    except (ArgumentError, OverflowError) as error:  # the latter: a number with hundreds of digits
         shown = value if written else repr(value)
         raise UserError(f"{where:.200}={shown:.200}: expected {_short(hint)}") from error
 
@@ -230,7 +230,7 @@ def grouped(cls: type, given: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
-def made(cls: type, given: Mapping[str, Any]) -> Any:
+def make_ungrouped(cls: type, given: Mapping[str, Any]) -> Any:
     """Return an instance of a class with settings that are named without their groups."""
     own, given = setting_groups(cls), grouped(cls, given)
     return cls(**{key: _changed(own[key], value) if key in own else value for key, value in given.items()})

@@ -11,6 +11,7 @@ from tensordict import TensorDict
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
+from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import OBS_LEN, GoalProtocol, TimeBase
 from pedzoo.data.own_files import OwnFiles
@@ -18,7 +19,7 @@ from pedzoo.data.recordings import OWN_FILES, Recording, Scene, Split, find_fold
 from pedzoo.data.sampler import BucketSampler, Draw
 from pedzoo.data.scenes import SceneSet, augmentation
 from pedzoo.data.tracks import Tracks
-from pedzoo.data.windows import Counts, KeptPeople
+from pedzoo.data.windows import KeptPeople, WindowCounts
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.library import load_plan
@@ -50,7 +51,7 @@ class Loading:
 
 
 @dataclass(frozen=True)
-class Imitated:
+class ImitationWindows:
     """Further training windows, for a controller that imitates the walks of their people.
 
     With them training batches are ``{"forecast": as without, "unrolled": these windows}``. They keep all
@@ -67,6 +68,9 @@ class Imitated:
     steps: int = 0
     batch_size: int = 64
     one_recording_per_batch: bool = False
+
+
+__getattr__ = renamed.old_classes(globals(), {"Imitated": "ImitationWindows"})
 
 
 class TrajectoryDataModule(L.LightningDataModule):
@@ -89,7 +93,7 @@ class TrajectoryDataModule(L.LightningDataModule):
         min_people: int = 2,
         hold_out: str | None = None,
         loading: Loading = Loading(),
-        imitated: Imitated = Imitated(),
+        imitated: ImitationWindows = ImitationWindows(),
     ) -> None:
         """Set the data that `setup` will read.
 
@@ -283,7 +287,8 @@ def _as_it_is(batch: Any) -> Any:
 def _print_counts(what: str, scenes: SceneSet) -> None:
     # a wrong clock or unit shows in the speed: people walk at about 1.3 m/s
     speed = float(scenes.speeds().median())
-    print(f"{what}: {sum((counts for _, counts in scenes.counts), Counts())}; median speed {speed:.2f} m/s")
+    total = sum((counts for _, counts in scenes.counts), WindowCounts())
+    print(f"{what}: {total}; median speed {speed:.2f} m/s")
     empty = [name for name, counts in scenes.counts if not counts.windows]
     if empty:
         print(f"{what}: no window in {', '.join(empty)}")

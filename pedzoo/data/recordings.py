@@ -191,7 +191,7 @@ def open_fold(fold: str, root: str | None, clock: TimeBase) -> OpenFold:
     """
     if fold == OWN_FILES:
         raise UserError(
-            f"fold {fold!r} is somebody's own recordings, as of weights that were trained on them: name "
+            f"fold {fold!r} stands for recordings from files that weights were trained on: name "
             "files, --data.files a.csv,b.csv --data.dt 0.1, or a fold, --data.fold zara1"
         )
     if result := find_fold(fold):

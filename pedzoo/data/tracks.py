@@ -11,7 +11,7 @@ import numpy as np
 from pedzoo.core.errors import UserError
 from pedzoo.core.limits import LONGEST_RECORDING, MOST_POSITIONS, check_limit
 from pedzoo.core.types import STEP_SECONDS
-from pedzoo.data.text_form import COLUMNS, TextForm
+from pedzoo.data.text_format import COLUMNS, TextFormat
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Tracks:
         if not path.is_file():
             raise UserError(f"no recording at {str(path)!r}: expected a file of rows {', '.join(COLUMNS)}")
         try:
-            form = TextForm.of(path)
+            form = TextFormat.of(path)
             table = form.numbers(path)
         except UnicodeDecodeError as error:
             raise UserError(f"recording {str(path)!r} is not a text file ({error.reason})") from error

@@ -19,7 +19,7 @@ KeptPeople = Literal["complete", "present"]
 
 
 @dataclass(frozen=True)
-class Counts:
+class WindowCounts:
     """Windows and people kept and dropped, for the line that every run prints.
 
     Each person seen at the last observed step of a window is counted once for it, as one of ``people``,
@@ -37,9 +37,9 @@ class Counts:
     dropped_lone: int = 0
     dropped_partial: int = 0
 
-    def __add__(self, other: Counts) -> Counts:
+    def __add__(self, other: WindowCounts) -> WindowCounts:
         """Return the counts of two recordings together."""
-        return Counts(*(a + b for a, b in zip(vars(self).values(), vars(other).values(), strict=True)))
+        return WindowCounts(*(a + b for a, b in zip(vars(self).values(), vars(other).values(), strict=True)))
 
     def __str__(self) -> str:
         """Return the line that every run prints."""
@@ -63,7 +63,7 @@ class Windows:
     rows: np.ndarray
     end: np.ndarray
     offsets: np.ndarray
-    counts: Counts
+    counts: WindowCounts
 
 
 def cut_windows(
@@ -103,7 +103,7 @@ def cut_windows(
         rows=rows[order].astype(np.int32, copy=False),
         end=last.astype(np.int32),
         offsets=np.concatenate(([0], np.cumsum(sizes))).astype(np.int64),
-        counts=Counts(len(sizes), len(order), int(alone.sum()), partial),
+        counts=WindowCounts(len(sizes), len(order), int(alone.sum()), partial),
     )
 
 

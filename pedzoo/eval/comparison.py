@@ -114,7 +114,7 @@ class Comparison:
             env.physics.close()
 
     def run(self, progress: Progress | None = None) -> None:
-        """Let all policies walk; episodes that are over are kept whatever interrupts it."""
+        """Let all policies walk. Finished episodes survive an interruption."""
         for name, (policy, env) in self._prepared.items():
             parts: list[Rollout] = []
             try:

@@ -1,4 +1,4 @@
-"""Positions of episodes in few bytes, as results keep them for replays: `pedzoo report` draws them.
+"""A compact form of the positions of episodes: results store them so, and `pedzoo report` draws them.
 
 Positions are whole millimetres in the floor plan's frame. Of every person the first one is written, then the
 first step, then how each step differs from the one before. All numbers are varints of seven bits a byte, with
@@ -26,10 +26,10 @@ from pedzoo.metrics.safety import contact_events
 from pedzoo.sim.rollout import Rollout
 
 LONGEST = 120.0
-"""Seconds of an episode that are kept."""
+"""Seconds of an episode that are stored."""
 
 CELLS = 600
-"""Floor plans of more cells along a side are kept in coarser ones."""
+"""Floor plans of more cells along a side are stored in coarser ones."""
 
 _MM = 1000
 _BYTES = 10  # that a varint of 64 bits can have

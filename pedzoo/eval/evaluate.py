@@ -1,4 +1,4 @@
-"""The closed-loop evaluation: policies on suites of cases, in parts that are kept, resumed and shared out."""
+"""The closed-loop evaluation: policies on suites of cases, in units that workers share."""
 
 from collections.abc import Sequence
 from contextlib import closing
@@ -12,7 +12,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.machine import usable
 from pedzoo.core.registry import SUITES
 from pedzoo.eval.episodes import without_plans
-from pedzoo.eval.results import Shown
+from pedzoo.eval.results import SuiteColumns
 from pedzoo.eval.suite import EvaluationOptions, OwnRecordings, Suite, WorkUnit, check_names
 from pedzoo.eval.summary import summary
 from pedzoo.eval.units import digest, work
@@ -84,7 +84,7 @@ def evaluate(
             freely, at least 20. Not of robots and recordings.
         workers: Processes; the report is the same for any number.
         backend: What they are: ``processes`` of this machine, or ``ray``.
-        resume: A file that keeps finished parts: what is in it is not done again.
+        resume: A file of finished parts: those are not done again.
         progress: Called whenever there is something to tell.
 
     Returns:
@@ -112,9 +112,9 @@ class Evaluation:
     """All parts of an evaluation, and the rows of those that are done.
 
     Attributes:
-        options: What suites differ by.
+        options: As suites read them.
         units: All of them, in the order of the report.
-        resumed: How many were found in the file of finished ones.
+        resumed: How many were in the file of finished ones.
         others: How many in that file are of other units, weights, files or code.
         journal: That file, if there is one.
     """
@@ -178,7 +178,7 @@ class Evaluation:
         self.others = len(self._journal.done.keys() - set(self._digests))
 
     def run(self, workers: int = 1, backend: Backend = "processes", progress: Progress | None = None) -> None:
-        """Do all units that are not done; whatever interrupts it, finished ones are kept. See `evaluate`."""
+        """Do all units that are not done. Finished ones survive an interruption. See `evaluate`."""
         meter = ProgressMeter(self.units, set(self._rows), progress)
         missing = [number for number in range(len(self.units)) if number not in self._rows]
         units = [self.units[number] for number in missing]
@@ -219,11 +219,11 @@ class Evaluation:
         }
 
     @property
-    def shown(self) -> dict[str, Shown]:
+    def shown(self) -> dict[str, SuiteColumns]:
         """What tables show of each suite."""
         more = self._columns
         return {
-            suite.name: Shown(
+            suite.name: SuiteColumns(
                 suite.headline,
                 list(dict.fromkeys((*suite.columns, *more))),
                 suite.counted,

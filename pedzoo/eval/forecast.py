@@ -16,10 +16,10 @@ from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.loading import load
 
 BASELINES = ("constant_velocity", "straight_line", "bent_line")
-"""Predictors that know nothing but where people are and, the lines, where they go."""
+"""Predictors that are not trained; the lines know the goal."""
 
 FLOOR = "anchors"
-"""What stands beside them where the best of several is reported: centroids of the fold's training futures."""
+"""The baseline where the best of several is reported: centroids of the fold's training futures."""
 
 Progress = Callable[[str, int, int], None]
 

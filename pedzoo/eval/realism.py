@@ -17,7 +17,7 @@ from pedzoo.core.types import STEP_SECONDS
 from pedzoo.metrics.closed_loop import own_metrics
 from pedzoo.metrics.ratios import of_parts, summarised
 from pedzoo.metrics.realism.crowds import (
-    Crowd,
+    CrowdSums,
     compared,
     crowd,
     densities,
@@ -30,7 +30,7 @@ from pedzoo.metrics.realism.crowds import (
 )
 from pedzoo.metrics.realism.distances import drawn_people, halves
 from pedzoo.metrics.realism.features import FEATURES, every_step
-from pedzoo.metrics.realism.walks import Tables, Tracks, Walks, of_people, tracks_of, walks_of
+from pedzoo.metrics.realism.walks import RecordedWalks, Walks, WalksByPerson, of_people, tracks_of, walks_of
 from pedzoo.metrics.sums.intervals import Interval, wilson
 from pedzoo.sim.replay.people import RecordedPeople
 from pedzoo.sim.rollout import Rollout
@@ -46,8 +46,8 @@ SPLITS = 200
 class _Recorded(NamedTuple):
     """The real people of a replay."""
 
-    tracks: Tracks
-    crowd: Crowd
+    tracks: RecordedWalks
+    crowd: CrowdSums
 
 
 def replay_row(
@@ -91,7 +91,7 @@ def replay_row(
     walks = Walks(*(torch.cat(values) for values in zip(*walked, strict=True)))
     seen = torch.zeros(len(people.agent), dtype=torch.bool)
     seen[walks.person] = True
-    tables = Tables.of(walks, recorded.tracks.seconds, scenes)
+    tables = WalksByPerson.of(walks, recorded.tracks.seconds, scenes)
     mine, real = together(crowds), only(recorded.crowd, seen)
     once, drawn = (_weights(w, seen) for w in (torch.ones(1, int(seen.sum())), drawn_people(int(seen.sum()))))
     spread = spreads(real)
@@ -169,7 +169,7 @@ def _interval(values: Tensor) -> Interval | None:
     return (low, high) if low < high else None
 
 
-def _curve(mine: Crowd, real: Crowd, once: Tensor) -> list[dict[str, float | None]]:
+def _curve(mine: CrowdSums, real: CrowdSums, once: Tensor) -> list[dict[str, float | None]]:
     """Return the mean speeds of both crowds at every density at which the real one was."""
     (speed, steps), (true, weight) = density_speed(mine, once), density_speed(real, once)
     table = zip(densities().tolist(), speed[0].tolist(), true[0].tolist(), steps[0], weight[0], strict=True)
@@ -185,7 +185,7 @@ def _curve(mine: Crowd, real: Crowd, once: Tensor) -> list[dict[str, float | Non
     ]
 
 
-def _listed(tables: Tables, people: RecordedPeople, seen: Tensor) -> list[dict[str, Any]]:
+def _listed(tables: WalksByPerson, people: RecordedPeople, seen: Tensor) -> list[dict[str, Any]]:
     """Return what each person did, means over rounds."""
     share, seconds, ade, warped = (
         value.nanmean(0) for value in (tables.success, tables.seconds, tables.ade, tables.dtw)
@@ -215,7 +215,7 @@ OUTSIDE = 0.005
 """Share of the real samples beyond either end, which count in the first and the last bin."""
 
 
-def distributions(mine: Crowd, real: Crowd) -> dict[str, dict[str, Any]]:
+def distributions(mine: CrowdSums, real: CrowdSums) -> dict[str, dict[str, Any]]:
     """Return the histograms of every feature, ready for JSON.
 
     Each has its ``unit``, the ``low`` and ``high`` end, and the shares of samples in `BINS` equal bins:

@@ -1,4 +1,4 @@
-"""What people read of an evaluation: the same tables on a terminal and on a page."""
+"""The tables of an evaluation, for a terminal and for a page of Markdown."""
 
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from pedzoo.core.registry import METRICS
 
 
-class Shown(NamedTuple):
+class SuiteColumns(NamedTuple):
     """What tables show of a suite.
 
     Attributes:
@@ -57,7 +57,7 @@ def legend() -> dict[str, str]:
     return {name: text[:1].lower() + text[1:] for name, text in texts.items()} | _LEGEND
 
 
-class Page(NamedTuple):
+class ResultTable(NamedTuple):
     """A table.
 
     Attributes:
@@ -73,7 +73,7 @@ class Page(NamedTuple):
     names: int
 
 
-def pages(report: Mapping[str, Any], shown: Mapping[str, Shown]) -> list[Page]:
+def pages(report: Mapping[str, Any], shown: Mapping[str, SuiteColumns]) -> list[ResultTable]:
     """Return the headline, and for each table of a suite its metrics, and the cases where it has several."""
     rows, summary = report["rows"], report["summary"]
     result = [_headline(summary, shown)]
@@ -87,13 +87,13 @@ def pages(report: Mapping[str, Any], shown: Mapping[str, Shown]) -> list[Page]:
         title = f"{table}: mean of {cases} cases" if cases > 1 else table
         labels = _labels(mine)
         body = [[labels[row["name"]], str(row["n"]), *(cell(row, key) for key in known)] for row in mine]
-        result.append(Page(title, ["policy", "n", *known], body, 2))
+        result.append(ResultTable(title, ["policy", "n", *known], body, 2))
         if cases > 1:
             result += [_by_case([row for row in rows if row["table"] == table], key) for key in headline]
     return result
 
 
-def said(report: Mapping[str, Any], shown: Mapping[str, Shown]) -> str:
+def protocol_line(report: Mapping[str, Any], shown: Mapping[str, SuiteColumns]) -> str:
     """Return the protocol in a line: suites with their episodes, physics and warm starts, noise and seeds."""
     counts: dict[str, dict[str, int]] = {}
     physics: dict[str, dict[str, None]] = {}
@@ -113,13 +113,13 @@ def said(report: Mapping[str, Any], shown: Mapping[str, Shown]) -> str:
     return f"{'; '.join(parts)}; noise {noise}, seeds {seeds}"
 
 
-def markdown(report: Mapping[str, Any], shown: Mapping[str, Shown], command: Sequence[str]) -> str:
+def markdown(report: Mapping[str, Any], shown: Mapping[str, SuiteColumns], command: Sequence[str]) -> str:
     """Return the page with the command that made it, and all tables."""
     made = report["versions"]
     lines = [
         "# Closed-loop evaluation\n",
         f"Made by `{shlex.join(command)}` with pedzoo {made['pedzoo']}, torch {made['torch']}, commit"
-        f" {made.get('commit', 'unknown')}: {said(report, shown)}. {INTERVALS}\n",
+        f" {made.get('commit', 'unknown')}: {protocol_line(report, shown)}. {INTERVALS}\n",
         *(f"* {note}\n" for note in report["notes"]),
     ]
     for page in pages(report, shown):
@@ -152,7 +152,7 @@ def cell(row: Mapping[str, Any], key: str) -> str:
 
 
 def case_label(row: Mapping[str, Any]) -> str:
-    """Return what tells a row from others of its suite."""
+    """Return what distinguishes a row within its suite."""
     case = {key: value for key, value in row["case"].items() if key not in _NO_CASE}
     if {"people", "goals"} <= case.keys():  # as in Table II
         case["people"] = f"{case['people']}/{case.pop('goals')}"
@@ -160,11 +160,11 @@ def case_label(row: Mapping[str, Any]) -> str:
 
 
 _NO_CASE = ("suite", "physics", "weights", SEEN)
-"""What does not tell cases of a suite from each other."""
+"""Keys that do not distinguish the cases of a suite."""
 
 
 def _labels(summary: Sequence[Mapping[str, Any]]) -> dict[str, str]:
-    """Return the policies with what tables call them: an interrupted one has means of fewer cases."""
+    """Return the policies with their labels in tables, which mark those with means of fewer cases."""
     cases: dict[str, int] = {}
     for row in summary:
         cases[row["table"]] = max(row["cases"], cases.get(row["table"], 0))
@@ -172,7 +172,7 @@ def _labels(summary: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     return {row["name"]: row["name"] + " (not all cases)" * (row["name"] in fewer) for row in summary}
 
 
-def _headline(summary: Sequence[Mapping[str, Any]], shown: Mapping[str, Shown]) -> Page:
+def _headline(summary: Sequence[Mapping[str, Any]], shown: Mapping[str, SuiteColumns]) -> ResultTable:
     texts = {(row["name"], row["table"], key): cell(row, key) for row in summary for key in row["metrics"]}
     names = _labels(summary)
     columns = dict.fromkeys(
@@ -182,17 +182,17 @@ def _headline(summary: Sequence[Mapping[str, Any]], shown: Mapping[str, Shown]) 
     body = [
         [label, *(texts.get((name, *column), "-") for column in columns)] for name, label in names.items()
     ]
-    return Page("all suites", ["policy", *map(" ".join, columns)], body, 1)
+    return ResultTable("all suites", ["policy", *map(" ".join, columns)], body, 1)
 
 
-def _by_case(rows: Sequence[Mapping[str, Any]], key: str) -> Page:
+def _by_case(rows: Sequence[Mapping[str, Any]], key: str) -> ResultTable:
     """Return one metric: policies as rows, cases as columns."""
     texts = {(row["name"], case_label(row)): cell(row, key) for row in rows}
     names, cases = dict.fromkeys(name for name, _ in texts), dict.fromkeys(case for _, case in texts)
     body = [[name, *(texts.get((name, case), "-") for case in cases)] for name in names]
     table = rows[0]["table"]
     shorter = [" ".join(word for word in case.split() if word not in table.split()) for case in cases]
-    return Page(f"{table}: {key} in each case", ["policy", *shorter], body, 1)
+    return ResultTable(f"{table}: {key} in each case", ["policy", *shorter], body, 1)
 
 
 def _number(value: float) -> str:

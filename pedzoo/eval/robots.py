@@ -1,4 +1,4 @@
-"""Robots drive whole episodes among people, and the same people walk for as long without them."""
+"""Robots drive whole episodes among people; the same people walk for as long without them."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -89,7 +89,7 @@ def robot_rollout(
 def prepared_scenes(scenario: str | Spec, bodies: Sequence[str], robot_goals: int = 1) -> PreparedScenario:
     """Return the scenes of a scenario with robots, their ways found; errors as of `robot_rollout`.
 
-    The latest ones are kept: all policies of a case take them, one after the other.
+    The latest ones are cached: all policies of a case use them, one after the other.
     """
     key = repr((scenario, bodies, robot_goals))
     if key not in _kept:
@@ -144,7 +144,7 @@ def _walk_alone(env: RobotEnv, decisions: Tensor) -> Recorder:
 
 
 class _RobotRecorder:
-    """Keeps what is of robots alone."""
+    """Records values that only robots have."""
 
     def __init__(self, env: RobotEnv) -> None:
         self._env = env

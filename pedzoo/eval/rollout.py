@@ -1,4 +1,4 @@
-"""Policies walk whole episodes, and everything that metrics and pictures need is kept."""
+"""Policies walk whole episodes; all values for metrics and pictures are recorded."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -218,7 +218,7 @@ def _progress(state: State) -> Tensor:
 def _kept(
     after: Any, before: State, state: State, alive: Tensor, last: dict[str, Tensor] | None
 ) -> dict[str, Tensor]:
-    """Return what is kept of one decision: scenes that were over before it stay as they ended."""
+    """Return the values of one decision; scenes that were over before it stay as they ended."""
     info = after["agents", "info"]
     points = info["reached"].shape[2]
     # no agent walked where the policy gave no number

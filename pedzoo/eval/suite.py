@@ -1,4 +1,4 @@
-"""What every suite is: cases on which policies are evaluated, and the smallest parts of that work."""
+"""The interface of suites: cases on which policies are evaluated, and the units of that work."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -8,8 +8,8 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.spec import Spec
 from pedzoo.eval.comparison import row
 from pedzoo.eval.episodes import packed_episodes
-from pedzoo.eval.prepared import prepared
 from pedzoo.eval.rollout import joined, prepare, walk
+from pedzoo.eval.scenario_cache import prepared
 from pedzoo.metrics.ratios import Ratio
 from pedzoo.policies.load import load_policy
 from pedzoo.sim.env import PedestrianEnv
@@ -121,7 +121,7 @@ class EvaluationCase(NamedTuple):
 
 
 class WorkUnit(NamedTuple):
-    """One policy on one case: the smallest thing that is repeated, kept and sent to workers.
+    """One policy on one case: the smallest part that is repeated, stored and sent to workers.
 
     Attributes:
         policy: As it was given: the row's name.
@@ -145,7 +145,7 @@ class WorkUnit(NamedTuple):
 
     @property
     def group(self) -> tuple[str, str]:
-        """What the unit shares with others that should be done by the same process."""
+        """What the unit shares with others: one process should do them all."""
         return self.case.suite, self.case.shares or self.case.name
 
     @property
@@ -230,13 +230,13 @@ class Suite(ABC):
         for person in result["per_agent"]:
             seed, person["episode"] = divmod(person["episode"], case.episodes)
             person["seed"] = unit.seeds[seed]
-        return [result | kept(unit, *parts[0])]
+        return [result | kept_episodes(unit, *parts[0])]
 
 
 def walked(
     unit: WorkUnit, scenario: PreparedScenario, seeds: Sequence[int], episodes: int, tell: Tell | None = None
 ) -> Iterator[tuple[Rollout, PedestrianEnv]]:
-    """Yield some episodes after the other, and where they were: large crowds do not fit memory together.
+    """Yield episodes in parts, each with its environment: large crowds do not fit into memory at once.
 
     ``episodes`` are those of every seed; ``tell`` is called with the share that is done.
     """
@@ -256,8 +256,8 @@ def walked(
             env.physics.close()
 
 
-def kept(unit: WorkUnit, rollout: Rollout, env: PedestrianEnv) -> dict[str, Any]:
-    """Return what a row keeps of the first episodes, nothing where none were asked for.
+def kept_episodes(unit: WorkUnit, rollout: Rollout, env: PedestrianEnv) -> dict[str, Any]:
+    """Return the positions of a row's first episodes; nothing where none were asked for.
 
     Args:
         unit: Says how many.

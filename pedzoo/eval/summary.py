@@ -51,8 +51,8 @@ def mean_interval(values: Sequence[float], intervals: Sequence[Sequence[float]])
     """Return the interval of the mean of independent estimates, each with an interval of its own.
 
     The method of variance estimates recovery (Zou and Donner, "Construction of confidence limits about effect
-    measures", Statistics in Medicine 27, 2008): deviations to either side add up in squares. Of Wilson's
-    intervals it keeps that they are longer towards the middle.
+    measures", Statistics in Medicine 27, 2008): the squares of deviations to either side add up. So it
+    stays longer towards the middle where the intervals are Wilson's.
     """
     mean = sum(values) / len(values)
     below, above = (

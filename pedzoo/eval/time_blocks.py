@@ -1,4 +1,4 @@
-"""Intervals of open-loop errors: windows overlap, so what is drawn again is stretches of time."""
+"""Intervals of open-loop errors: windows overlap, so the bootstrap draws stretches of time."""
 
 from collections.abc import Mapping
 
@@ -9,7 +9,7 @@ from pedzoo.data.scenes import SceneSet
 from pedzoo.metrics.sums.intervals import Interval, bootstrap
 
 FEW = 10
-"""Blocks, below which a bootstrap interval of 95 % covers clearly less; tables mark it as rough."""
+"""With fewer blocks a bootstrap interval of 95 % covers clearly less; tables mark it as rough."""
 
 
 class BlockSums:

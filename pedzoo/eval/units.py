@@ -1,4 +1,4 @@
-"""Units of an evaluation: how one is done in any process, and by what a finished one is known again."""
+"""Units of an evaluation: the function that does one in any process, and the digest of a unit."""
 
 import hashlib
 import json
@@ -15,8 +15,8 @@ from pedzoo.eval.suite import Tell, WorkUnit
 from pedzoo.models.zoo.store import find
 from pedzoo.policies.crowd_names import parts
 
-_MATTER = (".py", ".csv", ".yaml", ".png")
-_NO_MATTER = ("cli", "train", "viz", "configs")
+_CODE_FILES = (".py", ".csv", ".yaml", ".png")
+_IGNORED_PACKAGES = ("cli", "train", "viz", "configs")
 """Packages whose code changes no number of an evaluation."""
 
 
@@ -36,7 +36,7 @@ def work(unit: WorkUnit, tell: Tell | None = None) -> list[dict[str, Any]]:
 
 
 def digest(unit: WorkUnit) -> str:
-    """Return what tells a unit from any other whose rows may differ.
+    """Return a unit's digest: units whose rows may differ have different ones.
 
     That is the unit itself, pedzoo's code, the versions of its dependencies, and the files that the unit
     names: weights, or a policy, suite, scenario or physics from a file.
@@ -49,7 +49,7 @@ def digest(unit: WorkUnit) -> str:
 
 
 def fingerprint(*known: Any) -> str:
-    """Return what tells work from any other: what is known of it, pedzoo's code and the versions it uses."""
+    """Return the digest of some work: of all that describes it, pedzoo's code and the versions it uses."""
     parts = [*known, _code_sum(), _versions()]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
@@ -79,7 +79,7 @@ def _code_sum() -> str:
     for base in (Path(__file__).parents[1], folder_of("tools.paper")):  # a checkout's suites and tables
         for path in sorted(base.rglob("*")):
             place = path.relative_to(base)
-            if path.suffix in _MATTER and place.parts[0] not in _NO_MATTER:
+            if path.suffix in _CODE_FILES and place.parts[0] not in _IGNORED_PACKAGES:
                 result.update(f"{place.as_posix()}\0".encode() + path.read_bytes())
     return result.hexdigest()
 

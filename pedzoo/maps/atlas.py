@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional as F
 
-from pedzoo.core.geometry import move_to_map, turn_to_map
+from pedzoo.core.geometry import turn_matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,11 +86,8 @@ class Atlas:
         with torch.autocast(points.device.type, enabled=False):
             points, pose = points.float(), pose.float()
             # Pose and map together are one affine per entry: far cheaper than moving every point twice.
-            linear = self.linear[row]
-            axes = torch.eye(2, device=points.device).expand(len(points), 2, 2)
-            home = move_to_map(points.new_zeros(len(points), 1, 2), pose).transpose(1, 2)
-            shift = self.shift[row].unsqueeze(2) + linear @ home
-            linear = linear @ turn_to_map(axes, pose).transpose(1, 2)
+            linear = self.linear[row] @ turn_matrix(pose)
+            shift = self.shift[row].unsqueeze(2) - linear @ pose[:, 2:].unsqueeze(2)
             planes = points.reshape(len(points), math.prod(points.shape[1:-1]), 2).transpose(1, 2)
             where = torch.baddbmm(shift, linear, planes)
             where = where.clamp(self.low[row].unsqueeze(2), self.high[row].unsqueeze(2))

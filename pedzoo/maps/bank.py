@@ -85,21 +85,23 @@ class MapBank:
 
     @cached_property
     def _atlas(self) -> Atlas:
-        # computed at first use: the transforms take long
-        fields = [torch.from_numpy(grid.signed_distance(self.unknown)) for grid in self.grids]
-        return Atlas.stack(
-            [field.clamp(-self.max_distance, self.max_distance)[None] for field in fields],
-            [grid.map_to_cell() for grid in self.grids],
-            nowhere=torch.tensor([self.max_distance]),
-        )
+        # computed at first use: the transforms take long; the next use may ask for gradients
+        with torch.inference_mode(False):
+            fields = [torch.from_numpy(grid.signed_distance(self.unknown)) for grid in self.grids]
+            return Atlas.stack(
+                [field.clamp(-self.max_distance, self.max_distance)[None] for field in fields],
+                [grid.map_to_cell() for grid in self.grids],
+                nowhere=torch.tensor([self.max_distance]),
+            )
 
     @cached_property
     def walls(self) -> Walls:
         """The walls as they are: exact distances, rays and outlines; made once, and once more per device."""
         first = self.to("cpu")
-        if first is not self:
-            return first.walls.to(self.device)
-        return Walls.of(self.grids, self.unknown, self.max_distance)
+        with torch.inference_mode(False):
+            if first is not self:
+                return first.walls.to(self.device)
+            return Walls.of(self.grids, self.unknown, self.max_distance)
 
     @property
     def device(self) -> torch.device:

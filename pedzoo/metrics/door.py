@@ -74,13 +74,13 @@ def delay(seconds: Tensor) -> Tensor:
     return torch.where(seconds.isfinite().all(1), seconds.diff(dim=1).abs().squeeze(1), torch.inf)
 
 
-def faster_is_first(seconds: Tensor, pref_speed: Tensor, differ: float = 0.05) -> tuple[Tensor, Tensor]:
+def faster_is_first(seconds: Tensor, pref_speed: Tensor) -> tuple[Tensor, Tensor]:
     """Return where the person who prefers the higher speed passes first (E,) bool, and where that is known.
 
-    Known where both are through and their preferred speeds (E, 2) differ by more than ``differ``, all in m/s.
+    Known where both are through and their preferred speeds (E, 2) differ by more than 0.05 m/s.
     """
     faster = pref_speed.diff(dim=1).squeeze(1)
-    known = seconds.isfinite().all(1) & (faster.abs() > differ)
+    known = seconds.isfinite().all(1) & (faster.abs() > 0.05)
     later = seconds.where(known.unsqueeze(1), 0.0).diff(dim=1).squeeze(1)
     return known & (later * faster < 0), known
 

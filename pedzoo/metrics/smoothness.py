@@ -24,12 +24,12 @@ STANDS = 0.1
 """m/s: people slower than this in a window have no heading in it."""
 
 
-def velocities(path: Tensor, scored: Tensor, every: int = WINDOW) -> tuple[Tensor, Tensor]:
-    """Return velocities (E, A, S, 2) in windows of ``every`` points, m/s, and which are known."""
-    windows = scored.shape[2] // every
-    known = scored[..., : windows * every].unflatten(2, (windows, every)).all(-1)
-    corners = path[:, :, : windows * every + 1 : every]
-    return corners.diff(dim=2) / (every * TRACE_SECONDS), known
+def velocities(path: Tensor, scored: Tensor) -> tuple[Tensor, Tensor]:
+    """Return velocities (E, A, S, 2) in windows of 0.4 s, m/s, and which are known."""
+    windows = scored.shape[2] // WINDOW
+    known = scored[..., : windows * WINDOW].unflatten(2, (windows, WINDOW)).all(-1)
+    corners = path[:, :, : windows * WINDOW + 1 : WINDOW]
+    return corners.diff(dim=2) / (WINDOW * TRACE_SECONDS), known
 
 
 def acceleration(velocity: Tensor, known: Tensor, dt: float = STEP_SECONDS) -> tuple[Tensor, Tensor]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
@@ -14,7 +15,7 @@ from torch.nn import functional
 
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
-from pedzoo.core.spec import flat, made
+from pedzoo.core.spec import flat, make_ungrouped
 from pedzoo.core.types import GoalProtocol
 
 if TYPE_CHECKING:
@@ -88,7 +89,7 @@ class Forecaster(nn.Module):
     @classmethod
     def of(cls, **settings: Any) -> Self:
         """Return a model of settings that are named without their groups, as files of weights have them."""
-        return made(cls, settings)
+        return make_ungrouped(cls, settings)
 
     def sample(
         self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
@@ -186,3 +187,9 @@ def for_all_samples(path: Tensor, batch: TensorDict, samples: int) -> Tensor:
 def arguments(scope: dict[str, Any]) -> dict[str, Any]:
     """Return the arguments of an ``__init__`` from its ``locals()``, to be kept as ``config``."""
     return {key: value for key, value in scope.items() if key not in ("self", "__class__")}
+
+
+@cache
+def has_parameters(model: type[Forecaster]) -> bool:
+    """Return whether an architecture has something to train, as it is built without settings."""
+    return any(True for _ in model().parameters())

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from pedzoo.core import renamed
-from pedzoo.core.errors import UserError, unknown
+from pedzoo.core.errors import UserError
 from pedzoo.core.machine import usable
 from pedzoo.core.registry import MODELS, POLICIES, ROBOT_POLICIES, SCENARIOS, names_code
 from pedzoo.core.spec import build, make, parse
@@ -18,7 +18,7 @@ from pedzoo.policies.crowd_names import is_crowd, is_policy, members, parts
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.local_planner import load_local_planner
 from pedzoo.policies.policy import Policy
-from pedzoo.policies.robot_policy import AsPedestrian, Planned, RobotPolicy
+from pedzoo.policies.robot_policy import LocalPlannerPolicy, PedestrianRobotPolicy, RobotPolicy
 from pedzoo.policies.robot_weights import load_robot_weights
 from pedzoo.policies.teams import Crowd, Teams
 
@@ -113,7 +113,7 @@ def _one_policy(name: str) -> Policy | Walker:
         kind, cls, more = "walker", Walker, {"model": load_model(model)}
         spec = spec._replace(settings=settings)
     else:
-        raise unknown("policy", spec.name, list_policies())
+        raise no_model(spec.name, [*POLICIES.names(), *baselines()], "policy")
     return make(cls, kind, spec, **more)
 
 
@@ -160,11 +160,12 @@ def load_robot_policy(name: str) -> RobotPolicy:
         if (trained := load_robot_weights(name)) is not None:
             return trained
         if not any(map(is_policy, parts(name))):
-            raise unknown("robot policy", spec.name, (*list_robot_policies(), *list_policies()))
-        return AsPedestrian(load_policy(name))
+            known = [*ROBOT_POLICIES.names(), *POLICIES.names(), *baselines()]
+            raise no_model(spec.name, known, "robot policy")
+        return PedestrianRobotPolicy(load_policy(name))
     if issubclass(ROBOT_POLICIES.get(spec.name), RobotPolicy):
         return build(ROBOT_POLICIES, name, RobotPolicy)
-    return Planned(load_local_planner(name, ROBOT_SECONDS))
+    return LocalPlannerPolicy(load_local_planner(name, ROBOT_SECONDS))
 
 
 def _is_pedestrian(file: str) -> bool:

@@ -5,6 +5,7 @@ from typing import NamedTuple, Protocol, cast
 
 from torch import Tensor
 
+from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import ROBOT_POLICIES
 from pedzoo.core.spec import make, parse
@@ -28,7 +29,7 @@ class Robot(NamedTuple):
     v_pref: Tensor
 
 
-class Drive(NamedTuple):
+class DriveState(NamedTuple):
     """How B differential drives move.
 
     Attributes:
@@ -42,7 +43,7 @@ class Drive(NamedTuple):
     turn_rate: Tensor
 
 
-class People(NamedTuple):
+class ObservedPeople(NamedTuple):
     """The people that the robot knows of.
 
     Attributes:
@@ -58,6 +59,8 @@ class People(NamedTuple):
     mask: Tensor
 
 
+__getattr__ = renamed.old_classes(globals(), {"People": "ObservedPeople", "Drive": "DriveState"})
+
 Clearance = Callable[[Tensor], Tensor]
 """Distances (B, M) of points (B, M, 2) from the nearest walls, metres."""
 
@@ -66,14 +69,14 @@ class LocalPlanner(Protocol):
     """Anything that gives robots velocities; one object serves the same B scenes from their start.
 
     A class takes its settings as arguments, and ``time_step`` if it wants it: the seconds for which its
-    velocities are held. A policy with memory starts with an empty one. Scenes that ended go on to be asked
-    for, and their answers are ignored.
+    velocities are held. A policy with memory starts with an empty one. Scenes that have ended stay in the
+    batch, and their velocities are ignored.
 
-    One that heeds walls takes them as a third argument, ``walls: Clearance | None``. One for wheels has a
+    One that avoids walls takes them as a third argument, ``walls: Clearance | None``. One for wheels has a
     method ``command`` beside, see `pedzoo.policies.robots.dwa.Dwa.command`.
     """
 
-    def __call__(self, robot: Robot, people: People) -> Tensor:
+    def __call__(self, robot: Robot, people: ObservedPeople) -> Tensor:
         """Return the next velocities (B, 2), m/s; longer ones than ``v_pref`` are shortened to it."""
         ...
 

@@ -3,8 +3,8 @@
 from typing import Any, ClassVar
 
 from pedzoo.core.errors import UserError
+from pedzoo.policies.base import NamedPolicy
 from pedzoo.policies.learned.walker import Walker
-from pedzoo.policies.named import NamedPolicy
 
 
 class Policy(NamedPolicy):

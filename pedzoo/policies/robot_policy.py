@@ -16,7 +16,7 @@ from pedzoo.core.bodies import HOLONOMIC, Fleet
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import direction_of, unrotate
 from pedzoo.policies.learned.walker import Walker
-from pedzoo.policies.local_planner import Clearance, Drive, LocalPlanner, People, Robot
+from pedzoo.policies.local_planner import Clearance, DriveState, LocalPlanner, ObservedPeople, Robot
 from pedzoo.policies.policy import Policy
 
 TURN_GAIN = 4.0
@@ -57,7 +57,7 @@ class VelocityPolicy(RobotPolicy):
         """Return the wanted velocities (B, R, 2) over the ground, m/s."""
 
 
-class AsPedestrian(VelocityPolicy):
+class PedestrianRobotPolicy(VelocityPolicy):
     """A policy of people moves the robots: it sees all agents, and moves those alone."""
 
     def __init__(self, policy: Policy | Walker) -> None:
@@ -76,7 +76,7 @@ class AsPedestrian(VelocityPolicy):
         return cast("Tensor", self.policy(seen)["agents", "action"])[:, -count:]
 
 
-class Planned(RobotPolicy):
+class LocalPlannerPolicy(RobotPolicy):
     """A local planner moves each robot: it sees all other agents, the walls, and the carrot as its goal."""
 
     def __init__(self, planner: LocalPlanner) -> None:
@@ -103,7 +103,7 @@ class Planned(RobotPolicy):
         return tracked(velocity.view(*shape, 2), drive.heading.view(shape), bodies)
 
 
-def _seen(scenes: TensorDictBase, bodies: Fleet) -> tuple[Robot, Drive, People]:
+def _seen(scenes: TensorDictBase, bodies: Fleet) -> tuple[Robot, DriveState, ObservedPeople]:
     """Return the observation of each of the B * R robots of itself and all other agents, in one row each."""
     agents = agents_of(scenes)
     count = bodies.radius.shape[-1]
@@ -121,8 +121,8 @@ def _seen(scenes: TensorDictBase, bodies: Fleet) -> tuple[Robot, Drive, People]:
     robot = Robot(own(position), own(velocity), own(goal), own(radius), bodies.top_speed.flatten())
     # the scene batch has no turn rates; a planner's window begins at none
     speed = own((velocity * direction_of(heading)).sum(-1))
-    drive = Drive(own(heading), speed, torch.zeros_like(speed))
-    return robot, drive, People(around(position), around(velocity), around(radius), others)
+    drive = DriveState(own(heading), speed, torch.zeros_like(speed))
+    return robot, drive, ObservedPeople(around(position), around(velocity), around(radius), others)
 
 
 def _walls(scenes: TensorDictBase, robots: int) -> Clearance | None:
@@ -144,9 +144,9 @@ def bodies_of(scenes: TensorDictBase) -> Fleet:
 def tracked(velocity: Tensor, heading: Tensor, bodies: Fleet) -> Tensor:
     """Return actions (B, R, 2) by which robots follow ``velocity`` (B, R, 2), m/s, over the ground.
 
-    Holonomic robots just do. Robots on wheels turn towards it at `TURN_GAIN`. They drive the slower the
-    farther they face away (cos^3), not at all beyond 90 degrees. So they follow late what was decided for a
-    disc that moves in any direction: such a policy is a baseline, and not at its best.
+    Holonomic robots follow it exactly. Robots on wheels turn towards it at `TURN_GAIN`. They drive slower the
+    farther they face away (cos^3), and stand beyond 90 degrees. So they lag behind velocities that were
+    decided for a disc: a policy of discs is a weaker baseline on wheels.
     """
     own = unrotate(velocity, direction_of(heading))
     speed = torch.linalg.vector_norm(velocity, dim=-1)

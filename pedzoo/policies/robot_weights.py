@@ -15,7 +15,7 @@ from pedzoo.models.zoo.fitting import check_settings, check_shapes, check_tensor
 from pedzoo.models.zoo.header import config_in, opened
 from pedzoo.models.zoo.loading import read_checkpoint
 from pedzoo.models.zoo.store import find, weights_of
-from pedzoo.policies.local_planner import LocalPlanner, People, Robot, load_local_planner
+from pedzoo.policies.local_planner import LocalPlanner, ObservedPeople, Robot, load_local_planner
 from pedzoo.policies.robot_policy import RobotPolicy
 
 PREFIX = "mean.policy."
@@ -61,7 +61,7 @@ class LearnedPlanner:
         """Take the policy."""
         self.policy, self.bodies = policy, Fleet.of([RobotBody()])
 
-    def __call__(self, robot: Robot, people: People) -> Tensor:
+    def __call__(self, robot: Robot, people: ObservedPeople) -> Tensor:
         """Return the next velocities (B, 2), m/s; robots face along the x axis of the world."""
         shape = (len(robot.goal), 1)
         goal = robot.goal - robot.position

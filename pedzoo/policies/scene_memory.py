@@ -1,7 +1,7 @@
-"""Values of agents that a policy keeps between its decisions, in all scenes that it has met of late.
+"""Values of agents that a policy stores between its decisions, for all recent scenes.
 
-Scenes are known by their key and floor plan, agents by their number. So resets, other environments in
-between, parts of a batch and changed slots mix nothing up.
+Scenes are known by their key and floor plan, agents by their number. So resets, other environments, partial
+batches and changed slots do not mix them up.
 """
 
 from typing import Any, Generic, TypeVar, cast
@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 MOST = 1024
-"""Scenes that are kept beside those of the last batch, or four times as many as that has."""
+"""Most stored scenes beside those of the last batch; four times the last batch, if that is more."""
 
 Record = TypeVar("Record", bound=tuple[Any, ...])
 """A NamedTuple of tensors: ``key`` (S,) long names the scenes, ``person`` (S, A) long the agent in each slot,

@@ -25,7 +25,7 @@ Crowd: TypeAlias = list[tuple[Policy | Walker, float]]
 """Policies and their shares of the agents."""
 
 
-class Plans(NamedTuple):
+class PlannedVelocities(NamedTuple):
     """Velocities that are being walked in S scenes of A slots; see `pedzoo.policies.scene_memory`.
 
     Attributes:
@@ -43,7 +43,7 @@ class Plans(NamedTuple):
     velocity: Tensor
 
     @classmethod
-    def none(cls, key: Tensor, time: Tensor, person: Tensor, velocity: Tensor) -> "Plans":
+    def none(cls, key: Tensor, time: Tensor, person: Tensor, velocity: Tensor) -> "PlannedVelocities":
         """Return plans of scenes (S,) in which nothing was decided, like times (S,) and the last fields."""
         never = torch.full_like(time, -torch.inf)
         empty = torch.full_like(person, -1)
@@ -66,7 +66,7 @@ class Team(nn.Module):
         """Take the parts; ``every`` is set by the crowd."""
         super().__init__()
         self.policy, self.kind, self.least, self.below, self.every = policy, kind, least, below, 1
-        self._memory = SceneMemory[Plans]()
+        self._memory = SceneMemory[PlannedVelocities]()
 
     def of(self, draw: Tensor, kind: Tensor) -> Tensor:
         """Return which agents are of the team (B, A) bool, by their draws and kinds (B, A)."""
@@ -100,7 +100,7 @@ class Team(nn.Module):
         key = randomness.join(cast("Tensor", scenes["scene_key"]), scenes["map_id"])[:, 0]
         velocity = cast("Tensor", agents["velocity"])
         blank = velocity.unsqueeze(2).expand(-1, -1, self.every, -1)
-        plans = self._memory.recall(Plans.none(key, now, person, blank), person)
+        plans = self._memory.recall(PlannedVelocities.none(key, now, person, blank), person)
         since = now - plans.decided
         turn = (since < _ROUNDING) | (since > self.every * dt - _ROUNDING)
         known = (plans.person == person) & (now.unsqueeze(1) - plans.begun > _ROUNDING)
@@ -148,11 +148,11 @@ class Teams(Policy):
     process, and stays for the episode.
 
     All teams see all agents. In the batch of a team ``controlled`` are its own agents alone; its policy does
-    not move any other agent. Policies do all of the avoidance of agents that they do not move: where two
-    teams meet, both do all of it.
+    not move any other agent. A policy takes on all of the avoidance of agents that it does not move. Where
+    two teams meet, both do.
 
     The crowd decides as often as its fastest team. A slower team is asked when its interval has passed. For
-    people who are new or just taken over it is asked at once; later these decide with their team. In
+    people who are new or just taken over it is asked at once; later they decide with their team. In
     between, velocities blend over steps of 0.1 s.
 
     Attributes:

@@ -13,11 +13,11 @@ from pedzoo.core.types import GOAL_RADIUS
 from pedzoo.sim.motion import MotionInput
 from pedzoo.sim.scenario_parts.scenario import PreparedScenario
 
-LEAST_SECONDS = 20.0
-"""Seconds that every agent has for a goal, at least."""
+LEAST_TIME_LIMIT = 20.0
+"""Least time limit for a goal, seconds."""
 
-WAYS = 4.0
-"""And so many times as long as the way to it takes at the speed that they like."""
+TIME_RATIO = 4.0
+"""Time limit for a goal, divided by the time that its path takes at the preferred speed."""
 
 
 def arrived(path: Tensor, goal: Tensor, inputs: MotionInput) -> Tensor:
@@ -81,4 +81,4 @@ def check_deadline(seconds: float | None) -> None:
 
 def limits(seconds: float | None) -> tuple[float, float]:
     """Return how many times the way's own time people have for a goal, and how many seconds at least."""
-    return (WAYS, LEAST_SECONDS) if seconds is None else (0.0, seconds)
+    return (TIME_RATIO, LEAST_TIME_LIMIT) if seconds is None else (0.0, seconds)

@@ -110,33 +110,35 @@ def integrate(
     slowest, fastest = CREEP / length, torch.ones_like(reach)
     here, near = position, radius + reach  # no stride is longer than the reach
     # what the nearest wall leaves free, and what the wall does that the last stride ran into
-    gap, wall = walls.half_planes(here, near)
-    allowed = gap.minimum(reach)
-    wall[0].add_(allowed)
-    no_wall = wall.new_zeros(3, 1, 1)
-    no_wall[0] = -_NO_WALL
+    wall = walls.half_planes(here, near)
+    allowed = wall[0].minimum(reach)
+    wall[1].add_(allowed)
+    no_wall = wall.new_zeros(4, 1, 1)
+    no_wall[1] = -_NO_WALL
     blocked, places, gaps = no_wall, [here], []
     for tick_wanted, tick_length, least in zip(wanted.unbind(1), length, slowest, strict=True):
         for _ in range(strides):
             # near a wall strides are short: a straight line between two places must not cut a corner
             share = (allowed / tick_length).clamp(least, fastest)
             target = _kept_off(_kept_off(torch.addcmul(here, tick_wanted, share), wall), blocked)
-            new_gap, new_wall = walls.half_planes(target, near)
+            new_wall = walls.half_planes(target, near)
+            new_gap = new_wall[0]
             stuck = new_gap < allowed - ROUNDING
             allowed = new_gap.clamp(allowed, reach)
-            new_wall[0].add_(allowed)
+            new_wall[1].add_(allowed)
             blocked, wall = torch.where(stuck, new_wall, no_wall), torch.where(stuck, wall, new_wall)
-            here, gap = torch.where(stuck, here, target), torch.where(stuck, gap, new_gap)
+            here = torch.where(stuck, here, target)
             places.append(here)
-            gaps.append(gap)
+            gaps.append(wall[0])
     ends = torch.stack(places, dim=1)
     middle = 0.5 * (ends[:, :-1] + ends[:, 1:])
     path = torch.stack((middle, ends[:, 1:]), dim=2).flatten(1, 2)
-    between, _ = walls.half_planes(middle, radius)
+    between = walls.half_planes(middle, radius)[0]
     return path, torch.stack((between, torch.stack(gaps)), dim=1).flatten(0, 1)
 
 
-def _kept_off(place: Tensor, half_plane: Tensor) -> Tensor:
-    """Return places (2, B, A) moved straight into half-planes (3, B, A); see `LocalWalls.half_planes`."""
-    normal = half_plane[1:]
-    return torch.addcmul(place, (half_plane[0] - (place * normal).sum(0)).clamp_min(0), normal)
+def _kept_off(place: Tensor, wall: Tensor) -> Tensor:
+    """Return places (2, B, A) moved straight out of walls (4, B, A), which `LocalWalls.half_planes` gives."""
+    normal = wall[2:]
+    along = place * normal
+    return torch.addcmul(place, (wall[1] - (along[0] + along[1])).relu(), normal)

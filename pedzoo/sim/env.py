@@ -32,7 +32,7 @@ from pedzoo.sim.state import TRACE_PER_STEP, Scenes, State
 from pedzoo.sim.warm_start import WarmStart
 
 _MADE, _AGENTS_MADE, _DEEPEST = 512, 2560, 128
-"""Most episodes, and agents, that are begun together once scenes end one by one, and episodes of one row."""
+"""Limits of what is begun together when scenes end one by one: episodes, agents, and episodes of one row."""
 
 
 class PedestrianEnv(EnvBase):

@@ -19,7 +19,7 @@ from pedzoo.sim import warm_start as warm
 from pedzoo.sim.arrival import deadline, later_goals, planned
 from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.sim.physics_parts.base import Physics
-from pedzoo.sim.replay.script import Opening
+from pedzoo.sim.replay.script import SceneStarts
 from pedzoo.sim.scenario_parts.scenario import LEAST_WAY, Layout, PreparedScenario, filled
 from pedzoo.sim.state import PAST_LEN, State
 
@@ -124,7 +124,7 @@ class Episodes:
             guidance = self._rules.guidance(state)
         return state, guidance
 
-    def _placed(self, key: Tensor, layout: Layout, opening: Opening, past: Tensor) -> State:
+    def _placed(self, key: Tensor, layout: Layout, opening: SceneStarts, past: Tensor) -> State:
         """Return agents where they start, before anything has happened."""
         pose = identity_pose(len(key), key.device) if layout.pose is None else layout.pose
         row = self._prepared.planner.map_rows(layout.map_id)
@@ -202,11 +202,11 @@ class Episodes:
         )
 
 
-def _all_present(layout: Layout) -> Opening:
+def _all_present(layout: Layout) -> SceneStarts:
     """Return the opening of scenes without a script: all are there, seen before, and walk or stand."""
     slot = torch.arange(layout.mask.shape[1], device=layout.mask.device)
     walks = layout.mask if layout.stand is None else layout.mask & (layout.stand <= 0)
-    return Opening(
+    return SceneStarts(
         scene=torch.zeros_like(layout.map_id),
         person=torch.where(layout.mask, slot, -1),
         controlled=walks,

@@ -250,7 +250,7 @@ def _arrived(
 
 def _misses_deadline(state: State, clock: Tensor, hits: Tensor, goals: int) -> Tensor:
     """Return which agents are late for their goal (B, A) bool; a goal reached in time on the trace counts."""
+    until = state.deadline + CLOCK_ROUNDING
     when = TRACE_SECONDS * torch.arange(1, hits.shape[2] + 1, device=clock.device)
-    when = state.clock[:, None, None] + when
-    in_time = (hits & (when <= state.deadline.unsqueeze(-1) + CLOCK_ROUNDING)).any(-1)
-    return (clock.unsqueeze(1) > state.deadline + CLOCK_ROUNDING) & ~in_time & (state.reached < goals)
+    in_time = (hits & (state.clock[:, None, None] + when <= until.unsqueeze(-1))).any(-1)
+    return (clock.unsqueeze(1) > until) & ~in_time & (state.reached < goals)

@@ -22,7 +22,7 @@ OVER_TIME = (
 """Fields of a `Rollout` that have a value for every trace point."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Rollout:
     """E episodes of A people, on a trace of T points every 0.1 s after the warm start.
 
@@ -84,6 +84,10 @@ class Rollout:
     gate: Tensor | None = None
     decision_dt: float = STEP_SECONDS
     changed: Tensor | None = None
+
+    def __repr__(self) -> str:
+        episodes, people, points = self.present.shape
+        return f"Rollout({episodes} episodes of {people} people, at most {points * TRACE_SECONDS:.1f} s)"
 
     @property
     def length(self) -> Tensor:

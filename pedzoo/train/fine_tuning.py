@@ -46,8 +46,8 @@ def config_beside(checkpoint: str | Path) -> Path | None:
 def options_of(weights: str) -> list[str]:
     """Return the options of ``pedzoo fit`` for a training like the one that ``weights`` come from.
 
-    Of a checkpoint in a run folder these are the run's, see `lent`; of other weights the shipped config they
-    were trained with, and what their metadata say of model and data.
+    For a checkpoint in a run folder these are the run's, see `pedzoo.train.run_settings`. For other weights
+    they are the shipped config of their training, with model and data as their metadata have them.
 
     Raises:
         UserError: No such weights, or it is unknown how they were trained.

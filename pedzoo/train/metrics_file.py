@@ -1,4 +1,4 @@
-"""``metrics.csv``: one file that tells a whole run, however often it was stopped."""
+"""``metrics.csv``: the metrics of a whole run in one file, also when it was interrupted."""
 
 import csv
 import io
@@ -82,7 +82,7 @@ class MetricsFile(Logger):
 
 
 class WholeMetrics(Callback):
-    """Lets a run that goes on begin with the rows up to its checkpoint, and none of them twice."""
+    """Gives a resumed run the rows up to its checkpoint, each of them once."""
 
     def __init__(self, file: MetricsFile, goes_on: bool) -> None:
         """Take the logger. A run that ``goes_on`` has a file already."""

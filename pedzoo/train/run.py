@@ -99,7 +99,7 @@ class RunFolder:
 
     @rank_zero_only
     def begin(self) -> None:
-        """Keep other processes out until `end`, or until this one is gone, and earlier records aside.
+        """Lock the folder until `end` or the end of this process, and copy earlier records aside.
 
         Raises:
             UserError: Another process is training in this folder.
@@ -119,7 +119,7 @@ class RunFolder:
 
     @rank_zero_only
     def end(self) -> None:
-        """Let other processes in. The folder of a run that failed before it wrote anything is removed."""
+        """Unlock the folder. That of a run that failed before it wrote anything is removed."""
         self._holder.unlink(missing_ok=True)
         files = [file for file in self.path.rglob("*") if file.is_file() and file.name != LOCK]
         if not files and self._lock.is_locked:
@@ -153,7 +153,7 @@ class RunFolder:
         return {"default_root_dir": str(self.path), "plugins": own if saves else [*own, WholeCheckpoints()]}
 
     def loggers(self, wandb: Wandb) -> list[Logger]:
-        """Return that of ``metrics.csv``, and Weights & Biases' where it is wanted."""
+        """Return the logger of ``metrics.csv``, and that of Weights & Biases where it is wanted."""
         name, version = self.path.parent.name, self.path.name
         result: list[Logger] = [self._metrics]
         if wandb != "off":
@@ -169,14 +169,14 @@ class RunFolder:
         self, config: dict[str, Any], argv: list[str], monitor: str | None, mode: str
     ) -> list[Callback]:
         """Return the callbacks that write the records and, unless ``monitor`` is None, checkpoints."""
-        result: list[Callback] = [Record(self, config, argv), WholeMetrics(self._metrics, self.goes_on)]
+        result: list[Callback] = [RunRecorder(self, config, argv), WholeMetrics(self._metrics, self.goes_on)]
         if monitor is None:
             return result
         common: dict[str, Any] = {"dirpath": self.last.parent, "enable_version_counter": False}
         best = ModelCheckpoint(filename=self.best.stem, monitor=monitor, mode=mode, **common)
         # Apart from the best one, so that it is written after every epoch, validated or not.
         last = ModelCheckpoint(filename=self.last.stem, save_on_train_epoch_end=True, **common)
-        return [*result, best, last]
+        return [*result, ValidatesLast(), best, last]
 
 
 def finish_wandb(succeeded: bool) -> None:
@@ -197,7 +197,20 @@ class WholeCheckpoints(TorchCheckpointIO):
         write_whole(Path(path), buffer.getbuffer())
 
 
-class Record(Callback):
+class ValidatesLast(Callback):
+    """Validates the last of ``max_epochs``, too, whatever ``check_val_every_n_epoch`` says.
+
+    A training that ends by steps, time or early stopping has no last epoch that is known beforehand.
+    """
+
+    def on_train_epoch_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        """Let Lightning validate this epoch, if it is the last one."""
+        last = trainer.current_epoch + 1 == trainer.max_epochs
+        if last and trainer.check_val_every_n_epoch is not None:
+            trainer.check_val_every_n_epoch = 1
+
+
+class RunRecorder(Callback):
     """Writes configuration and versions."""
 
     def __init__(self, run: RunFolder, config: dict[str, Any], argv: list[str]) -> None:

@@ -27,7 +27,7 @@ SCHEDULE = (
 GROUPS = {"data": TrajectoryDataModule, "rollout": ClosedLoopValidation}
 
 
-def lent(settings: Mapping[str, Any], file: Path) -> dict[str, Any]:
+def reusable_settings(settings: Mapping[str, Any], file: Path) -> dict[str, Any]:
     """Return what a run's configuration lends to another command: model, data, schedule, measurements.
 
     Args:

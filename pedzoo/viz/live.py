@@ -25,7 +25,9 @@ from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.walls.boxes import boxes
 from pedzoo.policies.policy import Policy
 from pedzoo.sim.env import PedestrianEnv
+from pedzoo.sim.physics_parts.bullet.figure import Figure
 from pedzoo.sim.physics_parts.bullet.looks import BulletLooks
+from pedzoo.sim.physics_parts.stance import Stance
 from pedzoo.viz.report.page import page
 
 HOST = "127.0.0.1"
@@ -164,16 +166,28 @@ class Window:
             self._looks = BulletLooks(walls, window=True)
         assert self._looks is not None
         points = round(self._env.decision_dt / TRACE_SECONDS)
-        path = move_to_map(state.past[:, :, -points:], state.pose)[0].double().cpu().numpy()
+        path = move_to_map(state.past, state.pose)[0].double().cpu()
+        path = torch.from_numpy(_local(self._grid, path.numpy()))
+        stance, whole = Stance.along(path, state.kind[0].cpu()), Stance.of(state)
         for point in range(points):
-            places = _local(self._grid, path[:, point])
-            here = state.mask[0].nonzero()[:, 0].tolist()
-            self._looks.place({a: (*places[a].tolist(), float(state.radius[0, a])) for a in here})
+            at, ago = point - points, (points - 1 - point) * TRACE_SECONDS
+            figures = {
+                agent: Figure(
+                    *path[agent, at].tolist(),
+                    radius=float(state.radius[0, agent]),
+                    heading=float(stance.heading[at, agent]),
+                    walked=float(whole.walked[0, agent] - ago * state.pref_speed[0, agent]),
+                    speed=float(stance.speed[at, agent]),
+                    robot=bool(whole.robot[0, agent]),
+                )
+                for agent in state.mask[0].nonzero()[:, 0].tolist()
+            }
+            self._looks.place(figures)
             time.sleep(max(TRACE_SECONDS / self._speed, 1 / FINEST) if point < points - 1 else 0)
 
 
 def _local(grid: OccupancyGrid | None, places: np.ndarray) -> np.ndarray:
-    """Return map positions (A, 2) in the frame of the grid's walls: cell (0, 0) at the origin."""
+    """Return map positions (..., 2) in the frame of the grid's walls: cell (0, 0) at the origin."""
     if grid is None:
         return places
     affine = grid.map_to_cell()

@@ -13,14 +13,12 @@ from pedzoo.core.geometry import direction_of, move_to_scene
 from pedzoo.core.paths import whole
 from pedzoo.core.types import GOAL_RADIUS, TRACE_SECONDS
 from pedzoo.sim.physics_parts.base import Bodies
-from pedzoo.sim.physics_parts.camera import Camera, free_corners, person_color
-from pedzoo.sim.physics_parts.top_view import draw_disc, draw_floor
+from pedzoo.sim.physics_parts.camera import ROBOT_BODY, ROBOT_FRONT, Camera, free_corners, person_color
+from pedzoo.sim.physics_parts.stance import Stance
+from pedzoo.sim.physics_parts.top_view import draw_disc, draw_floor, draw_person
 from pedzoo.sim.robot_parts.env import RobotEnv
 from pedzoo.sim.robot_parts.rollout import RobotRollout
 from pedzoo.viz.video import Image, check_video_path, labelled, trail, write_video
-
-BODY, LIDAR = (45, 48, 56), (255, 176, 32)
-"""RGB of robots, and of what their lidar sees."""
 
 FINER = 2
 """Pictures are drawn so many times larger, and made smaller: lines are smooth then."""
@@ -112,6 +110,7 @@ class _Scene:
         present = torch.cat((walked.mask.unsqueeze(2), walked.present), dim=2)
         self.present = present[0, :, : self.points + 1]
         self.heading = rollout.heading[0, :, : self.points + 1]
+        self.facing = Stance.along(self.path, walked.kind[0]).heading
         large = size[0] * FINER, size[1] * FINER
         grid = next((grid for grid in env.bank.grids if grid.map_id == int(walked.map_id[0])), None)
         seen = torch.cat((self.path[self.present], self.goal[self.present[:, 1:]]))
@@ -153,7 +152,7 @@ class _Scene:
             if robot in here and self.ends.shape[2]:
                 self._lidar(image, self.path[robot, frame], self.ends[frame, number])
         for agent in here:
-            color = BODY if agent in robots else person_color(agent)
+            color = ROBOT_BODY if agent in robots else person_color(agent)
             way = self.path[agent, max(0, frame - RECENT) : frame + 1]
             trail(image, way, self.to_pixel, color, FINER)
             goal = self.goal[agent, min(frame, self.goal.shape[1] - 1)]
@@ -161,14 +160,18 @@ class _Scene:
             across = round(GOAL_RADIUS * self.to_pixel[0, 0] * 16)
             cv2.circle(image, (int(x), int(y)), across, color, FINER, cv2.LINE_AA, 4)
         for agent in here:
-            color = BODY if agent in robots else person_color(agent)
-            draw_disc(image, self.to_pixel, self.path[agent, frame], float(self.radius[agent]), color)
+            place, wide = self.path[agent, frame], float(self.radius[agent])
+            if agent in robots:
+                draw_disc(image, self.to_pixel, place, wide, ROBOT_BODY)
+            else:
+                facing, color = float(self.facing[frame, agent]), person_color(agent)
+                draw_person(image, self.to_pixel, place, facing, wide, color)
         for number, robot in enumerate(robots):
             angle = self.heading[number, frame]
             ahead = direction_of(angle) * self.radius[robot]
             tip = torch.stack((self.path[robot, frame], self.path[robot, frame] + ahead))
             ends = self._pixels(tip).reshape(-1, 1, 2)
-            cv2.polylines(image, [ends], False, LIDAR, 2 * FINER, cv2.LINE_AA, 4)
+            cv2.polylines(image, [ends], False, ROBOT_FRONT, 2 * FINER, cv2.LINE_AA, 4)
         return cv2.resize(image, self.size, interpolation=cv2.INTER_AREA).astype(np.uint8)
 
     def _lidar(self, image: Image, origin: Tensor, ends: Tensor) -> None:
@@ -177,13 +180,13 @@ class _Scene:
 
         points = self._pixels(ends)
         area = image.copy()
-        cv2.fillPoly(area, [points.reshape(-1, 1, 2)], LIDAR, cv2.LINE_AA, 4)
+        cv2.fillPoly(area, [points.reshape(-1, 1, 2)], ROBOT_FRONT, cv2.LINE_AA, 4)
         image[:] = cv2.addWeighted(area, 0.22, image, 0.78, 0)
         beams = area
         beams[:] = image
         middle = self._pixels(origin.unsqueeze(0))[0]
         lines = [np.stack((middle, end)).reshape(-1, 1, 2) for end in points[::SHOWN]]
-        cv2.polylines(beams, lines, False, LIDAR, 1, cv2.LINE_AA, 4)
+        cv2.polylines(beams, lines, False, ROBOT_FRONT, 1, cv2.LINE_AA, 4)
         image[:] = cv2.addWeighted(beams, 0.5, image, 0.5, 0)
 
     def _pixels(self, places: Tensor) -> NDArray[np.int32]:

@@ -19,6 +19,7 @@ from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.sim.physics_parts.base import Bodies
 from pedzoo.sim.physics_parts.camera import Camera, person_color
+from pedzoo.sim.physics_parts.stance import Stance
 
 CODECS = {".webm": "VP90", ".mp4": "vp09"}
 """VP9 is the one that OpenCV's wheels can write and every browser can show."""
@@ -161,6 +162,7 @@ class _Panel:
         )
         self.trace = torch.cat((rollout.past[:, :, -1:], trace), dim=2)
         self.present = torch.cat((rollout.mask.unsqueeze(2), present), dim=2)
+        self.stance = Stance.along(self.trace[0], rollout.kind[0])
         self.seen = torch.cat((self.trace[self.present], goal[present]))
         self.stays = walked.rollout.stays(episode)
         self._last: Image | None = None
@@ -171,7 +173,8 @@ class _Panel:
             return self._last
         present, rollout = self.present[:, :, i], self.rollout
         where = rollout.map_id.unsqueeze(1), rollout.pose
-        people = Bodies(self.trace[:, :, i], present, *where, rollout.radius)
+        stance = self.stance.scene(i)
+        people = Bodies(self.trace[:, :, i], present, *where, rollout.radius, stance)
         image = self.physics.image(people, 0, self.size, camera)
         if camera.view == "top" or camera.view not in self.physics.views:
             for person, first, last in self.stays:

@@ -88,6 +88,23 @@ def test_what_may_be_right_passes(line, tmp_path, monkeypatch):
     check(line.split()[0], line.split()[1:])
 
 
+@pytest.mark.parametrize("line", ["fit --config NAME", "fit --resume NAME", "report NAME"])
+def test_names_that_are_too_long_are_refused_in_one_line(line, capsys):
+    from pedzoo.cli.main import main
+
+    assert main(line.replace("NAME", "a" * 300).split()) == 2
+    error = capsys.readouterr().err
+    assert "no file has so long a name" in error and error.count("\n") == 1
+
+
+def test_odd_values_of_a_config_are_left_to_its_reader(tmp_path):
+    from pedzoo.cli.checks import check
+
+    config = tmp_path / "odd.yaml"
+    config.write_text("monitor: 2026-11-99")
+    check("fit", ["--config", str(config)])
+
+
 def test_pages_and_known_options_are_those_of_the_parsers():
     code = (  # a process of its own: options of subclasses that tests define are not shipped
         "import json; from tools.pages import command_pages as made;"

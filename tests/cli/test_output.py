@@ -14,7 +14,7 @@ from pedzoo.cli import output, progress
 from pedzoo.cli.console import plain_console
 from pedzoo.cli.main import main
 from pedzoo.cli.output import print_report, print_tables, write_and_print
-from pedzoo.eval.results import Page
+from pedzoo.eval.results import ResultTable
 from pedzoo.eval.workers.progress_meter import ProgressReport
 from pedzoo.maps.files.ros import write_ros
 from pedzoo.maps.library import flat
@@ -39,7 +39,7 @@ def test_tables_print_text_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
     row = {"name": ODD, "case": {"map": ODD}, "n": 1, "metrics": {"x_m": 1.0}}
     print_report({"protocol": {"scenario": ODD}, "rows": [row]})
     assert capsys.readouterr().out.count(ODD) == 3
-    print_tables([Page(ODD, [ODD, ODD], [[ODD, ODD]], 1)])
+    print_tables([ResultTable(ODD, [ODD, ODD], [[ODD, ODD]], 1)])
     assert capsys.readouterr().out.count(ODD) == 5
 
 
@@ -113,7 +113,7 @@ def test_wide_tables_are_transposed_where_that_needs_fewer_parts(capsys: pytest.
     assert cells == [["n", "5", "5"], *([name, *[f"{value:.3f}"] * 2] for name, value in metrics.items())]
     assert max(map(len, lines)) <= 120 and any("orca" in line and "go_to_goal" in line for line in lines)
 
-    print_tables([Page("", ["name", "x", "y"], [[f"model_{i}", "1", "2"] for i in range(60)], 1)])
+    print_tables([ResultTable("", ["name", "x", "y"], [[f"model_{i}", "1", "2"] for i in range(60)], 1)])
     assert sum(line.startswith("│") for line in capsys.readouterr().out.splitlines()) == 60
-    print_tables([Page("", ["name", *"ab" * 40], [[f"model_{i}", *"12" * 40] for i in range(2)], 1)])
+    print_tables([ResultTable("", ["name", *"ab" * 40], [[f"model_{i}", *"12" * 40] for i in range(2)], 1)])
     assert sum(line.startswith("│") for line in capsys.readouterr().out.splitlines()) == 80

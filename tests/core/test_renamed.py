@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from copy import deepcopy
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from pedzoo.eval.comparison import Comparison
 from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.rollout import rollout
 from pedzoo.eval.suite import EvaluationOptions
-from pedzoo.eval.unseen import for_fold
+from pedzoo.eval.trained_on import for_fold
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.load import load_policy
 from pedzoo.sim.physics.compiled import Compiled
@@ -199,3 +200,22 @@ def test_configurations_take_old_names_of_options(capsys: pytest.CaptureFixture[
     result = load_config(tmp_path / "mine.yaml")["model"]["init_args"]
     architecture = result["generator"]["init_args"]["architecture"]
     assert (result["max_segments"], architecture["noise_dim"], architecture["goal_dim"]) == (9, 4, 16)
+
+
+@pytest.mark.parametrize(
+    ("module", "old", "new"),
+    [
+        ("pedzoo.data.datamodule", "Imitated", "ImitationWindows"),
+        ("pedzoo.policies.local_planner", "People", "ObservedPeople"),
+        ("pedzoo.policies.local_planner", "Drive", "DriveState"),
+        ("pedzoo.sim.replay.script", "Opening", "SceneStarts"),
+    ],
+)
+def test_files_of_others_import_classes_by_their_old_names(
+    module: str, old: str, new: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    there = import_module(module)
+    assert getattr(there, old) is getattr(there, new)
+    assert capsys.readouterr().err == f"pedzoo: {module}.{old} is now {new}\n"
+    with pytest.raises(AttributeError, match=f"module '{module}' has no attribute 'Other'"):
+        there.Other  # noqa: B018

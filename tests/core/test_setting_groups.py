@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import pytest
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.spec import flat, grouped, made, setting_types
+from pedzoo.core.spec import flat, grouped, make_ungrouped, setting_types
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.rule_based.orca import Orca
@@ -41,9 +41,9 @@ def test_settings_have_names_with_and_without_their_group() -> None:
 
 
 def test_defaults_are_those_of_the_class() -> None:
-    assert made(Box, {}).size == Size(1.0, 3.0)
-    assert made(Box, {"width": 4.0}).size == Size(4.0, 3.0)
-    assert made(Box, {"size": {"height": 1.0}}).size == Size(1.0, 1.0)
+    assert make_ungrouped(Box, {}).size == Size(1.0, 3.0)
+    assert make_ungrouped(Box, {"width": 4.0}).size == Size(4.0, 3.0)
+    assert make_ungrouped(Box, {"size": {"height": 1.0}}).size == Size(1.0, 1.0)
     circle = make_scenario("circle:jitter=0")
     assert isinstance(circle, Circle) and (circle.people, circle.aside, circle.jitter) == (4, 1.0, 0.0)
 

@@ -13,7 +13,7 @@ from pedzoo.data.datasets.eth_ucy import EthUcy
 from pedzoo.data.recordings import Recording, Split
 from pedzoo.data.scenes import SceneSet
 from pedzoo.data.tracks import Tracks
-from pedzoo.data.windows import Counts, KeptPeople, Windows, cut_windows
+from pedzoo.data.windows import KeptPeople, WindowCounts, Windows, cut_windows
 from pedzoo.maps.bank import MapBank
 
 FRAMES = (0, 10, 20, 30, 40, 100)  # six steps; the hole before the last is not looked at
@@ -46,7 +46,7 @@ def test_complete_people_of_every_window() -> None:
         {1: [1, 2, 3, 4], 3: [1, 2, 3, 4]},
         {1: [2, 3, 4, 5], 3: [2, 3, 4, 5]},
     ]
-    assert windows.counts == Counts(windows=3, people=6, dropped_lone=0, dropped_partial=6)
+    assert windows.counts == WindowCounts(windows=3, people=6, dropped_lone=0, dropped_partial=6)
     assert (tracks.agent[windows.end] == [1, 2, 1, 3, 1, 3]).all()
     assert (tracks.frame[windows.end] == [100, 30, 100, 100, 100, 100]).all()
 
@@ -55,11 +55,11 @@ def test_who_is_alone_is_dropped_and_counted() -> None:
     tracks = recording({agent: SEEN[agent] for agent in (1, 2)})
     windows = cut_windows(tracks, 2, 2)
     assert listed(tracks, windows) == [{1: [0, 1, 2, 3], 2: [0, 1, 2, 3]}]
-    assert windows.counts == Counts(windows=1, people=2, dropped_lone=2, dropped_partial=2)
+    assert windows.counts == WindowCounts(windows=1, people=2, dropped_lone=2, dropped_partial=2)
     stored = cut_windows(tracks, 2, 2, min_people=1).counts
-    assert stored == Counts(windows=3, people=4, dropped_lone=0, dropped_partial=2)
+    assert stored == WindowCounts(windows=3, people=4, dropped_lone=0, dropped_partial=2)
     none = cut_windows(tracks, 2, 2, min_people=3).counts
-    assert none == Counts(windows=0, people=0, dropped_lone=4, dropped_partial=2)
+    assert none == WindowCounts(windows=0, people=0, dropped_lone=4, dropped_partial=2)
 
 
 def test_present_keeps_who_is_seen_at_the_last_two_observed_steps() -> None:
@@ -70,7 +70,7 @@ def test_present_keeps_who_is_seen_at_the_last_two_observed_steps() -> None:
         {1: [1, 2, 3, 4], 2: [1, 2, 3, None], 3: [1, 2, 3, 4], 5: [1, 2, None, 4]},
         {1: [2, 3, 4, 5], 2: [2, 3, None, None], 3: [2, 3, 4, 5]},
     ]
-    assert windows.counts == Counts(windows=3, people=9, dropped_lone=0, dropped_partial=3)
+    assert windows.counts == WindowCounts(windows=3, people=9, dropped_lone=0, dropped_partial=3)
 
 
 def test_present_looks_back_over_the_whole_history() -> None:
@@ -131,8 +131,8 @@ def test_random_recordings_agree_with_the_loop_and_no_person_is_lost(seed: int, 
 
 
 def test_counts_are_printed_in_words_and_add_up() -> None:
-    total = Counts(3, 6, 0, 6) + Counts(1, 2, 2, 2)
-    assert total == Counts(4, 8, 2, 8)
+    total = WindowCounts(3, 6, 0, 6) + WindowCounts(1, 2, 2, 2)
+    assert total == WindowCounts(4, 8, 2, 8)
     assert str(total) == (
         "4 windows with 8 people (counted once per window); "
         "left out: 8 seen only in part of a window, 2 with too few others"
@@ -195,7 +195,7 @@ def test_eth_ucy_counts_equal_the_published_tables(shared: Path, fold: str) -> N
     recordings = {split: dataset.recordings(split) for split in splits}
     for pred_len, table in TABLES.items():
         counts = {
-            split: sum((cut_windows(r.tracks, 8, pred_len).counts for r in recordings[split]), Counts())
+            split: sum((cut_windows(r.tracks, 8, pred_len).counts for r in recordings[split]), WindowCounts())
             for split in splits
         }
         assert tuple((counts[split].windows, counts[split].people) for split in splits) == table[fold][:3]

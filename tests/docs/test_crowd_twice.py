@@ -9,7 +9,7 @@ import torch
 from helpers.pages import ROOT
 from PIL import Image
 
-from pedzoo.metrics.realism.features import Steps
+from pedzoo.metrics.realism.features import SampledRollout
 from tools.pages.crowd_twice import OUT, REAL, SECONDS, walks_of
 
 PAGE = (ROOT / "docs" / "score.md").read_text()
@@ -35,7 +35,7 @@ def test_both_sides_are_drawn_from_places_every_step() -> None:
     xy = torch.stack((along, torch.zeros(6)), 1).view(1, 1, 6, 2)
     person = torch.tensor([[[-1, 7, 7, 7, 7, -1]]])
     known = torch.tensor([[[False, False, True, True, True, False]]])
-    (walk,) = walks_of(Steps(xy, person, torch.zeros_like(xy), known, known, torch.ones(1, 1)))
+    (walk,) = walks_of(SampledRollout(xy, person, torch.zeros_like(xy), known, known, torch.ones(1, 1)))
     assert walk.begin == 4
     np.testing.assert_allclose(walk.xy[:, 0], np.linspace(1, 4, 13), atol=1e-6)
     np.testing.assert_allclose(walk.heading, 0.0)

@@ -20,10 +20,10 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.registry import SUITES
 from pedzoo.core.spec import Spec
 from pedzoo.eval import evaluate as module
-from pedzoo.eval import prepared as keeping
-from pedzoo.eval import unseen
+from pedzoo.eval import scenario_cache as keeping
+from pedzoo.eval import trained_on
 from pedzoo.eval.evaluate import Evaluation
-from pedzoo.eval.results import Shown, cell, markdown, pages
+from pedzoo.eval.results import SuiteColumns, cell, markdown, pages
 from pedzoo.eval.suite import EvaluationOptions
 from pedzoo.eval.suites.goals import CELLS, POOL
 from pedzoo.eval.summary import mean_interval, summary
@@ -342,19 +342,19 @@ def test_weights_that_saw_a_fold_make_way_for_those_that_did_not(monkeypatch: py
         "b.indoor": "eth_ucy",
         "b.indoor_hotel": "hotel",
     }
-    monkeypatch.setattr(unseen, "weight_files", lambda: {name: Path(name) for name in held_out})
-    monkeypatch.setattr(unseen, "read_config", lambda path: {"training": {"fold": held_out[str(path)]}})
-    assert unseen.for_fold("a.zara1:noise=step", "hotel") == "a.hotel:noise=step"
-    assert unseen.for_fold("a.zara1", "zara1") == "a.zara1"
-    assert unseen.for_fold("a.zara1", "univ") == "a.zara1" and unseen.has_seen("a.zara1", "univ")
-    assert unseen.for_fold("a.zara1_destination", "hotel") == "a.zara1_destination"
-    assert unseen.for_fold("a.eth_ucy:noise=none", "hotel") == "a.hotel:noise=none"
-    assert unseen.for_fold("b.eth_ucy", "hotel") == "b.eth_ucy"
-    assert unseen.for_fold("b.indoor:noise=step", "hotel") == "b.indoor_hotel:noise=step"
-    assert unseen.for_fold("b.indoor", "zara1") == "b.indoor"
-    assert unseen.for_fold("orca:radius=0.3", "hotel") == "orca:radius=0.3"
-    assert not unseen.has_seen("a.hotel", "hotel") and not unseen.has_seen("orca", "hotel")
-    assert unseen.has_seen("b.eth_ucy", "zara2") and not unseen.has_seen("a.zara1", "embedded")
+    monkeypatch.setattr(trained_on, "weight_files", lambda: {name: Path(name) for name in held_out})
+    monkeypatch.setattr(trained_on, "read_config", lambda path: {"training": {"fold": held_out[str(path)]}})
+    assert trained_on.for_fold("a.zara1:noise=step", "hotel") == "a.hotel:noise=step"
+    assert trained_on.for_fold("a.zara1", "zara1") == "a.zara1"
+    assert trained_on.for_fold("a.zara1", "univ") == "a.zara1" and trained_on.has_seen("a.zara1", "univ")
+    assert trained_on.for_fold("a.zara1_destination", "hotel") == "a.zara1_destination"
+    assert trained_on.for_fold("a.eth_ucy:noise=none", "hotel") == "a.hotel:noise=none"
+    assert trained_on.for_fold("b.eth_ucy", "hotel") == "b.eth_ucy"
+    assert trained_on.for_fold("b.indoor:noise=step", "hotel") == "b.indoor_hotel:noise=step"
+    assert trained_on.for_fold("b.indoor", "zara1") == "b.indoor"
+    assert trained_on.for_fold("orca:radius=0.3", "hotel") == "orca:radius=0.3"
+    assert not trained_on.has_seen("a.hotel", "hotel") and not trained_on.has_seen("orca", "hotel")
+    assert trained_on.has_seen("b.eth_ucy", "zara2") and not trained_on.has_seen("a.zara1", "embedded")
 
 
 def test_checkpoints_of_a_training_are_known_by_its_fold(tmp_path: Path) -> None:
@@ -363,14 +363,14 @@ def test_checkpoints_of_a_training_are_known_by_its_fold(tmp_path: Path) -> None
         {"pedzoo": {"architecture": "sgan", "init": {}, "protocol": {"fold": "zara1"}}, "state_dict": {}},
         file,
     )
-    assert unseen.has_seen(f"{file}:noise=step", "hotel") and not unseen.has_seen(str(file), "zara1")
+    assert trained_on.has_seen(f"{file}:noise=step", "hotel") and not trained_on.has_seen(str(file), "zara1")
 
 
 def test_models_of_a_folder_are_known_by_their_card(tmp_path: Path) -> None:
     name = f"{tmp_path}/sgan_goal.mall"
     write_card(make_card("sgan_goal.mall"), f"{name}.yaml")
-    assert unseen.has_seen(f"{name}:noise=step", "hotel") and not unseen.has_seen(name, "zara1")
-    assert unseen.for_fold(name, "hotel") == name
+    assert trained_on.has_seen(f"{name}:noise=step", "hotel") and not trained_on.has_seen(name, "zara1")
+    assert trained_on.for_fold(name, "hotel") == name
 
 
 def test_a_journal_drops_a_line_that_was_cut_off_and_refuses_other_files(tmp_path: Path) -> None:
@@ -490,7 +490,7 @@ def test_tables_and_pages_show_the_same_cells(small: str, tmp_path: Path) -> Non
     evaluation = Evaluation(["go_to_goal", "constant_velocity"], [small], EvaluationOptions(episodes=2))
     evaluation.run()
     report = {**evaluation.report(), "versions": {"pedzoo": "0", "torch": "0"}}
-    shown = {small: Shown(("success",), ("success", "failed", "no_row_has_it"), "episodes")}
+    shown = {small: SuiteColumns(("success",), ("success", "failed", "no_row_has_it"), "episodes")}
     head, own, each = pages(report, shown)
     assert [row[0] for row in head.rows] == ["go_to_goal", "constant_velocity"]
     assert own.head == ["policy", "n", "success"] and each.head == ["policy", "circle", "two"]

@@ -14,15 +14,15 @@ from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.data.tracks import Tracks
 from pedzoo.eval.evaluate import evaluate
-from pedzoo.eval.scoring.files import file_side
+from pedzoo.eval.scoring.crowds import ScoredCrowd, recorded_crowd
+from pedzoo.eval.scoring.files import file_crowd
 from pedzoo.eval.scoring.likelihood import bins, likelihood, policy_windows, recorded_windows
 from pedzoo.eval.scoring.rows import row
 from pedzoo.eval.scoring.same_people import companions
-from pedzoo.eval.scoring.score import Against
-from pedzoo.eval.scoring.sides import Side, recorded_side
-from pedzoo.eval.scoring.windows import STEPS, Windows, windows_of
+from pedzoo.eval.scoring.score import Reference
+from pedzoo.eval.scoring.windows import STEPS, JointWindows, windows_of
 from pedzoo.eval.suite import OwnRecordings
-from pedzoo.metrics.realism.crowdes import Walks, columns
+from pedzoo.metrics.realism.crowdes import ScoredSteps, columns
 from pedzoo.metrics.realism.joint_likelihood import (
     BINS,
     MEASURED,
@@ -38,16 +38,16 @@ from pedzoo.sim.scenarios.replay import PreparedReplay
 
 @pytest.fixture(scope="module")
 def real() -> PreparedReplay:
-    return Against("embedded").prepared()
+    return Reference("embedded").prepared()
 
 
 @pytest.fixture(scope="module")
-def recorded(real: PreparedReplay) -> Side:
-    return recorded_side(real)
+def recorded(real: PreparedReplay) -> ScoredCrowd:
+    return recorded_crowd(real)
 
 
 @pytest.fixture(scope="module")
-def windows(real: PreparedReplay) -> Windows:
+def windows(real: PreparedReplay) -> JointWindows:
     return windows_of(real)
 
 
@@ -64,11 +64,11 @@ def written(path: Path, table: np.ndarray) -> str:
 
 
 def test_a_file_of_the_recording_scores_as_the_recording_in_memory(
-    real: PreparedReplay, recorded: Side, tmp_path: Path
+    real: PreparedReplay, recorded: ScoredCrowd, tmp_path: Path
 ) -> None:
     later = plaza()
     later[:, 0] += 1000  # another clock
-    side = file_side(written(tmp_path / "mine.csv", later), real)
+    side = file_crowd(written(tmp_path / "mine.csv", later), real)
     assert side.twin.tolist() == list(range(len(real.persons.agent)))
     for name, samples in side.fine.crowd.samples.items():
         torch.testing.assert_close(samples.value, recorded.fine.crowd.samples[name].value, atol=1e-5, rtol=0)
@@ -87,15 +87,15 @@ def test_strangers_are_scored_wherever_they_stand(real: PreparedReplay, tmp_path
         np.column_stack((frame, np.full(40, 500 + i), np.full(40, i - 2.0), np.full(40, 1.0)))
         for i in range(3)
     ]
-    side = file_side(written(tmp_path / "queue.csv", np.concatenate(crowd)), real)
+    side = file_crowd(written(tmp_path / "queue.csv", np.concatenate(crowd)), real)
     assert (side.twin == -1).all()
     assert float(side.sums["standing_share"].of(torch.ones(1, 3))) == 1
     with pytest.raises(UserError, match="m/s"):
-        file_side(written(tmp_path / "fast.csv", plaza() * [1, 1, 100, 100]), real)
+        file_crowd(written(tmp_path / "fast.csv", plaza() * [1, 1, 100, 100]), real)
 
 
 def test_a_constant_velocity_crowd_is_told_apart(
-    real: PreparedReplay, recorded: Side, tmp_path: Path
+    real: PreparedReplay, recorded: ScoredCrowd, tmp_path: Path
 ) -> None:
     table = plaza()
     table = table[np.lexsort((table[:, 0], table[:, 1]))]
@@ -104,7 +104,7 @@ def test_a_constant_velocity_crowd_is_told_apart(
         ends = table[mine][[0, -1], 2:]
         share = np.linspace(0, 1, mine.sum())[:, None]
         table[mine, 2:] = ends[0] * (1 - share) + ends[1] * share
-    metrics = row(file_side(written(tmp_path / "straight.csv", table), real), recorded, {})["metrics"]
+    metrics = row(file_crowd(written(tmp_path / "straight.csv", table), real), recorded, {})["metrics"]
     assert metrics["classifier_auc"] > 0.95 and metrics["coarse_classifier_auc"] > 0.9
     assert metrics["closed_loop_ade_m"] > 0.1
 
@@ -131,7 +131,7 @@ def test_displacement_is_the_mean_distance_of_known_steps() -> None:
     assert displacement(simulated, true, known).flatten().tolist() == [5.0, 1.0]
 
 
-def test_windows_hold_everybody_with_a_history(real: PreparedReplay, windows: Windows) -> None:
+def test_windows_hold_everybody_with_a_history(real: PreparedReplay, windows: JointWindows) -> None:
     people = real.persons
     walked = recorded_windows(windows)
     assert walked.xy.shape[3] == STEPS
@@ -142,7 +142,7 @@ def test_windows_hold_everybody_with_a_history(real: PreparedReplay, windows: Wi
     assert int(walked.people.sum()) > 0.8 * int(there.sum())  # the others are at their exit already
 
 
-def test_the_recording_is_likelier_under_itself_than_under_straight_walking(windows: Windows) -> None:
+def test_the_recording_is_likelier_under_itself_than_under_straight_walking(windows: JointWindows) -> None:
     true = recorded_windows(windows)
     own = likelihood(true, true, "embedded")
     straight = likelihood(policy_windows("go_to_goal", windows, 0, "compiled"), true, "embedded")
@@ -154,12 +154,12 @@ def test_the_recording_is_likelier_under_itself_than_under_straight_walking(wind
 def test_columns_of_crowdes_by_hand() -> None:
     steps = torch.arange(4)
     line = torch.stack((steps.float(), torch.zeros(4)), 1)
-    real = Walks(torch.zeros(4).long(), torch.zeros(4).long(), steps, line)
+    real = ScoredSteps(torch.zeros(4).long(), torch.zeros(4).long(), steps, line)
     moved = real._replace(xy=line + torch.tensor([0.0, 1.0]))
     result = columns(moved, real)
     assert result["crowdes_dtw"] == pytest.approx(2 * 0.4)  # root of four squares of 1 m, at 2.5 Hz
     assert result["crowdes_kinematics"] == pytest.approx(0, abs=1e-12)
-    twice = Walks(*(torch.cat((value, value)) for value in real))
+    twice = ScoredSteps(*(torch.cat((value, value)) for value in real))
     twice = twice._replace(person=torch.tensor([0] * 4 + [1] * 4))
     result = columns(twice, real)
     assert result["crowdes_population"] == pytest.approx(1.0)  # two people where there is one
@@ -171,7 +171,7 @@ def test_columns_of_crowdes_by_hand() -> None:
 def test_flow_and_headways_say_how_many_got_through() -> None:
     steps = torch.arange(6)
     lines = [torch.stack((steps - start, torch.zeros(6)), 1) for start in (0.5, 2.5, 4.5, 9.0)]
-    walks = Walks(
+    walks = ScoredSteps(
         torch.zeros(24).long(), torch.arange(4).repeat_interleave(6), steps.repeat(4), torch.cat(lines)
     )
     result = through(walks, torch.tensor([0.0, 0.0, 1.0, 0.0, 0.5]))
@@ -183,7 +183,7 @@ def test_flow_and_headways_say_how_many_got_through() -> None:
 def test_companions_stay_together() -> None:
     steps = torch.arange(10)
     lines = [torch.stack((steps.float(), torch.full((10,), y)), 1) for y in (0.0, 1.0, 5.0)]
-    walks = Walks(
+    walks = ScoredSteps(
         torch.zeros(30).long(), torch.arange(3).repeat_interleave(10), steps.repeat(3), torch.cat(lines)
     )
     assert companions(walks).tolist() == [[0, 1]]

@@ -22,7 +22,7 @@ from helpers.errands import answer, complain, fail, lock, pause, process_of
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from pedzoo.core.errors import UserError
-from pedzoo.eval.workers.pool import Shares, finished, grouped
+from pedzoo.eval.workers.pool import JobQueue, finished, grouped
 
 needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="needs Ray")
 BACKENDS = ["processes", pytest.param("ray", marks=[needs_ray, pytest.mark.slow])]
@@ -241,7 +241,7 @@ def test_one_worker_goes_from_group_to_group() -> None:
 
 
 def test_a_worker_stays_with_its_group_and_then_helps_where_most_is_left() -> None:
-    shares = Shares(grouped(list("abacaba")))  # a: 0 2 4 6, b: 1 5, c: 3
+    shares = JobQueue(grouped(list("abacaba")))  # a: 0 2 4 6, b: 1 5, c: 3
     assert shares.take(None) == (0, 0)
     assert shares.take(None) == (1, 1)
     assert shares.take(1) == (5, 1)
@@ -255,7 +255,7 @@ def test_every_job_is_handed_out_once_who_asks() -> None:
     for _ in range(50):
         keys = [draw.randrange(5) for _ in range(draw.randrange(1, 30))]
         groups = grouped(keys)
-        shares = Shares(groups)
+        shares = JobQueue(groups)
         last: list[int | None] = [None] * 4
         taken = []
         while (share := shares.take(last[worker := draw.randrange(4)])) is not None:

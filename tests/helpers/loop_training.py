@@ -8,7 +8,7 @@ import lightning as L
 import torch
 from lightning.pytorch.callbacks import Callback
 
-from pedzoo.data.datamodule import Imitated, Loading, TrajectoryDataModule
+from pedzoo.data.datamodule import ImitationWindows, Loading, TrajectoryDataModule
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.train.loop.courses import Course
 from pedzoo.train.loop.imitation import Imitation
@@ -48,6 +48,9 @@ def train(trained: LoopModule, updates: int, *callbacks: Callback, scenes: int =
         log_every_n_steps=1,
         **quiet,
     )
-    own = {"loading": Loading(batch_size=scenes), "imitated": Imitated(steps=scenes, batch_size=scenes)}
+    own = {
+        "loading": Loading(batch_size=scenes),
+        "imitated": ImitationWindows(steps=scenes, batch_size=scenes),
+    }
     trainer.fit(trained, TrajectoryDataModule(goal="window_end", **own))
     return trainer

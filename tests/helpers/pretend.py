@@ -41,7 +41,8 @@ class There(Tensor):
     def __new__(cls, here: Tensor) -> There:
         """Wrap values."""
         size = here.shape, here.stride(), here.storage_offset()
-        result = Tensor._make_wrapper_subclass(cls, *size, dtype=here.dtype, device=_META)
+        with torch.inference_mode(False):  # torch makes no subclass of its inference tensors
+            result = Tensor._make_wrapper_subclass(cls, *size, dtype=here.dtype, device=_META)
         result.here = here
         return result
 
@@ -75,7 +76,7 @@ class _Operations(TorchDispatchMode):
         result = func(*here[0], **here[1])
         if not there and target != _META:
             return result
-        if name.split(".")[0].endswith("_"):
+        if _in_place(name.split(".")[0]):
             return args[0]
         return tree_map(lambda leaf: There(leaf) if isinstance(leaf, Tensor) else leaf, result)
 
@@ -101,6 +102,11 @@ class _Arrivals(TorchFunctionMode):
         if not (self.copies or isinstance(result, There)):
             raise MixedDevicesError(f"a tensor of shape {tuple(result.shape)} is copied from the CPU")
         return result if isinstance(result, There) else There(result)
+
+
+def _in_place(name: str) -> bool:
+    """Return whether an operation writes its first argument: ``add_`` and ``__iand__`` do."""
+    return name.endswith("_") and (not name.startswith("__") or name.startswith("__i"))
 
 
 def _reads(func: Any, name: str, args: Any) -> bool:

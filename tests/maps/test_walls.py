@@ -269,8 +269,8 @@ def test_compiled_half_planes_are_those_of_torch():
     assert walls is not None
     points = 12 * torch.rand(2, 3, 40, 5, generator=torch.Generator().manual_seed(0)) - 4
     within = torch.full((40, 5), 0.3)
-    gap, planes = walls.half_planes(points, within)
-    exact, exact_planes = walls.half_planes(points.double(), within.double())
+    found, wanted = walls.half_planes(points, within), walls.half_planes(points.double(), within.double())
+    (gap, planes), (exact, exact_planes) = ((each[0], each[1:]) for each in (found, wanted))
     near = exact <= 0.3
     assert 0.1 < near.float().mean() < 0.9 and bool((gap[~near] > 0.3 - 1e-5).all())
     assert torch.allclose(gap[near].double(), exact[near], atol=1e-5)

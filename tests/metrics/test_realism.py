@@ -28,7 +28,7 @@ from pedzoo.metrics.realism.distances import (
 )
 from pedzoo.metrics.realism.features import every_step, features, surroundings
 from pedzoo.metrics.realism.paths import closed_loop_error, dtw, padded
-from pedzoo.metrics.realism.walks import Tables, of_people, tracks_of, walks_of
+from pedzoo.metrics.realism.walks import WalksByPerson, of_people, tracks_of, walks_of
 from pedzoo.metrics.safety import time_to_collision
 from pedzoo.policies.rule_based.go_to_goal import GoToGoal
 from pedzoo.sim.rollout import Rollout, joined
@@ -313,7 +313,7 @@ def test_numbers_of_people_are_weighted() -> None:
     seconds = torch.tensor([[2.0, 6.0, NAN, 9.0], [4.0, 6.0, NAN, NAN]]).double()
     success = torch.tensor([[1.0, 1.0, 0.0, 1.0], [1.0, 1.0, 0.0, NAN]]).double()
     ade = torch.tensor([[1.0, 2.0, NAN, 8.0], [3.0, 1.0, NAN, NAN]]).double()
-    tables = Tables(success, success, seconds, ade, ade, torch.tensor([2.0, 2.0, 2.0, 2.0]).double())
+    tables = WalksByPerson(success, success, seconds, ade, ade, torch.tensor([2.0, 2.0, 2.0, 2.0]).double())
     weights = torch.tensor([[1.0, 1.0, 1.0, 1.0], [3.0, 0.0, 1.0, 1.0], [0.0, 0.0, 1.0, 0.0]]).double()
     result = {key: value.tolist() for key, value in of_people(tables, weights).items()}
     # ratios are 1 and 2 (the lower is taken), 3, none, 4.5

@@ -13,7 +13,7 @@ from torch import Tensor
 from pedzoo.core.batch import ROBOT
 from pedzoo.core.bodies import Fleet, RobotBody
 from pedzoo.metrics.ratios import summarised
-from pedzoo.metrics.robots import driving, effect, near
+from pedzoo.metrics.robots import driving, effect, proximity
 from pedzoo.metrics.robots.legend import LEGEND
 from pedzoo.metrics.robots.table import robot_metrics
 from pedzoo.sim.robot_parts.rollout import RobotRollout, joined_robots
@@ -132,24 +132,26 @@ def test_intrusions_are_where_people_will_be() -> None:
     people = straight((2.0, 0), (-1, 0), 30)[1:].view(1, 1, 30, 2)
     robots = torch.zeros(1, 1, 30, 2)
     present = torch.ones(1, 1, 30).bool()
-    intruded, least = near.intrusions(robots, people, present, torch.tensor([[[0.449]]]))
+    intruded, least = proximity.intrusions(robots, people, present, torch.tensor([[[0.449]]]))
     assert intruded[0, 0, :3].tolist() == [False, False, False] and intruded[0, 0, 3:16].all()
     assert least[0, 0, 3].item() == pytest.approx(0.35, abs=1e-5)
-    gone, _ = near.intrusions(robots, people, torch.zeros_like(present), torch.tensor([[[0.449]]]))
+    gone, _ = proximity.intrusions(robots, people, torch.zeros_like(present), torch.tensor([[[0.449]]]))
     assert not gone.any()
 
 
 def test_social_force_by_hand_and_the_same_on_both() -> None:
     """Both stand, 1 m apart: D = e, B = 0.35, angle 0: the force is 2.1 exp(-1 / 0.35)."""
     apart, still = torch.tensor([1.0, 0.0]), torch.zeros(2)
-    assert near.social_force(apart, still).item() == pytest.approx(2.1 * math.exp(-1 / 0.35), rel=1e-5)
+    assert proximity.social_force(apart, still).item() == pytest.approx(2.1 * math.exp(-1 / 0.35), rel=1e-5)
     velocity = torch.tensor([0.3, -0.8])
-    torch.testing.assert_close(near.social_force(apart, velocity), near.social_force(-apart, -velocity))
+    torch.testing.assert_close(
+        proximity.social_force(apart, velocity), proximity.social_force(-apart, -velocity)
+    )
     # D = (1, 1): |D| = sqrt 2, angle 45 degrees
     reach, angle = 0.35 * math.sqrt(2), math.pi / 4
     ahead = math.exp(-1 / reach - (3 * reach * angle) ** 2)
     aside = math.exp(-1 / reach - (2 * reach * angle) ** 2)
-    result = near.social_force(apart, torch.tensor([0.0, 0.5])).item()
+    result = proximity.social_force(apart, torch.tensor([0.0, 0.5])).item()
     assert result == pytest.approx(2.1 * math.hypot(ahead, aside), rel=1e-5)
 
 
@@ -163,8 +165,10 @@ def test_who_moves_faster_towards_the_other_drives_into_it(robot: float, person:
     assert (result["robot_on_person"], result["person_on_robot"]) == (float(drives), float(not drives))
 
 
-def walk(arrived: bool, seconds: float, covered: float, walked: float) -> effect.Walk:
-    return effect.Walk(torch.tensor([[arrived]]), *(torch.tensor([[v]]) for v in (seconds, covered, walked)))
+def walk(arrived: bool, seconds: float, covered: float, walked: float) -> effect.WalkProgress:
+    return effect.WalkProgress(
+        torch.tensor([[arrived]]), *(torch.tensor([[v]]) for v in (seconds, covered, walked))
+    )
 
 
 @pytest.mark.parametrize(
@@ -180,7 +184,7 @@ def walk(arrived: bool, seconds: float, covered: float, walked: float) -> effect
         (walk(True, 9.0, 10.0, 10.0), walk(False, torch.inf, 5.0, 5.0), -5.0),
     ],
 )
-def test_delay_by_hand(joined: effect.Walk, alone: effect.Walk, delay: float) -> None:
+def test_delay_by_hand(joined: effect.WalkProgress, alone: effect.WalkProgress, delay: float) -> None:
     result = effect.delay(joined, alone, torch.tensor([[1.25]]), torch.tensor([10.0]))
     assert result.item() == pytest.approx(delay)
     back = effect.delay(alone, joined, torch.tensor([[1.25]]), torch.tensor([10.0]))

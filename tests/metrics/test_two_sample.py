@@ -8,11 +8,11 @@ import torch
 
 from pedzoo.metrics.realism.boosting import fit, log_odds
 from pedzoo.metrics.realism.clips import CHANNELS, LENGTH, Clips, clips
-from pedzoo.metrics.realism.features import Steps, coarse, to_millimetres
+from pedzoo.metrics.realism.features import SampledRollout, coarse, to_millimetres
 from pedzoo.metrics.realism.two_sample import FOLDS, Verdict, auc, two_sample
 
 
-def steps_of(xy: torch.Tensor, scored_from: int = 1) -> Steps:
+def steps_of(xy: torch.Tensor, scored_from: int = 1) -> SampledRollout:
     """Steps of people (A, S, 2) who are there all the time, and scored from a step on."""
     people, length = xy.shape[:2]
     there = torch.ones(1, people, length, dtype=torch.bool)
@@ -21,7 +21,7 @@ def steps_of(xy: torch.Tensor, scored_from: int = 1) -> Steps:
     velocity = torch.zeros(1, people, length, 2)
     velocity[:, :, 1:] = xy.diff(dim=1) / 0.4
     person = torch.arange(people).view(1, -1, 1).expand(1, people, length)
-    return Steps(xy.unsqueeze(0), person, velocity, known, scored, torch.full((1, people), 0.15))
+    return SampledRollout(xy.unsqueeze(0), person, velocity, known, scored, torch.full((1, people), 0.15))
 
 
 def test_trees_learn_a_step_and_say_by_which_feature() -> None:

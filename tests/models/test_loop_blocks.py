@@ -17,7 +17,7 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.blocks.floor_plan.map_rings import CLIP, RADII, RAYS, RingEncoder
-from pedzoo.models.blocks.mlp import Trait
+from pedzoo.models.blocks.mlp import ContextNoise
 from pedzoo.models.blocks.people import frame as frames
 from pedzoo.models.blocks.people.approach import ApproachPooling
 from pedzoo.models.blocks.people.crowd import Crowd
@@ -181,7 +181,7 @@ def test_the_way_hardly_turns_for_people_who_stop_and_the_heading_does() -> None
 
 
 def test_a_new_trait_adds_nothing_and_a_trained_one_does() -> None:
-    trait, context, z = Trait(5, 2, 8), torch.randn(3, 4, 5), torch.randn(3, 4, 2)
+    trait, context, z = ContextNoise(5, 2, 8), torch.randn(3, 4, 5), torch.randn(3, 4, 2)
     trait.reset()
     assert torch.equal(trait(context, z), context)
     for parameter in trait.parameters():

@@ -168,6 +168,26 @@ def test_what_cannot_be_published_is_refused_and_leaves_nothing(tmp_path: Path) 
     assert not (tmp_path / "zoo").exists()
 
 
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("config.yaml", b"\xff\xfe"),
+        ("config.yaml", b"seed_everything: 2026-11-99"),
+        ("config.yaml", b"{}"),
+        ("versions.json", b"{"),
+        ("versions.json", b"[]"),
+        ("metrics.csv", b"\xff\xfe"),
+        ("metrics.csv", b"epoch,val/ade\nx,y\n"),
+    ],
+)
+def test_damaged_records_of_a_run_are_told(name: str, content: bytes, tmp_path: Path) -> None:
+    checkpoint = make_run(tmp_path / "runs")
+    (checkpoint.parents[1] / name).write_bytes(content)
+    with pytest.raises(UserError, match=r"records of the run .* are damaged|config\.yaml"):
+        publish(checkpoint, tmp_path / "zoo")
+    assert not (tmp_path / "zoo").exists()
+
+
 def test_weights_whose_run_is_gone_are_described_by_themselves(tmp_path: Path) -> None:
     weights = tmp_path / "sgan_goal.zara1.safetensors"
     known = {"config": "sgan_goal", "fold": "zara1", "seed": 2, "chosen_by": "val/ade"}

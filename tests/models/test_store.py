@@ -294,7 +294,9 @@ def test_a_source_of_the_user_is_searched_for_names(
         load("sgan_goal.mal")
 
 
-@pytest.mark.parametrize("name", ["a" * 300, "a" * 300 + ".b", "x/" + "a" * 300, "https://[::1/sgan.b"])
+@pytest.mark.parametrize(
+    "name", ["a" * 300, "a" * 300 + ".b", "x/" + "a" * 300, "https://[::1/sgan.b", "~nobody_here"]
+)
 def test_names_that_nothing_can_have_are_refused_as_others_are(name: str) -> None:
     with pytest.raises(UserError):
         load(name)

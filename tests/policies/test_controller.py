@@ -560,6 +560,28 @@ def test_time_at_some_calls_only_is_refused():
         controller.step({"anna": (1, 1)}, time=3.0)
 
 
+@pytest.mark.parametrize("name", ["sgan_goal_map.indoor", "social_walker.eth_ucy"])
+def test_a_policy_that_a_controller_has_asked_still_has_gradients(name: str) -> None:
+    """A controller asks in inference mode; nothing that is kept may be a tensor of that mode."""
+    policy = pedzoo.load(name).policy()
+    controller = policy.controller(ROOMS)
+    people, goals = {0: (1.0, 3.0), 1: (4.0, 2.0)}, {0: (9.0, 3.0), 1: (1.0, 2.0)}
+    controller.step(people, goals)
+    bank = controller._online_goals.planner.bank
+    place = torch.tensor([[[1.0, 3.0], [4.0, 2.0]]], requires_grad=True)
+    pose, map_id = torch.tensor([[0.0, 1.0, 0.0, 0.0]]), torch.tensor([bank.grids[0].map_id])
+    distance = bank.signed_distance(place, map_id, pose) + bank.closest_wall(place, map_id, pose)[0]
+    distance.square().sum().backward()
+    env = pedzoo.make_env("goals:people=2,pool=8", physics="compiled")
+    with set_exploration_type(ExplorationType.RANDOM):
+        action = policy(env.reset())["agents", "action"]
+        action.square().sum().backward()
+        again = policy(env.reset())["agents", "action"]
+    assert place.grad is not None and bool(place.grad.any())
+    assert any(weight.grad is not None and bool(weight.grad.any()) for weight in policy.parameters())
+    assert not again.is_inference()
+
+
 @pytest.mark.gpu
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 def test_a_model_on_a_gpu_walks_as_on_the_cpu():

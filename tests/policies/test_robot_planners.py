@@ -11,7 +11,7 @@ from torch import Tensor
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import rotate
 from pedzoo.core.registry import ROBOT_POLICIES
-from pedzoo.policies.local_planner import Drive, People, Robot, load_local_planner
+from pedzoo.policies.local_planner import DriveState, ObservedPeople, Robot, load_local_planner
 from pedzoo.policies.robots.dwa import Dwa, DwaSettings, arc, dwa_command, free_seconds, window
 from pedzoo.policies.robots.sampling import SamplingSettings, people_gap, sampled_velocity, velocities
 
@@ -26,11 +26,11 @@ def robots(goal: list[float], count: int = 1, velocity: tuple[float, float] = (0
     return Robot(place, moving, end, place[:, 0] + 0.3, place[:, 0] + 1)
 
 
-def people(*each: tuple[float, float, float, float], count: int = 1) -> People:
+def people(*each: tuple[float, float, float, float], count: int = 1) -> ObservedPeople:
     """The same people in each scene: x, y, and their velocities."""
     states = torch.tensor(each).reshape(1, len(each), 4).expand(count, -1, -1)
     radius = torch.full(states.shape[:2], 0.3)
-    return People(states[..., :2], states[..., 2:], radius, radius > 0)
+    return ObservedPeople(states[..., :2], states[..., 2:], radius, radius > 0)
 
 
 def turned(part: Tensor, angle: float) -> Tensor:
@@ -52,14 +52,14 @@ def test_every_robot_answers_within_its_top_speed_and_ignores_absent_people(name
     radius = torch.full((16, 3), 0.3)
     robot = Robot(place, torch.zeros_like(place), goal, radius[:, 0], torch.full((16,), 0.8))
     mask = torch.rand(16, 3, generator=random) > 0.3
-    seen = People(crowd[..., :2], crowd[..., 2:] / 8, radius, mask)
+    seen = ObservedPeople(crowd[..., :2], crowd[..., 2:] / 8, radius, mask)
     chosen = load_local_planner(name, STEP)(robot, seen)
     assert chosen.shape == (16, 2) and chosen.isfinite().all()
     assert (chosen.norm(dim=-1) <= 0.8 + 1e-5).all()
     garbage = torch.where(mask[..., None], seen.position, torch.nan)
     absent = seen._replace(position=garbage, velocity=torch.where(mask[..., None], seen.velocity, torch.nan))
     assert torch.equal(load_local_planner(name, STEP)(robot, absent), chosen)
-    no_people = People(*(part[:, :0] for part in seen))
+    no_people = ObservedPeople(*(part[:, :0] for part in seen))
     assert load_local_planner(name, STEP)(robot, no_people).shape == (16, 2)
 
 
@@ -151,7 +151,7 @@ def test_its_answer_turns_with_the_scene_and_does_not_depend_on_the_batch() -> N
         rotated = sampled_velocity(robot._replace(goal=turned(robot.goal, angle)), other, STEP, SETTINGS)
         assert torch.allclose(rotated, turned(chosen, angle), atol=1e-4)
     many = Robot(*(part.expand(3, *part.shape[1:]) for part in robot))
-    others = People(*(part.expand(3, *part.shape[1:]) for part in crowd))
+    others = ObservedPeople(*(part.expand(3, *part.shape[1:]) for part in crowd))
     assert torch.equal(sampled_velocity(many, others, STEP, SETTINGS), chosen.expand(3, 2))
 
 
@@ -172,8 +172,8 @@ def test_settings_of_planners_are_checked() -> None:
 LIMITS = DwaSettings(acceleration=1.0, turn_acceleration=2.0, top_turn_rate=1.0, speeds=3, turn_rates=3)
 
 
-def drive(speed: float, turn_rate: float = 0.0, heading: float = 0.0) -> Drive:
-    return Drive(*(torch.tensor([value]) for value in (heading, speed, turn_rate)))
+def drive(speed: float, turn_rate: float = 0.0, heading: float = 0.0) -> DriveState:
+    return DriveState(*(torch.tensor([value]) for value in (heading, speed, turn_rate)))
 
 
 def test_the_window_is_what_a_step_can_reach() -> None:

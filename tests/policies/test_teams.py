@@ -19,8 +19,8 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import blended, identity_pose
 from pedzoo.eval.rollout import prepare, rollout, run
 from pedzoo.eval.suite import EvaluationCase, WorkUnit
+from pedzoo.eval.trained_on import for_fold, has_seen
 from pedzoo.eval.units import digest
-from pedzoo.eval.unseen import for_fold, has_seen
 from pedzoo.maps.bank import MapBank
 from pedzoo.policies.crowd_names import Member, is_crowd, members, parts
 from pedzoo.policies.load import load_policy, teams

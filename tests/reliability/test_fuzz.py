@@ -1,8 +1,9 @@
-"""Hostile contents for every reader: seconds of what `tools.reliability.fuzz` does for hours."""
+"""Hostile contents for every reader: seconds of what `python -m tools.reliability fuzz` does for hours."""
 
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tools.reliability.fuzz import CORPUS
-from tools.reliability.hostile import ODD, complaint, mistaken, warm
-from tools.reliability.readers import READERS
+from tools.reliability.fuzz import CORPUS, IN_MEMORY
+from tools.reliability.hostile import ODD, content_of, outcome, warm
+from tools.reliability.readers import READERS, Reader
 
 QUICK = settings(
     max_examples=40,
@@ -31,15 +32,12 @@ def name(request: pytest.FixtureRequest, tmp_path: Path) -> str:
 
 
 def test_contents_with_mistakes_are_read_or_refused_in_words(name: str) -> None:
-    examples = READERS[name].examples()
-
     @QUICK
     @given(st.integers(0, 2**63 - 1))
     def check(seed: int) -> None:
-        draw = np.random.default_rng(seed)
-        with tempfile.TemporaryDirectory() as folder:
-            content = mistaken(examples[draw.integers(len(examples))], draw)
-            assert complaint(READERS[name], content, Path(folder)) is None
+        content = content_of(READERS[name], np.random.default_rng(seed))
+        with tempfile.TemporaryDirectory(dir=IN_MEMORY) as folder:
+            assert outcome(READERS[name], content, Path(folder)).wrong is None
 
     check()
 
@@ -48,8 +46,8 @@ def test_any_bytes_are_read_or_refused_in_words(name: str) -> None:
     @QUICK
     @given(st.one_of(st.binary(max_size=300), st.text(max_size=100).map(str.encode), st.sampled_from(ODD)))
     def check(content: bytes) -> None:
-        with tempfile.TemporaryDirectory() as folder:
-            assert complaint(READERS[name], content, Path(folder)) is None
+        with tempfile.TemporaryDirectory(dir=IN_MEMORY) as folder:
+            assert outcome(READERS[name], content, Path(folder)).wrong is None
 
     check()
 
@@ -57,4 +55,22 @@ def test_any_bytes_are_read_or_refused_in_words(name: str) -> None:
 @pytest.mark.parametrize("file", sorted(CORPUS.glob("*-*")), ids=lambda file: file.name)
 def test_what_was_wrong_once_is_right(file: Path, tmp_path: Path) -> None:
     warm(READERS[file.name.partition("-")[0]], tmp_path)
-    assert complaint(READERS[file.name.partition("-")[0]], file.read_bytes(), tmp_path) is None
+    assert outcome(READERS[file.name.partition("-")[0]], file.read_bytes(), tmp_path).wrong is None
+
+
+@pytest.mark.parametrize(
+    ("read", "wrong"),
+    [
+        (lambda path: path.with_name("more").write_bytes(b""), "did more than read"),
+        (lambda path: path.parents[1].joinpath("outside").mkdir(), "did more than read"),
+        (lambda path: int(path.read_bytes()), "ValueError"),
+        (lambda path: path.read_bytes(), None),
+    ],
+)
+def test_what_a_reader_may_not_do_is_noticed(
+    read: Callable[[Path], object], wrong: str | None, tmp_path: Path
+) -> None:
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    found = outcome(Reader("file", read, list), b"", folder).wrong
+    assert (found and found.partition(":")[0]) == wrong

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.errors import UserError
-from pedzoo.policies.local_planner import People, Robot, load_local_planner
+from pedzoo.policies.local_planner import ObservedPeople, Robot, load_local_planner
 from pedzoo.policies.robots.straight import Straight
 from pedzoo.sim.crowdnav.cases import TEST, Cases, cases
 from pedzoo.sim.crowdnav.draws import Draws
@@ -36,7 +36,7 @@ def scene(people: list[list[float]], velocity: list[list[float]], **robot: list[
     start = torch.tensor([robot.get("start", [0.0, 0.0])], dtype=torch.float64)
     goal = torch.tensor([robot.get("goal", [4.0, 0.0])], dtype=torch.float64)
     radius = place.new_full(place.shape[:2], 0.3)
-    crowd = People(place, moving, radius, torch.ones(place.shape[:2], dtype=torch.bool))
+    crowd = ObservedPeople(place, moving, radius, torch.ones(place.shape[:2], dtype=torch.bool))
     body = Robot(start, torch.zeros_like(start), goal, radius[:, 0], torch.ones(1).double())
     return Cases(body, crowd, place.clone(), Draws.of_seeds([0]))
 

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.geometry import identity_pose, move_to_scene
+from pedzoo.core.geometry import direction_of, identity_pose, move_to_scene
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.files.ros import read_ros
 from pedzoo.maps.grid import OccupancyGrid
@@ -24,6 +24,7 @@ from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.sim.physics.torch import Torch
 from pedzoo.sim.physics_parts.base import Bodies, Physics
 from pedzoo.sim.physics_parts.camera import FLOOR, WALL, Camera, person_color
+from pedzoo.sim.physics_parts.stance import Stance
 
 RADIUS = 0.15
 
@@ -317,14 +318,22 @@ def test_pictures_show_people_and_walls_where_they_are(pose: tuple[float, ...]) 
     in_hall = torch.tensor([[[1.0, 3.4], [2.6, 1.2], [5.0, 2.0], [1.8, 1.2]]])
     *places, pillar = move_to_scene(in_hall @ hall_to_map + 0.5, poses).unbind(1)
     places = torch.stack(places, 1)
-    people = crowd(places, grid, torch.tensor([[True, True, False]]), poses)
-    camera = Camera().around(places, size=(160, 120), margin=1.5)
+    heading = torch.tensor([[0.5, -2.0, 0.0]])
+    stance = Stance(heading, 0 * heading, 0 * heading, heading > 9)
+    people = crowd(places, grid, torch.tensor([[True, True, False]]), poses)._replace(stance=stance)
+    camera = Camera().around(places, size=(480, 360), margin=1.5)
+    ahead = direction_of(heading[0])
+    # shoulders lie across where people face
+    left = places[0] + 0.17 * torch.stack((-ahead[:, 1], ahead[:, 0]), 1)
     for physics in backends(MapBank([grid], "wall")):
-        picture = physics.image(people, 0, (160, 120), camera)
-        assert picture.shape == (120, 160, 3) and picture.dtype == np.uint8
-        shown = [color_at(picture, camera, *place) for place in places[0].tolist()]
+        picture = physics.image(people, 0, (480, 360), camera)
+        assert picture.shape == (360, 480, 3) and picture.dtype == np.uint8
+        shown = [color_at(picture, camera, *place) for place in left.tolist()]
         for result, expected in zip(shown, (person_color(0), person_color(1), FLOOR), strict=True):
-            assert np.abs(result - expected).max() < 40
+            assert np.abs(result - expected).max() < 60
+        for head, to in zip(places[0, :2], ahead, strict=False):
+            face, hair = (color_at(picture, camera, *(head + step * to).tolist()) for step in (0.08, -0.08))
+            assert isinstance(physics, Bullet) or face.sum() > hair.sum() + 100  # Bullet sees heads obliquely
         result = color_at(picture, camera, *pillar[0].tolist())
         assert np.abs(result - WALL).max() < 40
 

@@ -246,6 +246,8 @@ def test_wrong_names_and_numbers_are_named() -> None:
             made(**settings)
     with pytest.raises(UserError, match="fit"):
         made("goals:map=flat,people=500")
+    with pytest.raises(UserError, match="day is out of range"):
+        made("goals:people=2026-11-99")
     with pytest.raises(UserError, match="did you mean"):
         load_robot_policy("orcaa")
 

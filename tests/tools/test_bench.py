@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -534,8 +535,11 @@ def test_drawn_floor_plans_are_maps() -> None:
     assert scenario(5, drawn).bank.grids[0].name == drawn[0]
     assert cells(drawn[0]) == load_plan(drawn[0]).cells.size
     run = Run(["planner", "controller"], Settings(seconds=0.01, turns=1, quick=True, maps=drawn))
-    run.go(lambda row: None)
+    said: list[str] = []
+    run.go(lambda row: None, said.append)
     assert {row.section for row in run.rows if row.case["map"] == drawn[0]} == {"planner", "controller"}
+    assert said[0] == "planner: section 1 of 2"
+    assert re.fullmatch(r"controller: section 2 of 2, about \d+ (s|min) to go", said[1])
 
 
 @pytest.mark.parametrize("name", [name for name in BENCHMARKS.names() if name != "sgan"])

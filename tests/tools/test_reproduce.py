@@ -12,7 +12,7 @@ import pytest
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.core.spec import Spec
-from pedzoo.eval.results import Page
+from pedzoo.eval.results import ResultTable
 from pedzoo.eval.suite import EvaluationOptions
 from pedzoo.models.zoo.loading import list_models
 from tools.paper import table1 as module
@@ -398,8 +398,8 @@ def test_page_has_command_notes_pictures_tables_and_lines_within_cells() -> None
         def report(self) -> dict[str, Any]:
             return {"seeds": [0, 1], "notes": ["a note"], "versions": VERSIONS}
 
-        def pages(self, report: Any) -> list[Page]:
-            return [Page("numbers", ["name", "x"], [["one", "1\n[0, 2]"]], 1)]
+        def pages(self, report: Any) -> list[ResultTable]:
+            return [ResultTable("numbers", ["name", "x"], [["one", "1\n[0, 2]"]], 1)]
 
         def legend(self) -> dict[str, str]:
             return {"x": "how many"}

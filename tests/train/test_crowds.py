@@ -183,7 +183,7 @@ def test_steps_before_are_walked_but_not_scored_and_have_no_gradient(crowd: Reco
     assert not before.any() and after.any() and after.isfinite().all()
 
 
-def as_steps(walk: CrowdWalk) -> score_features.Steps:
+def as_steps(walk: CrowdWalk) -> score_features.SampledRollout:
     """Return a crowd as `pedzoo score` has it."""
     person = torch.arange(walk.xy.shape[1]).view(1, -1, 1).where(walk.there, -1)
     known = torch.zeros_like(walk.there)
@@ -191,7 +191,7 @@ def as_steps(walk: CrowdWalk) -> score_features.Steps:
     velocity = torch.zeros_like(walk.xy)
     velocity[:, :, 1:] = walk.xy.diff(dim=2) / STEP_SECONDS
     radius = torch.full(walk.there.shape[:2], 0.15)
-    return score_features.Steps(walk.xy, person, velocity, known, walk.scored & known, radius)
+    return score_features.SampledRollout(walk.xy, person, velocity, known, walk.scored & known, radius)
 
 
 @pytest.mark.parametrize("positions", ["fine", "coarse"])

@@ -16,7 +16,7 @@ from torchrl.envs.utils import step_mdp
 
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
-from pedzoo.data.datamodule import Imitated, Loading, TrajectoryDataModule
+from pedzoo.data.datamodule import ImitationWindows, Loading, TrajectoryDataModule
 from pedzoo.data.own_files import OwnFiles
 from pedzoo.data.scenes import SceneSet
 from pedzoo.maps.bank import MapBank
@@ -97,7 +97,7 @@ def stirred(model: SGAN) -> SGAN:
 def test_training_has_unrolled_windows_beside_the_others(capsys: pytest.CaptureFixture[str]) -> None:
     plain = TrajectoryDataModule()
     data = TrajectoryDataModule(
-        goal="window_end", loading=Loading(rotate=True), imitated=Imitated(steps=12, batch_size=16)
+        goal="window_end", loading=Loading(rotate=True), imitated=ImitationWindows(steps=12, batch_size=16)
     )
     data.setup("fit")
     assert "train, unrolled for 12 steps" in capsys.readouterr().out
@@ -122,7 +122,7 @@ def test_unrolled_windows_of_a_batch_may_be_of_one_recording(shared: Path) -> No
         "zara1",
         str(shared / "data"),
         clock="true",
-        imitated=Imitated(steps=6, one_recording_per_batch=True),
+        imitated=ImitationWindows(steps=6, one_recording_per_batch=True),
     )
     data.setup("fit")
     assert data.unrolled is not None
@@ -138,7 +138,7 @@ def test_unrolled_windows_keep_to_their_split(tmp_path: Path) -> None:
     path = tmp_path / "long.txt"
     path.write_text("".join(f"{i} 1 {i} 0\n" for i in range(100)))
     options: dict[str, Any] = {"files": [str(path)], "dt": 0.4, "min_people": 1, "split": "0.5,0.25,0.25"}
-    data = TrajectoryDataModule(**options, imitated=Imitated(steps=20))
+    data = TrajectoryDataModule(**options, imitated=ImitationWindows(steps=20))
     data.setup("fit")
     batches = list(data.train_dataloader()["unrolled"])
     last = max(float(agents_of(b)[key][..., 0].max()) for b in batches for key in ("future", "goal"))
@@ -151,7 +151,7 @@ def test_unrolled_windows_are_on_the_true_clock(shared: Path) -> None:
     speeds = {}
     for clock in ("benchmark", "true"):
         data = TrajectoryDataModule(
-            "zara1", str(shared / "data"), clock=cast("Any", clock), imitated=Imitated(20)
+            "zara1", str(shared / "data"), clock=cast("Any", clock), imitated=ImitationWindows(20)
         )
         data.setup("fit")
         assert data.unrolled is not None
@@ -161,9 +161,9 @@ def test_unrolled_windows_are_on_the_true_clock(shared: Path) -> None:
 
 def test_bad_options_of_unrolling_are_refused() -> None:
     with pytest.raises(UserError, match=r"--data.imitated.steps -1: expected steps"):
-        TrajectoryDataModule(imitated=Imitated(steps=-1))
+        TrajectoryDataModule(imitated=ImitationWindows(steps=-1))
     with pytest.raises(UserError, match=r"imitated.batch_size 0: expected at least 1"):
-        TrajectoryDataModule(imitated=Imitated(steps=8, batch_size=0))
+        TrajectoryDataModule(imitated=ImitationWindows(steps=8, batch_size=0))
 
 
 # -- walking
@@ -291,7 +291,7 @@ def test_features_are_those_of_the_replay(batch: TensorDict) -> None:
     velocity[:, :, 1:] = xy.diff(dim=2) / 0.4
     person = torch.where(there, number, -1)
     known = there & torch.cat((torch.zeros_like(there[..., :1]), there[..., :-1]), 2)
-    steps = realism_features.Steps(xy, person, velocity, known, scored, agents["radius"][..., 0])
+    steps = realism_features.SampledRollout(xy, person, velocity, known, scored, agents["radius"][..., 0])
     around = realism_features.surroundings(steps)
     expected = realism_features.features(
         steps, around, begin[:, :, 1].flatten(0, 1), agents["goal"].flatten(0, 1)
@@ -483,7 +483,9 @@ class _Losses(PlainModule):
 
 
 def test_a_lightning_module_gets_both_batches(tmp_path: Path) -> None:
-    data = TrajectoryDataModule(goal="destination", loading=Loading(batch_size=8), imitated=Imitated(4, 4))
+    data = TrajectoryDataModule(
+        goal="destination", loading=Loading(batch_size=8), imitated=ImitationWindows(4, 4)
+    )
     module = _Losses(plain_sgan(residual="bent_line"))
     trainer = L.Trainer(
         max_steps=2,

@@ -21,14 +21,14 @@ from pedzoo.cli.main import main
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import rotate
-from pedzoo.core.spec import made
+from pedzoo.core.spec import make_ungrouped
 from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.sim.make import make_env, prepare_scenario
 from pedzoo.train.rl.actor import Spread, actor
 from pedzoo.train.rl.critic import Critic
-from pedzoo.train.rl.experience import Gatherer, rated
+from pedzoo.train.rl.experience import Gatherer, with_advantages
 from pedzoo.train.rl.objective import advantages, clipped
 from pedzoo.train.rl.ppo import Collection, Optimisation, PPOModule
 from pedzoo.train.rl.rewards import Reward
@@ -234,7 +234,9 @@ def test_advantages_are_those_of_each_agents_own_episode(lived: TensorDict) -> N
     """An oracle with loops: rewards end when a person leaves or when a new episode begins."""
     gamma, lam = 0.9, 0.8
     critic = trained_critic()
-    result = rated(lived.clone(), Reward(), critic, advantages(gamma, lam, CPU)).unflatten(0, (4, 24))
+    result = with_advantages(lived.clone(), Reward(), critic, advantages(gamma, lam, CPU)).unflatten(
+        0, (4, 24)
+    )
     people, after = agents_of(result), cast("TensorDict", lived["next", "agents"])
     scored = people["scored"]
     assert torch.equal(scored, lived["agents", "controlled"]) and not scored.all()
@@ -273,7 +275,7 @@ def test_another_person_in_the_slot_ends_an_episode(lived: TensorDict) -> None:
         data["next", name][:] = False
     data["next", "agents", "reward"][:] = torch.tensor([1.0, 10.0]).view(1, 2, 1, 1)
     data["next", "agents", "id"][0, 0, 0] = 7
-    result: Any = rated(data, Reward(), no_value, advantages(1.0, 1.0, CPU)).unflatten(0, (1, 2))
+    result: Any = with_advantages(data, Reward(), no_value, advantages(1.0, 1.0, CPU)).unflatten(0, (1, 2))
     target = result["agents", "value_target"][0, 0, :, 0]
     assert target.tolist() == [1.0, 11.0]
 
@@ -283,7 +285,7 @@ def test_a_failed_scene_counts_nowhere(lived: TensorDict) -> None:
     data["agents", "controlled"][:] = True
     data["next", "failed"][0, 1] = True
     data["next", "agents", "reward"][0, 1] = torch.nan
-    result: Any = rated(data, Reward(), no_value, advantages(0.9, 0.9, CPU)).unflatten(0, (1, 2))
+    result: Any = with_advantages(data, Reward(), no_value, advantages(0.9, 0.9, CPU)).unflatten(0, (1, 2))
     assert result["agents", "scored"][0].all(-1).tolist() == [True, False]
     assert result["agents", "advantage"].isfinite().all()
 
@@ -300,7 +302,7 @@ def frames(lived: TensorDict) -> tuple[Callable[[TensorDict], tuple[Tensor, list
         value = torch.stack([result[f"loss_{key}"] for key in ("objective", "critic", "entropy")])
         return value.detach(), list(torch.autograd.grad(value.sum(), parameters, allow_unused=True))
 
-    return terms, rated(lived.clone(), Reward(), critic, advantages(0.9, 0.9, CPU))
+    return terms, with_advantages(lived.clone(), Reward(), critic, advantages(0.9, 0.9, CPU))
 
 
 def test_who_does_not_count_has_no_part_in_loss_and_gradient(frames: Any) -> None:
@@ -455,7 +457,9 @@ def test_command_line_fine_tunes_and_resumes(tmp_path: Path, monkeypatch: pytest
 )
 def test_what_cannot_be_is_refused(options: dict[str, Any], said: str) -> None:
     with pytest.raises(UserError, match=said):
-        made(PPOModule, {"generator": small(), "scenarios": ["hallway"], "reward": Reward()} | options)
+        make_ungrouped(
+            PPOModule, {"generator": small(), "scenarios": ["hallway"], "reward": Reward()} | options
+        )
 
 
 def test_negative_weights_are_refused() -> None:

@@ -23,7 +23,7 @@ from pedzoo.core.registry import ROBOTS
 from pedzoo.core.spec import build
 from pedzoo.models.zoo.store import robots
 from pedzoo.policies.load import list_robot_policies, load_robot_policy
-from pedzoo.policies.local_planner import People, Robot
+from pedzoo.policies.local_planner import ObservedPeople, Robot
 from pedzoo.policies.robot_policy import bodies_of
 from pedzoo.policies.robot_weights import load_planner
 from pedzoo.policies.robots.attention import Attention, as_action, as_decision, frame_of
@@ -158,7 +158,7 @@ def test_the_crossing_is_crowdnavs(name: str) -> None:
         seen = {key: value[:, 0] for key, value in now["robots", "observation"].items()}
         robot = Robot(0 * seen["goal"], seen["velocity"], seen["goal"], seen["radius"][:, 0], torch.ones(30))
         place, velocity, radius = seen["people"].split([2, 2, 1], -1)
-        people = People(place, velocity, radius[..., 0], seen["people_mask"])
+        people = ObservedPeople(place, velocity, radius[..., 0], seen["people_mask"])
         now["robots", "action"] = planner(robot, people).unsqueeze(1)
         now = env.step(now)["next"]
         info = now["robots", "info"]

@@ -15,6 +15,7 @@ import pytest
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.eval.rollout import rollout
+from pedzoo.sim.physics_parts.stance import FACE, FACE_AHEAD, HAIR, HEAD, SHOULDERS, SKIN
 from pedzoo.viz.report.content import better, content_of, shorten
 from pedzoo.viz.report.episode import Replay
 from pedzoo.viz.report.page import framed, page
@@ -158,3 +159,13 @@ def test_an_episode_shows_itself_in_a_notebook() -> None:
     shown = Replay.of(*rollout("go_to_goal", "door", "compiled", 1))
     assert repr(shown) == "Replay('go_to_goal': go_to_goal; 1 episodes)"
     assert shown._repr_html_().startswith("<iframe srcdoc=")
+
+
+def test_people_look_as_in_all_other_pictures() -> None:
+    script = page({})
+    assert "BODY = 0.15;" in script
+    along, across = SHOULDERS
+    sizes = f"along: {along}, across: {across}, head: {HEAD}, face: {FACE}, ahead: {FACE_AHEAD}"
+    assert f"FIGURE = {{ {sizes} }}" in script
+    for name, color in (("SKIN", SKIN), ("HAIR", HAIR)):
+        assert f'{name} = "rgb({",".join(map(str, color))})"' in script

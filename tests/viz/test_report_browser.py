@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 import pytest
@@ -22,6 +23,9 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shuti
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here (Debian: apt install chromium)")
 
 POINTS = 600
+
+CASE = "goals:map=apartment.7,people=8,goals=3,pool=8"
+"""Longer than a phone is wide."""
 
 
 def crowd(people: int, seed: int, touch: bool = False) -> dict[str, Any]:
@@ -66,7 +70,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
         )  # fmt: skip
     folder = tmp_path_factory.mktemp("page")
     report = {"command": "rollout", "rows": rows, "plans": {"1": packed_plan(OccupancyGrid(cells, 0.05))}}
-    (folder / "r.json").write_text(json.dumps(report | {"protocol": {"scenario": "hall"}}))
+    (folder / "r.json").write_text(json.dumps(report | {"protocol": {"scenario": CASE}}))
     (folder / "page.html").write_text(page(content_of([folder / "r.json"])))
     return folder / "page.html"
 
@@ -177,7 +181,9 @@ def test_a_click_on_a_person_shows_what_it_does(tab: Any) -> None:
 
 def test_a_link_names_case_and_time(browser: Any, file: Path) -> None:
     tab = browser.new_page()
-    tab.goto(file.as_uri() + "#case=hall&a=sgan&b=&episode=1.0&t=12.5")
+    tab.goto(file.as_uri() + "#t=3.5")
+    assert seconds(tab) == 3.5
+    tab.goto(file.as_uri() + f"#case={quote(CASE)}&a=sgan&b=&episode=1.0&t=12.5")
     assert seconds(tab) == 12.5 and tab.input_value(".stage select") == "sgan"
     tab.click("#layer-names")
     tab.keyboard.press("End")

@@ -45,6 +45,9 @@ def run(argv: list[str]) -> int:
     )
     measuring = Run(options.sections, settings)
 
+    def tell(text: str) -> None:
+        print(text, file=sys.stderr, flush=True)
+
     def finish(**more: bool) -> None:
         report = measuring.report() | more
         write_and_print(report, options.json, lambda: print_bench(report))
@@ -52,7 +55,7 @@ def run(argv: list[str]) -> int:
             print_comparison(compare(old, report), options.compare)
 
     try:
-        measuring.go(lambda row: print(line(row), file=sys.stderr, flush=True))
+        measuring.go(lambda row: tell(line(row)), tell)
     except (KeyboardInterrupt, UserError):
         if measuring.rows:
             print("not finished: only what was measured by then")

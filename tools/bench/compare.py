@@ -13,8 +13,8 @@ from tools.bench.figures import Measured, Row, is_ratio, more_is_better
 LEAST = 1.05
 """Smaller factors are noise, however narrow the quartiles are."""
 
-TOLD = 1.1
-"""Larger factors between the machine then and now are told."""
+WARN_ABOVE = 1.1
+"""Larger factors between the machine then and now give a warning."""
 
 PARTS = ("protocol", "machine", "versions", "yardstick_ms")
 
@@ -127,7 +127,7 @@ def compare(old: Mapping[str, Any], new: Mapping[str, Any]) -> Comparison:
     after = {row.key: row for row in map(Row.from_json, new["rows"])}
     machine = machine_changes(old["yardstick_ms"], new["yardstick_ms"])
     for name, factor in machine.items():
-        if max(factor, 1 / factor) > TOLD and not foreign:
+        if max(factor, 1 / factor) > WARN_ABOVE and not foreign:
             how = f"{max(factor, 1 / factor):.2f} times as {'slow' if factor > 1 else 'fast'}"
             warnings.append(f"{name}: the machine itself was {how} now: smaller changes are not marked")
     changes = [

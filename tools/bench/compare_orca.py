@@ -13,7 +13,7 @@ What is 1e-3 m/s and more apart is counted in the first of these classes that it
 * blocked: no velocity obeys all walls, so that the answer depends on the order of lines;
 * other.
 
-How fast both are is told by `pedzoo bench orca --peer tools/bench/peers/pyrvo_orca.py`.
+`pedzoo bench orca --peer tools/bench/peers/pyrvo_orca.py` measures the speed of both.
 """
 
 from __future__ import annotations

@@ -110,7 +110,7 @@ class Peer:
         Args:
             script: What it runs.
             python: The interpreter; this one if empty.
-            threads: It is told to use so many.
+            threads: How many it shall use.
             patience: Seconds that an answer may take beyond the time that it is to work.
             environment: Variables that it gets beside those of this process.
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
 
+from pedzoo.cli.progress import duration
 from pedzoo.core.errors import UserError
 from pedzoo.core.machine import versions
 from pedzoo.maps.library import load_plan
@@ -14,6 +16,12 @@ from tools.bench import BENCHMARKS, original_sgan, peer
 from tools.bench.figures import Row
 from tools.bench.section import NotGivenError, Section, Settings
 from tools.bench.turns import load, machine, yardstick
+
+
+def progress(name: str, done: int, count: int, seconds: float) -> str:
+    """Return which section begins, and how long all take if the rest takes as long as those ``done``."""
+    left = f", about {duration(seconds / done * (count - done))} to go" if done else ""
+    return f"{name}: section {done + 1} of {count}{left}"
 
 
 class Run:
@@ -50,8 +58,8 @@ class Run:
         self._load = [load()]
         self._yardstick: dict[str, float] = {}
 
-    def go(self, tell: Callable[[Row], None]) -> None:
-        """Measure everything; ``tell`` gets every row when it is known.
+    def go(self, tell: Callable[[Row], None], ahead: Callable[[str], None] = lambda _: None) -> None:
+        """Measure everything; ``tell`` gets every row when it is known, ``ahead`` how long the rest takes.
 
         Raises:
             UserError: A benchmark that was asked for by name cannot be run, or a peer failed; `rows` has
@@ -59,8 +67,10 @@ class Run:
         """
         before = torch.get_num_threads()
         torch.set_num_threads(self.settings.threads)
+        begin = time.monotonic()
         try:
-            for name, section in self._sections.items():
+            for number, (name, section) in enumerate(self._sections.items()):
+                ahead(progress(name, number, len(self._sections), time.monotonic() - begin))
                 before_it = yardstick(self.settings.clock)
                 try:
                     for row in section.rows():

@@ -108,7 +108,7 @@ def for_peers(
     preferred: Tensor,
     top_speed: Tensor,
 ) -> Scenes:
-    """Return scenes in the form that peers are told; people (B, A, 2), top speeds (B, A), one floor plan."""
+    """Return scenes in the form that peers read; people (B, A, 2), top speeds (B, A), one floor plan."""
     polygons = walls.bank.walls.outlines.polygons()[0] if walls else []
     return Scenes(
         section,

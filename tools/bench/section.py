@@ -1,4 +1,4 @@
-"""What every benchmark is, and what it is told."""
+"""The interface of benchmarks, and their settings."""
 
 from __future__ import annotations
 

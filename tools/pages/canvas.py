@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from pedzoo.sim.physics_parts.stance import FACE, FACE_AHEAD, HAIR, HEAD, SKIN, shoulders
+
 Color = tuple[int, int, int]
 
 FINER, COLORS, SWATCH = 2, 96, 12
 """Supersampling; colours of a palette; rows of pixels by which a wanted one counts in it."""
-
-SHOULDERS, HEAD = (0.13, 0.23), 0.1
-"""Half axes of a body along and across its heading, and radius of a head, metres."""
 
 INK, ROBOT_COLOR, LIDAR = (40, 44, 52), (36, 40, 48), (255, 170, 20, 60)
 
@@ -60,12 +59,10 @@ class Canvas:
 
     def person(self, place: Any, heading: float, color: Color, larger: float = 1.0) -> None:
         """Draw shoulders and a head from above, so many times as large as they are."""
-        angle = np.linspace(0, 2 * np.pi, 24)
-        along, across = SHOULDERS[0] * np.cos(angle), SHOULDERS[1] * np.sin(angle)
-        turn = np.array([[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]])
-        outline = self.pixels(np.asarray(place) + larger * np.stack((along, across), 1) @ turn)
-        self.pen.polygon(outline, color, INK, FINER)
-        self._disc(place, larger * HEAD, (250, 224, 200), INK, FINER)
+        middle, ahead = np.asarray(place), np.array([np.cos(heading), np.sin(heading)])
+        self.pen.polygon(self.pixels(middle + larger * shoulders(heading)), color, INK, FINER)
+        self._disc(middle, larger * HEAD, HAIR, None, 0)
+        self._disc(middle + larger * FACE_AHEAD * ahead, larger * FACE, SKIN, None, 0)
 
     def robot(self, place: Any, heading: float, radius: float) -> None:
         """Draw a disc, and where its front is."""

@@ -20,7 +20,7 @@ from scipy.interpolate import PchipInterpolator
 from pedzoo.core.types import STEP_SECONDS, TRACE_SECONDS
 from pedzoo.eval.rollout import rollout
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
-from pedzoo.metrics.realism.features import Steps, coarse, every_step
+from pedzoo.metrics.realism.features import SampledRollout, coarse, every_step
 from pedzoo.sim.physics_parts.camera import person_color
 from pedzoo.sim.rollout import joined
 from pedzoo.sim.scenarios.replay import PreparedReplay
@@ -60,7 +60,7 @@ class Walk:
         self.heading = headings(self.xy)
 
 
-def walks_of(steps: Steps) -> list[Walk]:
+def walks_of(steps: SampledRollout) -> list[Walk]:
     """Return all stays of at least two steps in the one scene of a rollout.
 
     Both sides are sampled every 0.4 s and averaged over three steps. So annotation jitter, and the traces

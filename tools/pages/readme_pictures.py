@@ -1,7 +1,8 @@
-"""Draw the README's pictures: python tools/pages/readme_pictures.py [gif|snippet]; both by default.
+"""Draw pictures of README and docs: python tools/pages/readme_pictures.py [gif|snippet|video]; default: all.
 
 ``docs/pictures/apartment.gif``: people and a robot in an apartment, from above, 12 s in real time.
 ``docs/pictures/controller.png``: what the README's Python code does. The code is taken from the README.
+``docs/pictures/video.png``: three moments of a video of pybullet's camera.
 """
 
 from __future__ import annotations
@@ -9,21 +10,27 @@ from __future__ import annotations
 import re
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+import cv2
 import numpy as np
 import torch
 from PIL import Image
 
 from pedzoo.core.types import TRACE_SECONDS
+from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.eval.robots import robot_rollout
+from pedzoo.eval.rollout import rollout
 from pedzoo.maps.procedural.plan import generate
 from pedzoo.policies.stepping.controller import Controller
 from pedzoo.sim.physics_parts.base import Bodies
 from pedzoo.sim.physics_parts.camera import person_color
+from pedzoo.sim.physics_parts.stance import SHOULDERS
 from pedzoo.sim.robot_parts.rollout import RobotRollout
 from pedzoo.viz.plan_sheet import draw
-from tools.pages.canvas import COLORS, ROBOT_COLOR, SHOULDERS, Canvas, headings, pale, save_gif
+from pedzoo.viz.video import film
+from tools.pages.canvas import COLORS, ROBOT_COLOR, Canvas, headings, pale, save_gif
 
 ROOT = Path(__file__).parents[2]
 PICTURES = ROOT / "docs" / "pictures"
@@ -122,6 +129,19 @@ def snippet(out: Path = PICTURES / "controller.png") -> None:
     print(out)
 
 
+def video(out: Path = PICTURES / "video.png") -> None:
+    """Film two people at a door with pybullet, and put three of its pictures side by side."""
+    walked = PolicyRollout(WALKERS, *rollout(WALKERS, "door", "bullet", 1))
+    with TemporaryDirectory() as folder:
+        film([walked], Path(folder) / "door.webm", size=(480, 360))
+        reader, frames = cv2.VideoCapture(str(Path(folder) / "door.webm")), []
+        while (frame := reader.read())[0]:
+            frames.append(frame[1][..., ::-1])
+    moments = [frames[round(part * len(frames))] for part in (0.25, 0.42, 0.6)]
+    Image.fromarray(np.hstack(moments)).quantize(COLORS, dither=Image.Dither.NONE).save(out, optimize=True)
+    print(out)
+
+
 def recorded(code: str) -> tuple[dict[Any, list[Any]], tuple[str, int]]:
     """Run code that steps a controller, and return all positions by id and the plan's kind and seed."""
     walks: dict[Any, list[Any]] = {}
@@ -142,5 +162,5 @@ def recorded(code: str) -> tuple[dict[Any, list[Any]], tuple[str, int]]:
 
 
 if __name__ == "__main__":
-    for wanted in sys.argv[1:] or ("gif", "snippet"):
-        {"gif": apartment, "snippet": snippet}[wanted]()
+    for wanted in sys.argv[1:] or ("gif", "snippet", "video"):
+        {"gif": apartment, "snippet": snippet, "video": video}[wanted]()

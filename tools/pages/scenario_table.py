@@ -57,7 +57,7 @@ PANEL = (2.5, 1.75)
 """Inches of a panel of the picture."""
 
 
-class Case(NamedTuple):
+class TableRow(NamedTuple):
     """One row of the table."""
 
     scenario: str
@@ -66,7 +66,7 @@ class Case(NamedTuple):
     episodes: int
 
 
-class Measured(NamedTuple):
+class RowResult(NamedTuple):
     """What came of it: numbers, their 95 % intervals, and the first episode."""
 
     people: int
@@ -108,15 +108,15 @@ def arguments() -> argparse.ArgumentParser:
     return parser
 
 
-def walked(options: argparse.Namespace) -> dict[Case, Measured]:
+def walked(options: argparse.Namespace) -> dict[TableRow, RowResult]:
     """Walk everything, and print a line of each."""
     scenarios = options.scenarios or every_scenario()
     cases = [
-        Case(one, policy, options.physics, options.episodes // (1 + one.endswith(LARGE)))
+        TableRow(one, policy, options.physics, options.episodes // (1 + one.endswith(LARGE)))
         for one in scenarios
         for policy in options.policies
     ]
-    result: dict[Case, Measured] = {}
+    result: dict[TableRow, RowResult] = {}
     workers = ProcessPoolExecutor(options.workers, initializer=torch.set_num_threads, initargs=(1,))
     with workers as pool, progress_bar() as progress:
         for done, (case, data) in enumerate(zip(cases, pool.map(measured, cases), strict=True), start=1):
@@ -138,8 +138,8 @@ def every_scenario() -> list[str]:
     return result
 
 
-def measured(case: Case) -> bytes:
-    """Return a pickled `Measured`: tensors that processes share would need a file handle each."""
+def measured(case: TableRow) -> bytes:
+    """Return a pickled `RowResult`: tensors that processes share would need a file handle each."""
     result, env = rollout(case.policy, case.scenario, case.physics, case.episodes)
     env.physics.close()
     actual = row(case.policy, result)
@@ -149,7 +149,7 @@ def measured(case: Case) -> bytes:
     metrics["stuck"] = float(stuck.sum() / result.mask.sum())
     intervals["stuck"] = wilson(metrics["stuck"], case.episodes)
     first = PolicyRollout(case.policy, result.episodes(slice(1)), env)
-    return pickle.dumps(Measured(result.mask.shape[1], metrics, intervals, first))
+    return pickle.dumps(RowResult(result.mask.shape[1], metrics, intervals, first))
 
 
 COLUMNS = {
@@ -162,7 +162,7 @@ COLUMNS = {
 }
 
 
-def page(options: argparse.Namespace, result: dict[Case, Measured], conclusions: str) -> str:
+def page(options: argparse.Namespace, result: dict[TableRow, RowResult], conclusions: str) -> str:
     """Return the page; the picture is beside it, if there is one."""
     made, rows = versions(), []
     call = shlex.join(["python", "tools/pages/scenario_table.py", *sys.argv[1:]])
@@ -187,13 +187,13 @@ def page(options: argparse.Namespace, result: dict[Case, Measured], conclusions:
     return "\n".join(lines)
 
 
-def by_scenario(result: dict[Case, Measured]) -> Iterator[tuple[str, list[tuple[Case, Measured]]]]:
+def by_scenario(result: dict[TableRow, RowResult]) -> Iterator[tuple[str, list[tuple[TableRow, RowResult]]]]:
     """Yield the rows of each scenario."""
     for scenario, group in groupby(result.items(), key=lambda item: item[0].scenario):
         yield scenario, list(group)
 
 
-def cell(one: Measured, key: str) -> str:
+def cell(one: RowResult, key: str) -> str:
     """Return a number with its interval; a dash where there is none."""
     _, factor, form, unit = COLUMNS[key]
     if key not in one.metrics:
@@ -217,7 +217,7 @@ FAILURES = Path(__file__).with_name("scenario_failures.md")
 """What the rows of the whole run show, in words."""
 
 
-def picture(result: dict[Case, Measured]) -> bytes:
+def picture(result: dict[TableRow, RowResult]) -> bytes:
     """Return a PNG: scenarios below each other, their defaults and their crowd of 20 beside each other."""
     names = list(dict.fromkeys(parse(case.scenario).name for case in result))
     policies = list(dict.fromkeys(case.policy for case in result))

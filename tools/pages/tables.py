@@ -17,11 +17,12 @@ from typing import Any
 import numpy as np
 
 from pedzoo.core.paths import CARD
-from pedzoo.eval.unseen import for_fold
+from pedzoo.eval.trained_on import for_fold
 from pedzoo.maps.free_space import spread_points
 from pedzoo.maps.library import load_plan
 from pedzoo.models.zoo.card import ModelCard, read_card
 from pedzoo.models.zoo.store import ROBOTS, names
+from tools.bench import first_hour
 from tools.pages import results_tables
 
 ROOT = Path(__file__).parents[2]
@@ -257,6 +258,7 @@ def measure() -> None:
 PAGES: dict[str, dict[str, Callable[[], str]]] = {
     "README.md": {"models": models, "results": results},
     "docs/zoo.md": {"zoo": zoo},
+    "docs/speed.md": {"first_hour": first_hour.page},
     "docs/results.md": {
         "loop": results_tables.in_the_loop,
         "walked": results_tables.walked,
@@ -271,9 +273,9 @@ def filled(page: str) -> str:
     text = (ROOT / page).read_text()
     for name, make in PAGES[page].items():
         begin, end = f"<!-- {name}: python -m tools.pages.tables -->\n", f"<!-- end of {name} -->"
-        before, found, rest = text.partition(begin)
+        before, marker, rest = text.partition(begin)
         _, closed, after = rest.partition(end)
-        if not found or not closed:
+        if not marker or not closed:
             raise SystemExit(f"{page}: expected the markers {begin.strip()} and {end}")
         text = f"{before}{begin}\n{make().strip()}\n\n{end}{after}"
     return text

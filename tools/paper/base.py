@@ -10,7 +10,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any, ClassVar
 
-from pedzoo.eval.results import Page, markdown_table
+from pedzoo.eval.results import ResultTable, markdown_table
 from pedzoo.eval.workers.journal import Journal
 from pedzoo.eval.workers.pool import finished
 from pedzoo.eval.workers.progress_meter import Progress, ProgressReport
@@ -51,7 +51,7 @@ class Reproduction(ABC):
         """Return protocol, seeds, notes and rows of all that is done, and what others have printed."""
 
     @abstractmethod
-    def pages(self, report: Mapping[str, Any]) -> list[Page]:
+    def pages(self, report: Mapping[str, Any]) -> list[ResultTable]:
         """Return the tables of a report."""
 
     def legend(self) -> dict[str, str]:

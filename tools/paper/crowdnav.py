@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.fetch import sha256_of
-from pedzoo.eval.results import Page
+from pedzoo.eval.results import ResultTable
 from pedzoo.eval.units import fingerprint
 from pedzoo.metrics.ratios import Ratio, mean, of_sums, ratio, share, summarised
 from pedzoo.policies.robot_weights import load_planner
@@ -81,7 +81,7 @@ class Crowdnav(Jobs):
             "published": {name: [row._asdict() for row in rows] for name, rows in PUBLISHED.items()},
         }
 
-    def pages(self, report: Mapping[str, Any]) -> list[Page]:
+    def pages(self, report: Mapping[str, Any]) -> list[ResultTable]:
         """Return a table for each setting, and how many cases end as in published logs."""
         pages = [*(table_page(name, report["rows"]) for name in TABLES), agreement_page(report["rows"])]
         return [page for page in pages if page.rows]

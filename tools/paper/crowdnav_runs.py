@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from pedzoo.policies.local_planner import LocalPlanner, People, Robot
+from pedzoo.policies.local_planner import LocalPlanner, ObservedPeople, Robot
 from pedzoo.sim.crowdnav.cases import Cases
 from pedzoo.sim.crowdnav.rules import GOES_ON, begin, step
 from pedzoo.sim.crowdnav.settings import Setting
@@ -61,7 +61,7 @@ def run(policy: LocalPlanner, setting: Setting, cases: Cases) -> Runs:
     while bool((going := state.going).any()):
         robot = Robot(*(part.float() for part in state.robot))
         place, moving, radius, mask = state.known
-        known = People(place.float(), moving.float(), radius.float(), mask)
+        known = ObservedPeople(place.float(), moving.float(), radius.float(), mask)
         velocity = policy(robot, known)
         if velocity.shape != (scenes, 2):
             raise ValueError(f"the robot's policy gave velocities {tuple(velocity.shape)}, not {(scenes, 2)}")

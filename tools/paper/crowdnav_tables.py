@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from pedzoo.eval.results import Page
+from pedzoo.eval.results import ResultTable
 from pedzoo.sim.crowdnav.cases import TEST
 from pedzoo.sim.crowdnav.settings import CROWDNAV, CROWDNAV_PP, Setting
 from tools.paper.base import interval_text
@@ -64,7 +64,7 @@ TABLES = {
 }
 
 
-def table_page(name: str, rows: Sequence[Mapping[str, Any]]) -> Page:
+def table_page(name: str, rows: Sequence[Mapping[str, Any]]) -> ResultTable:
     """Return the table of a setting: our robots, and below them those that only others have.
 
     Args:
@@ -81,14 +81,14 @@ def table_page(name: str, rows: Sequence[Mapping[str, Any]]) -> Page:
     others = [row for row in PUBLISHED[name] if row.ours not in names]
     body += [[row.robot, *empty, _printed({"name": row.ours}, {row.ours: row})] for row in others]
     head = ["robot", "n", *table.columns, "published (success / collision / time_s)"]
-    return Page(table.title, head, body, 2)
+    return ResultTable(table.title, head, body, 2)
 
 
-def agreement_page(rows: Sequence[Mapping[str, Any]]) -> Page:
+def agreement_page(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
     """Return how many cases of CrowdNav++'s logs end here as they do there."""
     body = [line for log in (SOCIAL_FORCE_LOG, ORCA_LOG) if (line := _agreement(log, rows))]
     head = ["log", "robot", "cases", "end alike", "success there", "success here"]
-    return Page("CrowdNav++: case by case", head, body, 2)
+    return ResultTable("CrowdNav++: case by case", head, body, 2)
 
 
 def _agreement(log: Log, rows: Sequence[Mapping[str, Any]]) -> list[str] | None:

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from pedzoo.core.paths import write_whole
 from pedzoo.eval.comparison import PolicyRollout
-from pedzoo.eval.results import Page, cell, pages
+from pedzoo.eval.results import ResultTable, cell, pages
 from pedzoo.eval.rollout import rollout
 from pedzoo.viz.trajectories import draw_episode, legend
 from tools.paper.outcome import OUTCOMES
@@ -30,7 +30,7 @@ PANEL = (3.4, 1.6)
 """Inches."""
 
 RARE = 0.05
-"""Share of episodes below which an outcome is not told in the first table."""
+"""Share of episodes below which the first table leaves an outcome out."""
 
 
 class Figure4(Walked):
@@ -62,13 +62,13 @@ class Figure4(Walked):
         """Return what the paper shows."""
         return dict(FIGURE_4)
 
-    def pages(self, report: Mapping[str, Any]) -> list[Page]:
+    def pages(self, report: Mapping[str, Any]) -> list[ResultTable]:
         """Return the paper beside ours, and every metric of the three cases."""
         if not report["rows"]:
             return []
         return [self._beside(report), *pages(report, self.evaluation.shown)[1:]]
 
-    def _beside(self, report: Mapping[str, Any]) -> Page:
+    def _beside(self, report: Mapping[str, Any]) -> ResultTable:
         cases = {case: self.case_rows(report, speeds=case) for case in (*SPEEDS, "alone")}
         head = ["controller", "the paper shows"]
         for speeds in SPEEDS:
@@ -81,7 +81,7 @@ class Figure4(Walked):
                 line += [outcome(row), _half(row)]
             alone = cases["alone"].get(name)
             body.append([*line, cell(alone, "success") if alone else "-"])
-        return Page("The paper beside ours", [*head, "alone: gets through"], body, 1)
+        return ResultTable("The paper beside ours", [*head, "alone: gets through"], body, 1)
 
     def draw(self, folder: Path) -> list[Path]:
         """Draw every person's first episode, equal and unequal speeds, when they meet and at the end."""

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 from pedzoo.core.paths import shipped
 from pedzoo.eval.forecast import FLOOR
-from pedzoo.eval.results import Page
+from pedzoo.eval.results import ResultTable
 from pedzoo.models.zoo.store import find
 from tools.paper.folds import means
 from tools.paper.forecasting_pages import forecasting_notes, forecasting_pages
@@ -51,7 +51,7 @@ class Forecasting(Table1):
             "published": [peer.plain() for peer in PEERS],
         }
 
-    def pages(self, report: Mapping[str, Any]) -> list[Page]:
+    def pages(self, report: Mapping[str, Any]) -> list[ResultTable]:
         """Return the tables."""
         return forecasting_pages(report)
 

@@ -6,7 +6,7 @@ import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from pedzoo.eval.results import Page
+from pedzoo.eval.results import ResultTable
 from tools.paper.forecasting_published import QUIRKS
 from tools.paper.paper import FOLDS
 
@@ -61,7 +61,7 @@ def forecasting_notes(missing: Mapping[str, str]) -> list[str]:
         "network became wider (both by the validation of zara1), and with a goal the best guess "
         "weighed 3 instead of 1. univ was scored once after 120 epochs (.223), before the held-out scene "
         "said 56. So these numbers are a little less blind than they should be",
-        "eth has 181 windows: it moves by .035/.07 from seed to seed. Nobody should rank by it",
+        "eth has 181 windows: it moves by .035/.07 from seed to seed. Do not rank by it",
         f"what to ask of any such table: {'; '.join(QUIRKS)}",
     ]
     if missing:
@@ -69,7 +69,7 @@ def forecasting_notes(missing: Mapping[str, str]) -> list[str]:
     return result
 
 
-def forecasting_pages(report: Mapping[str, Any]) -> list[Page]:
+def forecasting_pages(report: Mapping[str, Any]) -> list[ResultTable]:
     """Return all tables of a report."""
     folds = list(report["protocol"]["folds"])
     rows = [*report["rows"], *report["means"]]
@@ -83,7 +83,7 @@ def forecasting_pages(report: Mapping[str, Any]) -> list[Page]:
     return [page for page in [*pages, _seeds(training, folds)] if page.rows]
 
 
-def _published(report: Mapping[str, Any], folds: Sequence[str]) -> Page:
+def _published(report: Mapping[str, Any], folds: Sequence[str]) -> ResultTable:
     """Return our rows of 8 -> 12 beside those of others; ours are the zoo's weights."""
     rows = [row for row in [*report["rows"], *report["means"]] if _case(row) == ("12", "none")]
     places = [*folds, "mean"]
@@ -99,10 +99,12 @@ def _published(report: Mapping[str, Any], folds: Sequence[str]) -> Page:
         mean = {key: statistics.fmean(one[key] for one in rest) for key in ("ade", "fde")} if rest else None
         body.append([f"*{peer['name']}*", *cells, _two(mean), peer["leak"]])
     head = ["8 -> 12, goal none", *places, "without eth", "leak"]
-    return Page("Best of 20 per person, ADE / FDE, beside published rows", head, body, 1)
+    return ResultTable("Best of 20 per person, ADE / FDE, beside published rows", head, body, 1)
 
 
-def _by_fold(rows: Sequence[Mapping[str, Any]], block: Mapping[str, Any], folds: Sequence[str]) -> Page:
+def _by_fold(
+    rows: Sequence[Mapping[str, Any]], block: Mapping[str, Any], folds: Sequence[str]
+) -> ResultTable:
     keys = BEST if block["goal"] == "none" else ("ade_m", "fde_m")
     what = "best of 20 per person" if block["goal"] == "none" else "most likely"
     body = []
@@ -111,10 +113,12 @@ def _by_fold(rows: Sequence[Mapping[str, Any]], block: Mapping[str, Any], folds:
         if cells:
             body.append([name, *(cells.get(place, "-") for place in (*folds, "mean"))])
     title = f"8 -> {block['pred_len']}, goal {block['goal']}: {what}, ADE / FDE"
-    return Page(title, ["model", *folds, "mean"], body, 1)
+    return ResultTable(title, ["model", *folds, "mean"], body, 1)
 
 
-def _columns(rows: Sequence[Mapping[str, Any]], block: Mapping[str, Any], folds: Sequence[str]) -> Page:
+def _columns(
+    rows: Sequence[Mapping[str, Any]], block: Mapping[str, Any], folds: Sequence[str]
+) -> ResultTable:
     """Return every way of scoring, of means over the folds, or of one fold where there is one."""
     where = "mean" if len(folds) > 1 else folds[0]
     body = [
@@ -124,10 +128,10 @@ def _columns(rows: Sequence[Mapping[str, Any]], block: Mapping[str, Any], folds:
         if (row["name"], row["case"]["fold"]) == (name, where)
     ]
     title = f"8 -> {block['pred_len']}, goal {block['goal']}: every column, {where}"
-    return Page(title, ["model", *COLUMNS], body, 1)
+    return ResultTable(title, ["model", *COLUMNS], body, 1)
 
 
-def _seeds(training: Sequence[Mapping[str, Any]], folds: Sequence[str]) -> Page:
+def _seeds(training: Sequence[Mapping[str, Any]], folds: Sequence[str]) -> ResultTable:
     """Return mean and standard deviation over training seeds, by fold."""
     body = []
     by_name: dict[tuple[str, str, str], dict[str, list[dict[str, float]]]] = {}
@@ -142,10 +146,10 @@ def _seeds(training: Sequence[Mapping[str, Any]], folds: Sequence[str]) -> Page:
         body.append([name, f"8 -> {pred_len}, {goal}", str(max(map(len, by_fold.values()))), *cells])
     head = ["model", "protocol", "seeds", *folds, "mean"]
     title = "Training seeds: best of 20 per person (with a goal: most likely), mean ± standard deviation"
-    return Page(title, head, body, 2)
+    return ResultTable(title, head, body, 2)
 
 
-def _targets(training: Sequence[Mapping[str, Any]]) -> Page:
+def _targets(training: Sequence[Mapping[str, Any]]) -> ResultTable:
     """Return what was aimed at, what was reached by the mean of the seeds, and what is missing."""
     body = []
     for name, pred_len, goal, where, keys, wanted in [*TARGETS, *_rivals(training)]:
@@ -159,7 +163,7 @@ def _targets(training: Sequence[Mapping[str, Any]]) -> Page:
         said = f"short by {', '.join(short)}" if short else "met"
         body.append([*case, f"{' / '.join(f'{value:.3f}' for value in values)} ({seeds} seeds)", said])
     head = ["model", "protocol", "where", "at most", "mean of the seeds", "target"]
-    return Page("Targets", head, body, 3)
+    return ResultTable("Targets", head, body, 3)
 
 
 def _rivals(training: Sequence[Mapping[str, Any]]) -> Iterator[tuple[Any, ...]]:

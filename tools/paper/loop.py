@@ -9,7 +9,7 @@ from typing import Any
 from pedzoo.core.paths import weight_files
 from pedzoo.core.spec import parse
 from pedzoo.data.datasets.eth_ucy import SCENES
-from pedzoo.eval.results import Page, cell
+from pedzoo.eval.results import ResultTable, cell
 from pedzoo.eval.suites.goals import DRAWN
 from pedzoo.metrics.realism.crowds import TAIL
 from pedzoo.models.zoo.header import read_config
@@ -124,7 +124,7 @@ class Loop(Walked):
                 result.append(f"{policy} was trained on {', '.join(plans)}")
         return result
 
-    def pages(self, report: Mapping[str, Any]) -> list[Page]:
+    def pages(self, report: Mapping[str, Any]) -> list[ResultTable]:
         """Return which targets are met, and every table with what is missing in each row."""
         tables: dict[str, dict[str, dict[str, Any]]] = {}
         for row in report["summary"]:
@@ -137,7 +137,7 @@ class Loop(Walked):
         walked = [self._page(table, rows) for table, rows in tables.items()]
         return [_overview(tables), *walked, *([forecast] if forecast else [])]
 
-    def _page(self, table: str, rows: Mapping[str, Mapping[str, Any]]) -> Page:
+    def _page(self, table: str, rows: Mapping[str, Mapping[str, Any]]) -> ResultTable:
         suite = next(iter(rows.values()))["case"]["suite"]
         shown = self.evaluation.shown[suite]
         known = [key for key in shown.columns if any(key in row["metrics"] for row in rows.values())]
@@ -156,10 +156,10 @@ class Loop(Walked):
         ]
         physics = next(iter(rows.values()))["case"]["physics"]
         title = f"{_plain(table)} ({physics}): {'; '.join(target.text for target in wanted)}"
-        return Page(title, ["policy", "target", shown.counted, *known, "cpu"], body, 1)
+        return ResultTable(title, ["policy", "target", shown.counted, *known, "cpu"], body, 1)
 
 
-def _overview(tables: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Page:
+def _overview(tables: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> ResultTable:
     """Return the targets as rows and the policies as columns: the numbers, and which are enough."""
     names = list(
         dict.fromkeys(name for rows in tables.values() for name in rows if not name.startswith("real"))
@@ -173,7 +173,7 @@ def _overview(tables: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Page:
                 mark = " met" if value is not None and target.met(name, rows) else ""
                 line.append("-" if value is None else f"{value:.3f}{mark}")
             body.append(line)
-    return Page("Targets", ["case", "target", *names], body, 2)
+    return ResultTable("Targets", ["case", "target", *names], body, 2)
 
 
 def _plain(table: str) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from pedzoo.core.spec import parse
-from pedzoo.eval.results import Page
+from pedzoo.eval.results import ResultTable
 from pedzoo.models.zoo.card import ModelCard
 from pedzoo.models.zoo.store import find
 
@@ -14,7 +14,7 @@ MOST = 1.15
 """How much larger ADE may become."""
 
 
-def forecasts(policies: Iterable[str]) -> Page | None:
+def forecasts(policies: Iterable[str]) -> ResultTable | None:
     """Return ADE of the most likely forecast beside that of the weights before, None where there are none.
 
     Both cards have to tell of the same windows by the same protocol; ``pedzoo evaluate NAME --from-card``
@@ -39,7 +39,7 @@ def forecasts(policies: Iterable[str]) -> Page | None:
             body.append([name, where, met, f"{mine:.4f}", before.name, f"{theirs:.4f}", f"{ratio:.3f}"])
     title = f"forecasts: ade_m at most {MOST} x that of the weights before (cards, goal of the window's end)"
     head = ["weights", "windows", "target", "ade_m", "before", "ade_m", "ratio"]
-    return Page(title, head, body, 2) if body else None
+    return ResultTable(title, head, body, 2) if body else None
 
 
 def _begun_with(card: ModelCard) -> ModelCard | None:

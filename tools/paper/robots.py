@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from pedzoo.core.paths import write_whole
 from pedzoo.eval.cards.reports import only
-from pedzoo.eval.results import Page
+from pedzoo.eval.results import ResultTable
 from tools.paper.suites.transfer import PLACES, REACTING, RECORDED, Transfer
 from tools.paper.walked import Walked
 from tools.zoo.robots import PEOPLE, SEEDS
@@ -68,7 +68,7 @@ class RobotTransfer(Walked):
             row |= {part: only(row[part], columns) for part in ("metrics", "ci95")}
         return report
 
-    def pages(self, report: Mapping[str, Any]) -> list[Page]:
+    def pages(self, report: Mapping[str, Any]) -> list[ResultTable]:
         """Return the answer, and a table of each metric."""
         return transfer_pages(report["rows"])
 
@@ -98,14 +98,14 @@ class RobotTransfer(Walked):
         return [path]
 
 
-def transfer_pages(rows: Sequence[Mapping[str, Any]]) -> list[Page]:
+def transfer_pages(rows: Sequence[Mapping[str, Any]]) -> list[ResultTable]:
     """Return the answer, and a table of each metric; nothing where no robot has been tested everywhere."""
     groups = grouped(rows)
     if not groups:
         return []
     head = ["robot", *(f"{place}\n{kind}" for place, kind in COLUMNS)]
     tables = [
-        Page(title, head, [[name, *_cells(tested, key, digits)] for name, tested in groups.items()], 1)
+        ResultTable(title, head, [[name, *_cells(tested, key, digits)] for name, tested in groups.items()], 1)
         for key, (title, digits) in SHOWN.items()
     ]
     return [_answer(groups), *tables]
@@ -145,7 +145,7 @@ def _spread(values: Sequence[float], digits: int) -> str:
     return text if len(values) == 1 else f"{text} [{min(values):.{digits}f}, {max(values):.{digits}f}]"
 
 
-def _answer(groups: Mapping[str, Group]) -> Page:
+def _answer(groups: Mapping[str, Group]) -> ResultTable:
     """Return the mean over all kinds of people in each place, the best robot first."""
     places = [*PLACES, *RECORDED]
 
@@ -175,4 +175,6 @@ def _answer(groups: Mapping[str, Group]) -> Page:
         )
     body.sort(key=lambda line: -float(line[1].split()[0]))
     head = ["robot", "success everywhere", "touches a person", *places]
-    return Page("Among whom should a robot learn? Success, mean over all kinds of people", head, body, 1)
+    return ResultTable(
+        "Among whom should a robot learn? Success, mean over all kinds of people", head, body, 1
+    )

@@ -14,7 +14,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.types import GoalProtocol
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.eval.forecast import BASELINES, FLOOR, forecast_row
-from pedzoo.eval.results import Page
+from pedzoo.eval.results import ResultTable
 from pedzoo.eval.suites.replay import digest_of
 from pedzoo.eval.time_blocks import BlockSums
 from pedzoo.eval.units import fingerprint
@@ -163,7 +163,7 @@ class Table1(Jobs):
             "released": [model.plain() for model in RELEASED],
         }  # fmt: skip
 
-    def pages(self, report: Mapping[str, Any]) -> list[Page]:
+    def pages(self, report: Mapping[str, Any]) -> list[ResultTable]:
         """Return the tables."""
         return table1_pages(report)
 

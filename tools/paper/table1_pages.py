@@ -6,7 +6,7 @@ import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from pedzoo.eval.results import Page
+from pedzoo.eval.results import ResultTable
 from pedzoo.eval.time_blocks import FEW
 from tools.paper.base import interval_text
 from tools.paper.folds import mean_errors
@@ -37,10 +37,10 @@ SCORED = (
 )
 
 TRIVIAL = {"none": "constant_velocity", "window_end": "bent_line"}
-"""What stands beside a row of the paper: the best of the untrained predictors that are told as much."""
+"""What stands beside a row of the paper: the best untrained predictor with the same inputs."""
 
 
-def table1_pages(report: Mapping[str, Any]) -> list[Page]:
+def table1_pages(report: Mapping[str, Any]) -> list[ResultTable]:
     """Return the paper beside ours, means, the released models, then every protocol and scoring by fold."""
     rows, means = [*report["rows"], *report["means"]], report["means"]
     folds = [*report["protocol"]["folds"], *(["mean"] if means else [])]
@@ -49,7 +49,9 @@ def table1_pages(report: Mapping[str, Any]) -> list[Page]:
         result.append(_overview(means))
     if ratios := [line for pred_len in (8, 12) for line in _ratios(means, pred_len)]:
         head = ["model", "released", "steps", "ours", "released", "ours / released"]
-        result.append(Page(f"{PER_SCENE.title.capitalize()} beside released models, means", head, ratios, 2))
+        result.append(
+            ResultTable(f"{PER_SCENE.title.capitalize()} beside released models, means", head, ratios, 2)
+        )
     for block in report["blocks"]:
         pred_len, goal = block["pred_len"], block["goal"]
         mine = [row for row in rows if (row["case"]["pred_len"], row["case"]["goal"]) == (pred_len, goal)]
@@ -90,7 +92,7 @@ def notes(missing: Mapping[str, str]) -> list[str]:
     return result + [f"not here, {why}: {', '.join(names)}" for why, names in reasons.items()]
 
 
-def _paper(rows: Sequence[Mapping[str, Any]]) -> Page:
+def _paper(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
     by_name = {
         (row["name"], row["case"]["goal"]): row
         for row in rows
@@ -111,10 +113,10 @@ def _paper(rows: Sequence[Mapping[str, Any]]) -> Page:
         *(scored.title for scored in SCORED),
         "untrained",
     ]
-    return Page("The paper's Table I (zara1, 8 -> 8) beside ours", head, body, 1)
+    return ResultTable("The paper's Table I (zara1, 8 -> 8) beside ours", head, body, 1)
 
 
-def _overview(means: Sequence[Mapping[str, Any]]) -> Page:
+def _overview(means: Sequence[Mapping[str, Any]]) -> ResultTable:
     """Return the means over the folds: protocols and models as rows, ways of scoring as columns."""
     body = []
     for row in sorted(means, key=lambda row: int(row["case"]["pred_len"])):
@@ -125,7 +127,7 @@ def _overview(means: Sequence[Mapping[str, Any]]) -> Page:
             [*case, *(_pair(pair, 3, " / ") for pair in errors), "-" if nats is None else f"{nats:.2f}"]
         )
     head = ["steps", "goal", "model", *(scored.title for scored in SCORED), "nats per step"]
-    return Page("Means over the folds, ADE / FDE", head, body, 3)
+    return ResultTable("Means over the folds, ADE / FDE", head, body, 3)
 
 
 def _folds(
@@ -135,7 +137,7 @@ def _folds(
     scored: Scored,
     title: str,
     missing: Mapping[str, str],
-) -> Page:
+) -> ResultTable:
     """Return one way of scoring: models as rows, folds as columns."""
     cells = {(row["name"], row["case"]["fold"]): _errors(row, scored) for row in rows}
 
@@ -146,7 +148,7 @@ def _folds(
     people = {row["case"]["fold"]: row["n"] for row in rows}
     head = [f"{fold} ({people[fold]})" if fold in people else fold for fold in folds]
     body = [[name, *(shown(name, fold) for fold in folds)] for name in block["rows"]]
-    return Page(title, ["model", *head], body, 1)
+    return ResultTable(title, ["model", *head], body, 1)
 
 
 def _released(pred_len: int, folds: Sequence[str]) -> Iterator[list[str]]:
@@ -177,18 +179,18 @@ def _ratios(means: Sequence[Mapping[str, Any]], pred_len: int) -> Iterator[list[
                 ]
 
 
-def _likelihoods(rows: Sequence[Mapping[str, Any]], folds: Sequence[str], title: str) -> list[Page]:
+def _likelihoods(rows: Sequence[Mapping[str, Any]], folds: Sequence[str], title: str) -> list[ResultTable]:
     known = [row for row in rows if NATS in row["metrics"]]
     cells = {(row["name"], row["case"]["fold"]): _with_interval(row, NATS, 2) for row in known}
     body = [
         [name, *(cells.get((name, fold), "-") for fold in folds)]
         for name in dict.fromkeys(row["name"] for row in known)
     ]
-    page = Page(f"{title}, nats per person and step: lower is better", ["model", *folds], body, 1)
+    page = ResultTable(f"{title}, nats per person and step: lower is better", ["model", *folds], body, 1)
     return [page] if len(body) > 1 else []  # the line alone is of no use
 
 
-def _seeds(training: Mapping[str, Mapping[str, Any]]) -> list[Page]:
+def _seeds(training: Mapping[str, Mapping[str, Any]]) -> list[ResultTable]:
     """Return the spread of the validation errors by which one of several trainings was chosen."""
     body = []
     for name, known in training.items():
@@ -199,7 +201,7 @@ def _seeds(training: Mapping[str, Mapping[str, Any]]) -> list[Page]:
         body.append([name, str(len(values)), str(known["chosen_by"]), spread, listed, str(known["seed"])])
     head = ["weights", "seeds", "chosen by", "mean ± standard deviation", "each", "chosen seed"]
     return (
-        [Page("Spread over training seeds, in validation (from the model cards)", head, body, 1)]
+        [ResultTable("Spread over training seeds, in validation (from the model cards)", head, body, 1)]
         if body
         else []
     )

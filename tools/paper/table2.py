@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from pedzoo.core.types import STEP_SECONDS
-from pedzoo.eval.results import Page, cell
+from pedzoo.eval.results import ResultTable, cell
 from pedzoo.eval.suites.goals import CELLS
 from tools.paper.base import interval_text
 from tools.paper.paper import DEFAULT_STEPS_PER_GOAL, IGIBSON_STEP, TABLE_2_GOALS, TABLE_2_STEPS
@@ -82,11 +82,11 @@ class Table2(Walked):
         steps = {f"{people}/{goals}": number for (people, goals), number in TABLE_2_STEPS.items()}
         return {"total_steps": steps, "default_steps_per_goal": DEFAULT_STEPS_PER_GOAL}
 
-    def pages(self, report: Mapping[str, Any]) -> list[Page]:
+    def pages(self, report: Mapping[str, Any]) -> list[ResultTable]:
         """Return each of `SHOWN` at both speeds: policies as rows, cells as columns."""
         return [self._page(report, speed, shown) for speed in SPEEDS for shown in SHOWN]
 
-    def _page(self, report: Mapping[str, Any], speed: str, shown: Shown) -> Page:
+    def _page(self, report: Mapping[str, Any], speed: str, shown: Shown) -> ResultTable:
         body = [] if shown.key not in _PAPER else [[PAPER, *(_PAPER[shown.key](*cell) for cell in CELLS)]]
         columns = [
             self.case_rows(report, speed=speed, people=str(people), goals=str(goals))
@@ -95,7 +95,7 @@ class Table2(Walked):
         for name in dict.fromkeys(row["name"] for row in report["rows"]):
             body.append([name, *(_cell(column.get(name), shown) for column in columns)])
         head = ["people/goals", *(f"{people}/{goals}" for people, goals in CELLS)]
-        return Page(f"{speed} m/s: {shown.title}", head, body, 1)
+        return ResultTable(f"{speed} m/s: {shown.title}", head, body, 1)
 
 
 def in_steps(seconds: float, step: float) -> float:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from pedzoo.eval.evaluate import Evaluation
-from pedzoo.eval.results import INTERVALS, legend, said
+from pedzoo.eval.results import INTERVALS, legend, protocol_line
 from pedzoo.eval.suite import EvaluationOptions
 from pedzoo.eval.workers.progress_meter import Progress
 from pedzoo.models.zoo.store import names as zoo_names
@@ -68,7 +68,7 @@ class Walked(Reproduction):
     def report(self) -> dict[str, Any]:
         """Return the report of the evaluation with notes, and what others have printed."""
         result = self.evaluation.report()
-        shown = said(result, self.evaluation.shown) if result["rows"] else "nothing is done yet"
+        shown = protocol_line(result, self.evaluation.shown) if result["rows"] else "nothing is done yet"
         # megabytes of what each person did are left out: `pedzoo evaluate --suite` has them
         rows = [{key: row[key] for key in row if key != "per_agent"} for row in result["rows"]]
         notes = [f"{shown}. {INTERVALS}", *self.notes(), *result["notes"]]

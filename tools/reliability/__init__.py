@@ -1,1 +1,1 @@
-"""What pedzoo does when all goes wrong: hostile files, kills, full disks, long runs. See `command`."""
+"""What pedzoo does when all goes wrong, see `tools.reliability.__main__`."""

@@ -1,32 +1,26 @@
 """Kills: trainings that are killed at random moments, whole or one process of two, and resumed to their end.
 
-    python -m tools.reliability.kills --trainings 10
-
 Weights and ``metrics.csv`` are compared with those of a training that nobody killed. When training ``i`` is
-killed is drawn from ``i``. ``kills.json`` says what was done; a later call goes on there.
+killed is drawn from ``i``.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from pedzoo.core.paths import write_whole
 from pedzoo.train.metrics_file import rows_of
 
-STATE = Path("kills.json")
 ROOT = Path(__file__).parents[2]
 
 SHORT = ["--data.fold", "embedded", "--data.loading.batch_size=8", "--trainer.enable_progress_bar=false"]
@@ -120,7 +114,7 @@ def whole(words: list[str], folder: Path) -> tuple[Path, float]:
     training = Training(words, folder)
     began = training.wait_until_it_trains()
     if training.process.wait():
-        raise SystemExit(f"{folder / 'said.txt'}: it does not train")
+        raise SystemExit(f"it does not train: {(folder / 'said.txt').read_text()[-2000:]}")
     return next(folder.glob("runs/*/*")), time.monotonic() - began
 
 
@@ -153,33 +147,36 @@ def difference(run: Path, other: Path) -> str:
     return f"weights {unlike}" if unlike else "" if rows == other_rows else "metrics.csv"
 
 
-def main() -> None:
-    """Go on until every kind of training was killed and resumed so often."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--trainings", type=int, default=10, help="of each kind")
-    parser.add_argument("--kinds", nargs="*", default=list(TRAININGS), choices=list(TRAININGS))
-    options = parser.parse_args()
-    state: dict[str, list[dict[str, Any]]] = json.loads(STATE.read_text()) if STATE.is_file() else {}
-    for kind in options.kinds:
-        done, words = state.setdefault(kind, []), TRAININGS[kind]
-        home = Path("kills", kind.replace(" ", "_"))
-        while len(done) < options.trainings:
-            shutil.rmtree(home, ignore_errors=True)
-            for name in ("whole", "killed"):
-                (home / name).mkdir(parents=True)
-            expected, seconds = whole(words, home / "whole")
-            while len(done) < options.trainings:
-                draw = np.random.default_rng([len(done), *kind.encode()])
-                result = killed(words, home / "killed", seconds, draw)
-                result["wrong"] = result["wrong"] or difference(runs_in(home / "killed")[-1], expected)
-                done.append(result)
-                write_whole(STATE, f"{json.dumps(state, indent=1)}\n".encode())
-                print(kind, result, flush=True)
-                shutil.rmtree(home / "killed")
-                (home / "killed").mkdir()
-    if any(one["wrong"] or one["not ended by itself"] for kind in state.values() for one in kind):
-        raise SystemExit("something was lost, or went on alone")
+def go_on(kind: str, trainings: int, done: list[dict[str, Any]], save: Callable[[], None]) -> None:
+    """Kill and resume trainings of a kind until there were so many.
+
+    Args:
+        kind: One of `TRAININGS`.
+        trainings: How many are wanted.
+        done: What became of those before; it grows.
+        save: Called after each.
+    """
+    if len(done) >= trainings:
+        return
+    with tempfile.TemporaryDirectory() as home:
+        expected, seconds = whole(TRAININGS[kind], made(Path(home, "whole")))
+        while len(done) < trainings:
+            draw = np.random.default_rng([len(done), *kind.encode()])
+            folder = made(Path(home, f"killed-{len(done)}"))
+            result = killed(TRAININGS[kind], folder, seconds, draw)
+            result["wrong"] = result["wrong"] or difference(runs_in(folder)[-1], expected)
+            done.append(result)
+            save()
+            print(kind, result, flush=True)
 
 
-if __name__ == "__main__":
-    main()
+def made(folder: Path) -> Path:
+    """Return a folder, which is made."""
+    folder.mkdir()
+    return folder
+
+
+def summed(done: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return how many trainings and kills there were, and what became of them."""
+    sums = {name: sum(one[name] for one in done) for name in ("kills", "not ended by itself")}
+    return {"trainings": len(done), **sums, "wrong": [one["wrong"] for one in done if one["wrong"]]}

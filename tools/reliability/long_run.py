@@ -1,20 +1,15 @@
 """Long runs: memory stays flat, and the answers at the end are those of the start.
 
-    python -m tools.reliability.long_run --agent-steps 10000000 --comings 2000
-
-Both parts write down where they are, and go on from there in a new process after they were killed. What grew
-is counted in each process from the time at which it is warm.
+What grew is counted in each process from the time at which it is warm.
 """
 
 from __future__ import annotations
 
-import argparse
+import ctypes
 import gc
 import hashlib
-import json
 import os
-from collections.abc import Iterator
-from itertools import groupby
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, cast
 
@@ -26,9 +21,6 @@ import torch
 
 import pedzoo
 from pedzoo.core.batch import agents_of
-from pedzoo.core.paths import write_whole
-
-STATE = Path("long_run.json")
 
 SCENES = {"bullet": 16}
 """Scenes at once, `_MANY` where nothing else is said: a step of few costs about as much as one of many."""
@@ -42,8 +34,9 @@ Row = dict[str, Any]
 
 
 def resident() -> int:
-    """Return the bytes of memory that this process has."""
+    """Return the bytes of memory that this process has, without what is free and only kept for later."""
     gc.collect()
+    ctypes.CDLL(None).malloc_trim(0)
     return int(Path("/proc/self/statm").read_text().split()[1]) * 4096
 
 
@@ -52,7 +45,7 @@ def handles() -> int:
     return len(list(Path("/proc/self/fd").iterdir()))
 
 
-def steps(physics: str, begun: int, scenes: int, batches: int) -> Iterator[Row]:
+def steps(physics: str, begun: int, scenes: int, batches: int = 20) -> Iterator[Row]:
     """Let people walk through doors, and yield a row every so many batches, without end.
 
     Args:
@@ -93,57 +86,45 @@ def comings(begun: int, every: int = 50) -> Iterator[Row]:
         yield {"done": number, "memory": resident(), "handles": handles()}
 
 
-def grown(rows: list[Row], wanted: int) -> Row:
-    """Return how far a run came, in how many processes, and what grew in the worst of them.
+def grown(processes: list[Row]) -> Row:
+    """Return how far a run came, and what grew in the worst of its processes.
 
-    A process is warm after `WARM` of what is wanted. Its memory and handles are those of its last row against
-    the row at which it was warm. Shorter ones are not judged; ``judged`` is how much was done in warm ones.
-    Answers, where a run has some, are all the same or they are not.
+    Memory and handles of a process are those of its last row against the row at which it was warm. Shorter
+    ones are not judged; ``judged`` is how much was done in warm ones. Answers, where a run has some, are all
+    the same or they are not.
     """
-    memory, opened, judged, processes, begun = 0.0, 0, 0, 0, 0
-    for _, group in groupby(rows, key=lambda row: row["process"]):
-        mine, processes = list(group), processes + 1
-        warm, last = [row for row in mine if row["done"] - begun >= WARM * wanted][:1], mine[-1]
-        begun = last["done"]
-        for row in warm:
-            judged += last["done"] - row["done"]
-            memory = max(memory, last["memory"] / row["memory"] - 1)
-            opened = max(opened, last["handles"] - row["handles"])
-    same = len({row.get("answer") for row in rows}) <= 1
-    result = {"done": begun, "processes": processes, "judged": judged}
-    return result | {"memory": memory, "handles": opened, "same": same}
-
-
-def go_on(name: str, wanted: int, state: Path, physics: str = "torch", batches: int = 20) -> Row:
-    """Go on with a run until so much is done, and return what grew; ``state`` says how far it is."""
-    runs: dict[str, list[Row]] = json.loads(state.read_text()) if state.is_file() else {}
-    rows = runs.setdefault(name, [])
-    done, process = (rows[-1]["done"], rows[-1]["process"] + 1) if rows else (0, 0)
-    if done < wanted:
-        scenes = SCENES.get(physics, _MANY)
-        for row in comings(done) if name == "comings" else steps(physics, done, scenes, batches):
-            rows.append(row | {"process": process})
-            write_whole(state, f"{json.dumps(runs)}\n".encode())
-            if row["done"] >= wanted:
-                break
-    return grown(rows, wanted)
+    warm = [(one["warm"], one["last"]) for one in processes if one["warm"]]
+    return {
+        "done": processes[-1]["last"]["done"] if processes else 0,
+        "processes": len(processes),
+        "judged": sum(last["done"] - first["done"] for first, last in warm),
+        "memory": max((last["memory"] / first["memory"] - 1 for first, last in warm), default=0.0),
+        "handles": max((last["handles"] - first["handles"] for first, last in warm), default=0),
+        "same": len({answer for one in processes for answer in one["answers"]}) <= 1,
+    }
 
 
 @torch.no_grad()
-def main() -> None:
-    """Go on with both, and fail where something grew."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--agent-steps", type=int, default=10_000_000)
-    parser.add_argument("--comings", type=int, default=2000)
-    parser.add_argument("--physics", default="torch")
-    options = parser.parse_args()
-    results = []
-    for name, wanted in (("comings", options.comings), (options.physics, options.agent_steps)):
-        results.append(go_on(name, wanted, STATE, options.physics))
-        print(name, results[-1], flush=True)
-    if any(one["memory"] > GROWTH or one["handles"] > 0 or not one["same"] for one in results):
-        raise SystemExit("something grew, or the answers are others")
+def go_on(name: str, wanted: int, processes: list[Row], save: Callable[[], None]) -> None:
+    """Go on with a run until so much is done.
 
-
-if __name__ == "__main__":
-    main()
+    Args:
+        name: ``comings``, or what moves people.
+        wanted: People who come, or agent-steps.
+        processes: What was done before, process by process; it grows. A process is warm after `WARM` of what
+            is wanted.
+        save: Called after every row.
+    """
+    begun = processes[-1]["last"]["done"] if processes else 0
+    if begun >= wanted:
+        return
+    mine: Row = {"warm": None, "last": None, "answers": []}
+    processes.append(mine)
+    for row in comings(begun) if name == "comings" else steps(name, begun, SCENES.get(name, _MANY)):
+        mine["answers"] = sorted({*mine["answers"], *(row[key] for key in ("answer",) if key in row)})
+        mine["last"] = row
+        if row["done"] - begun >= WARM * wanted:
+            mine["warm"] = mine["warm"] or row
+        save()
+        if row["done"] >= wanted:
+            break

@@ -10,7 +10,7 @@ import yaml
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.data.datasets.eth_ucy import SCENES
 from pedzoo.eval.scoring.likelihood import BINS_FILE, ranges, recorded_windows
-from pedzoo.eval.scoring.score import Against
+from pedzoo.eval.scoring.score import Reference
 from pedzoo.eval.scoring.windows import STEPS, windows_of
 
 
@@ -20,7 +20,7 @@ def main() -> int:
     if target.exists():
         print(f"{target} exists: name a new version in pedzoo/eval/scoring/likelihood.py", file=sys.stderr)
         return 2
-    walks = {fold: recorded_windows(windows_of(Against(fold).prepared())) for fold in SCENES}
+    walks = {fold: recorded_windows(windows_of(Reference(fold).prepared())) for fold in SCENES}
     folds = {fold: ranges([walks[other] for other in SCENES if other != fold]) for fold in SCENES}
     folds["all"] = ranges([*walks.values()])
     text = {

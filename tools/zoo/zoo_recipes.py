@@ -88,7 +88,7 @@ class Recipe:
 
     @property
     def all_seeds(self) -> bool:
-        """Whether every seed is published: what controllers do in the loop is told of each."""
+        """Whether every seed is published: tables of the closed loop have a row for each."""
         return self.folder == "closed_loop" and self.fold == EVERYTHING and not self.on_crowds
 
     @property
@@ -98,7 +98,7 @@ class Recipe:
 
     @property
     def options(self) -> dict[str, str]:
-        """What ``pedzoo fit`` is told beside the seed."""
+        """The options of ``pedzoo fit`` beside the seed."""
         options = {"config": self.config, "data.fold": self.fold, "monitor": self.monitor}
         if self.begins_with:
             options |= {"weights": self.begins_with, "monitor_mode": self.best.__name__}
@@ -120,7 +120,7 @@ class Recipe:
         return options
 
     def runs(self, root: Path) -> Path:
-        """Return the folder that ``pedzoo fit`` is told to write its runs below."""
+        """Return the folder below which ``pedzoo fit`` writes its runs."""
         return root if self.folder else root / f"p{self.pred_len}"
 
     def run(self, seed: int, root: Path) -> RunFolder:

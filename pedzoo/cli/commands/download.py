@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pedzoo.cli.arguments import Arguments
 from pedzoo.core.errors import UserError
-from pedzoo.core.paths import data_home
+from pedzoo.core.paths import data_home, expanded
 from pedzoo.core.registry import DATASETS
 
 HELP = "download a dataset, AlexNet's weights or a model, checked, to where they are found"
@@ -36,7 +36,7 @@ def run(argv: list[str]) -> int:
 
 def _dataset(name: str, to: str | None) -> None:
     module = import_module(f"pedzoo.data.published.{name}")
-    folder = Path(to).expanduser() if to else data_home() / name
+    folder = expanded(to) if to else data_home() / name
     if folder.exists() and not folder.is_dir():
         raise UserError(f"{str(folder)!r} is a file, expected a folder: give another --to")
     print(f"terms: {module.TERMS}")

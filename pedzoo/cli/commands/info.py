@@ -56,7 +56,7 @@ def _card(name: str) -> ModelCard:
 
 def _print(card: ModelCard) -> None:
     from pedzoo.cli.console import plain_console
-    from pedzoo.eval.results import Page
+    from pedzoo.eval.results import ResultTable
 
     console = plain_console(width=110)
     console.print(card.name, style="bold")
@@ -66,7 +66,7 @@ def _print(card: ModelCard) -> None:
         console.print("\nResults: not measured yet")
     for result in results(card):
         console.print(f"\n{result.said}")
-        print_tables([Page("", result.head, result.rows, 1)])
+        print_tables([ResultTable("", result.head, result.rows, 1)])
 
 
 def _print_facts(console: Any, title: str, facts: Mapping[str, str]) -> None:

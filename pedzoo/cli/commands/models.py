@@ -28,7 +28,7 @@ COLUMNS = {
 """Keys of a row and what the table calls them."""
 
 EXPLAINED = """\
-fold: the scene that the model did not see (eth_ucy: it saw all); goal: what it is told of where people go
+fold: the scene that the model did not see (eth_ucy: it saw all); goal: what it knows of where people go
 (window_end leaks the forecast's last position); steps: that it forecasts, of 0.4 s; ade and fde: metres, of
 the most likely forecast on the fold's test windows (eth_ucy: validation windows), best of 20 per scene; door
 success: share of people who get through. All of a model: pedzoo info NAME"""
@@ -73,7 +73,7 @@ def _numbers(card: ModelCard) -> dict[str, float]:
 
 
 def _print(architectures: list[dict[str, str]], weights: list[dict[str, Any]]) -> None:
-    from pedzoo.eval.results import Page
+    from pedzoo.eval.results import ResultTable
 
     print("architectures (pedzoo fit --config ...):")
     width = max((len(row["name"]) for row in architectures), default=0)
@@ -83,7 +83,7 @@ def _print(architectures: list[dict[str, str]], weights: list[dict[str, Any]]) -
     if good := [row for row in weights if "error" not in row]:
         shown = [key for key in COLUMNS if any(row.get(key) is not None for row in good)]
         cells = [[row["name"], *(_cell(row.get(key)) for key in shown)] for row in good]
-        print_tables([Page("", ["name", *(COLUMNS[key] for key in shown)], cells, 1)])
+        print_tables([ResultTable("", ["name", *(COLUMNS[key] for key in shown)], cells, 1)])
         print(EXPLAINED)
     for row in weights:
         if "error" in row:

@@ -14,7 +14,7 @@ def run(argv: list[str]) -> int:
     from pedzoo.cli.parsing import PARSER_SETTINGS, parse
     from pedzoo.cli.progress import progress_bar
     from pedzoo.core.machine import versions
-    from pedzoo.eval.scoring.score import Against, score
+    from pedzoo.eval.scoring.score import Reference, score
     from pedzoo.eval.scoring.table import pages
 
     usage = f"pedzoo score CROWD... --against RECORDING [...]\nexample: {EXAMPLE}"
@@ -46,7 +46,7 @@ def run(argv: list[str]) -> int:
     check_outputs(json=options.json)
 
     data = options.data
-    against = Against(options.against, data.dt, data.map, data.homography, data.root)
+    against = Reference(options.against, data.dt, data.map, data.homography, data.root)
     settings = {key: options[key] for key in ("rollouts", "seed", "dt", "physics", "likelihood", "opening")}
     with progress_bar() as progress:
         report = score(options.crowds, against, progress=progress, **settings)

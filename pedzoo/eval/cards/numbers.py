@@ -27,10 +27,10 @@ ROBOT_EPISODES = 20
 SAMPLES, SEED = 20, 0
 
 RELATIVE, ABSOLUTE = 1e-3, 1e-5
-"""How far errors of forecasts may be off, as a share or in metres: other machines round otherwise."""
+"""Tolerances of forecast errors, as a share and in metres: machines round differently."""
 
 
-class Again(NamedTuple):
+class RepeatedReport(NamedTuple):
     """An evaluation of a card, and the same one done now.
 
     Attributes:
@@ -44,7 +44,7 @@ class Again(NamedTuple):
     why: str = ""
 
 
-class Compared(NamedTuple):
+class ComparedNumber(NamedTuple):
     """A number of a card beside the same one of today.
 
     Attributes:
@@ -82,7 +82,7 @@ def measure(
         name: What the rows are called; None for ``model``.
         root: Folder with recordings; None for the variable ``PEDZOO_DATA``.
         progress: Called with what is done, its parts done and parts in all.
-        tell: Told what cannot be measured here.
+        tell: Called with what cannot be measured here.
 
     Raises:
         UserError: There is no such model.
@@ -127,7 +127,7 @@ def again(
     root: str | None = None,
     workers: int = 1,
     progress: Progress | None = None,
-) -> list[Again]:
+) -> list[RepeatedReport]:
     """Do every evaluation of a card as the card says it was done; arguments as of `measure`.
 
     Raises:
@@ -142,13 +142,13 @@ def again(
     for before in card.evaluations:
         job = Job(model, before["protocol"], before["seeds"], root, workers, progress)
         try:
-            result.append(Again(before, report_of(str(before["command"]), job)))
+            result.append(RepeatedReport(before, report_of(str(before["command"]), job)))
         except UserError as error:
-            result.append(Again(before, None, str(error)))
+            result.append(RepeatedReport(before, None, str(error)))
     return result
 
 
-def compare(before: Report, now: Report) -> list[Compared]:
+def compare(before: Report, now: Report) -> list[ComparedNumber]:
     """Return every number of a card's report, ``before``, beside today's.
 
     Numbers are the same within `RELATIVE` or `ABSOLUTE`. Those of the closed loop need not be on another
@@ -163,7 +163,7 @@ def compare(before: Report, now: Report) -> list[Compared]:
         for metric, card in numbers.items():
             value, interval = others.get(metric), row["ci95"].get(metric) if walks else None
             same = _same(card, value, interval, chance=walks and metric != "n")
-            result.append(Compared(_case(row), metric, card, value, interval, same))
+            result.append(ComparedNumber(_case(row), metric, card, value, interval, same))
     return result
 
 

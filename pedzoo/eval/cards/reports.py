@@ -128,4 +128,4 @@ class _Walks(TypedDict):
 
 
 _MAKERS = {"forecast": (_Forecast, _forecasts), "evaluate": (_Walks, _walks)}
-"""What a protocol says, and the function that does it."""
+"""By the command: the type of its protocol, and the function that makes the report."""

@@ -14,7 +14,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS
 from pedzoo.data.own_files import OwnFiles
 from pedzoo.data.tracks import Tracks
-from pedzoo.eval.scoring.sides import Side, side
+from pedzoo.eval.scoring.crowds import ScoredCrowd, scored_crowd
 from pedzoo.sim.replay.people import CONTROLLED, SHORT, RecordedPeople, without_goals
 from pedzoo.sim.scenarios.replay import PreparedReplay, Replay
 
@@ -30,7 +30,7 @@ def is_recording(text: str) -> bool:
     return Path(text).suffix.lower() in (".csv", ".txt", ".tsv")
 
 
-def file_side(path: str, real: PreparedReplay, dt: float | None = None) -> Side:
+def file_crowd(path: str, real: PreparedReplay, dt: float | None = None) -> ScoredCrowd:
     """Return the people of a simulator's file.
 
     The first 8 rows (3.2 s) of each person are not scored, as in the recording. People whom `twins` finds in
@@ -76,7 +76,7 @@ def file_side(path: str, real: PreparedReplay, dt: float | None = None) -> Side:
         xy,
         name,
     )
-    return side(name, made.real_parts(), made, people.start, goal, twin=twin)
+    return scored_crowd(name, made.real_parts(), made, people.start, goal, twin=twin)
 
 
 def twins(

@@ -11,7 +11,7 @@ import yaml
 from torch import Tensor
 
 from pedzoo.eval.rollout import Progress, prepare, walk
-from pedzoo.eval.scoring.windows import Walked, Windows, walked
+from pedzoo.eval.scoring.windows import JointRollouts, JointWindows, walked
 from pedzoo.metrics.realism.distances import drawn_people
 from pedzoo.metrics.realism.joint_likelihood import (
     MEASURED,
@@ -51,14 +51,14 @@ def _bins() -> dict[str, Ranges]:
     return {fold: {name: (low, high) for name, (low, high) in ends.items()} for fold, ends in folds.items()}
 
 
-def recorded_windows(windows: Windows) -> Walked:
+def recorded_windows(windows: JointWindows) -> JointRollouts:
     """Return what people really did in the windows."""
     return walked(windows, windows.scenario.real_parts())
 
 
 def policy_windows(
-    policy: str, windows: Windows, seed: int, physics: str, progress: Progress | None = None
-) -> Walked:
+    policy: str, windows: JointWindows, seed: int, physics: str, progress: Progress | None = None
+) -> JointRollouts:
     """Return what a policy does in them: `ROLLOUTS` times if it has noise, else once."""
     rounds = ROLLOUTS if has_noise(load_policy(policy)) else 1
     episodes = rounds * len(windows.begin)
@@ -69,7 +69,7 @@ def policy_windows(
         env.physics.close()
 
 
-def likelihood(mine: Walked, real: Walked, against: str) -> dict[str, Tensor]:
+def likelihood(mine: JointRollouts, real: JointRollouts, against: str) -> dict[str, Tensor]:
     """Return the numbers of rollouts (1 + R,): the first of all windows, then of resamples of windows.
 
     Args:
@@ -93,7 +93,7 @@ def likelihood(mine: Walked, real: Walked, against: str) -> dict[str, Tensor]:
     return result
 
 
-def others_likelihood(real: Walked, windows: Windows, against: str) -> dict[str, Tensor]:
+def others_likelihood(real: JointRollouts, windows: JointWindows, against: str) -> dict[str, Tensor]:
     """Return the likelihood of what people did under that of others in the most similar situations.
 
     The bound by a second set of real people: a histogram of each person holds `ROLLOUTS` windows of other
@@ -118,7 +118,7 @@ def others_likelihood(real: Walked, windows: Windows, against: str) -> dict[str,
         result[:, window, slot] = true[window[near], slot[near]]
         return result
 
-    mine = Walked(
+    mine = JointRollouts(
         {name: of_others(value[0], torch.nan) for name, value in real.values.items()},
         {name: of_others(value[0], False) for name, value in real.contacts.items()},
         real.xy.expand(len(near), *real.xy.shape[1:]),
@@ -140,7 +140,7 @@ def _mean(value: Tensor, weights: Tensor) -> Tensor:
     return weights @ value.nan_to_num().sum(1) / (weights @ known.sum(1).double())
 
 
-def ranges(walks: Sequence[Walked]) -> dict[str, tuple[float, float]]:
+def ranges(walks: Sequence[JointRollouts]) -> dict[str, tuple[float, float]]:
     """Return the ends of bins: all but half a percent of the values on either side lie between them."""
     result = {}
     for name in MEASURED:

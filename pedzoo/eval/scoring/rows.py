@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from pedzoo.eval.scoring.crowds import CrowdView, ScoredCrowd, blocks_of
 from pedzoo.eval.scoring.same_people import same_people
-from pedzoo.eval.scoring.sides import Side, View, blocks_of
 from pedzoo.metrics.realism.clips import Clips
 from pedzoo.metrics.realism.crowdes import columns
 from pedzoo.metrics.realism.crowds import compared, distances, only, resampled_distances, spreads
@@ -38,14 +38,14 @@ _ONCE_ONLY = ("_share", "_per_min", "_excess", "speed_std", "density_speed")
 """Measures that coarse positions do not have: contacts come from the paths themselves."""
 
 
-class _Drawn(NamedTuple):
+class _Resampled(NamedTuple):
     """Weights of people: the first row counts each once, the others are resamples (1 + R, P)."""
 
     mine: Tensor
     theirs: Tensor
 
 
-def row(side: Side, real: Side, more: Mapping[str, Tensor]) -> dict[str, Any]:
+def row(side: ScoredCrowd, real: ScoredCrowd, more: Mapping[str, Tensor]) -> dict[str, Any]:
     """Return a crowd's row beside the recorded one.
 
     Args:
@@ -68,7 +68,7 @@ def row(side: Side, real: Side, more: Mapping[str, Tensor]) -> dict[str, Any]:
     return values_row(side.name, int(side.seen.sum()), side.rounds, values) | {"telling": telling}
 
 
-def real_rows(real: Side) -> list[dict[str, Any]]:
+def real_rows(real: ScoredCrowd) -> list[dict[str, Any]]:
     """Return the recorded crowd's own row, and that of its halves against each other.
 
     A policy's people are judged beside themselves, and halves are of different people: the bound can be
@@ -83,7 +83,7 @@ def real_rows(real: Side) -> list[dict[str, Any]]:
     count, seen = int(real.seen.sum()), real.seen
     first = torch.zeros(SPLITS, len(seen), dtype=torch.float64)
     first[:, seen] = halves(count, SPLITS)
-    splits = _Drawn(first, seen.double() - first)
+    splits = _Resampled(first, seen.double() - first)
     floor: dict[str, Tensor] = {}
     for prefix, name in _VIEWS.items():
         view = getattr(real, name)
@@ -95,7 +95,9 @@ def real_rows(real: Side) -> list[dict[str, Any]]:
     return [values_row(real.name, count, 1, own), values_row(HALVES, count, 1, means)]
 
 
-def _distances(mine: View, theirs: View, drawn: _Drawn, prefix: str, exact: bool = True) -> dict[str, Tensor]:
+def _distances(
+    mine: CrowdView, theirs: CrowdView, drawn: _Resampled, prefix: str, exact: bool = True
+) -> dict[str, Tensor]:
     """Return the numbers of `compared` (1 + R,); the first row exactly if it counts each person once."""
     real = only(theirs.crowd, theirs.crowd.minutes > 0)
     distance = resampled_distances(mine.crowd, real, drawn.mine, drawn.theirs)
@@ -110,7 +112,7 @@ def _distances(mine: View, theirs: View, drawn: _Drawn, prefix: str, exact: bool
     }
 
 
-def _verdict(side: Side, real: Side, mine: Clips, theirs: Clips) -> Verdict:
+def _verdict(side: ScoredCrowd, real: ScoredCrowd, mine: Clips, theirs: Clips) -> Verdict:
     """Return what the classifiers say; people are split at random, the same people of both sides together."""
     split = _split(len(real.seen), 0)
     own = torch.where(side.twin >= 0, split[side.twin], _split(len(side.seen), 1))
@@ -133,7 +135,7 @@ def _halves_auc(clips: Clips, first: Tensor, second: Tensor) -> Tensor:
     return torch.cat(result)
 
 
-def _drawn(side: Side, real: Side) -> _Drawn:
+def _drawn(side: ScoredCrowd, real: ScoredCrowd) -> _Resampled:
     block, blocks = blocks_of(real.people)
     own, others = blocks_of(side.people)
     times = drawn_people(blocks, RESAMPLES)
@@ -147,7 +149,7 @@ def _drawn(side: Side, real: Side) -> _Drawn:
         torch.cat((torch.ones(1, len(who), dtype=torch.float64), weights)) * who
         for weights, who in zip((mine, theirs), seen, strict=True)
     ]
-    return _Drawn(*whole)
+    return _Resampled(*whole)
 
 
 def values_row(name: str, n: int, rounds: int, values: Mapping[str, Tensor]) -> dict[str, Any]:

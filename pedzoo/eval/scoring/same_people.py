@@ -8,14 +8,14 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pedzoo.eval.scoring.sides import Side
-from pedzoo.metrics.realism.crowdes import Walks
+from pedzoo.eval.scoring.crowds import ScoredCrowd
+from pedzoo.metrics.realism.crowdes import ScoredSteps
 from pedzoo.metrics.realism.paths import closed_loop_error, padded
 from pedzoo.metrics.realism.walks import person_mean
 from pedzoo.sim.replay.companions import NEAR, TOGETHER
 
 
-def same_people(side: Side, real: Side, weights: Tensor) -> dict[str, Tensor]:
+def same_people(side: ScoredCrowd, real: ScoredCrowd, weights: Tensor) -> dict[str, Tensor]:
     """Return the measures (R,), for weights of the side's people (R, P); none if all are strangers.
 
     * ``closed_loop_ade_m``: mean distance to where the person really was at that time, until either arrives;
@@ -44,7 +44,7 @@ def same_people(side: Side, real: Side, weights: Tensor) -> dict[str, Tensor]:
     return result
 
 
-def companions(real: Walks) -> Tensor:
+def companions(real: ScoredSteps) -> Tensor:
     """Return the pairs of recorded people who keep company (Q, 2) long.
 
     They are within 1.5 m of each other in at least 8 steps, and in four of five steps that they share.
@@ -54,7 +54,7 @@ def companions(real: Walks) -> Tensor:
     return pair[(both[:, 0] >= TOGETHER) & (both[:, 0] >= 0.8 * both[:, 1])]
 
 
-def _pairs(walks: Walks) -> tuple[Tensor, Tensor, Tensor]:
+def _pairs(walks: ScoredSteps) -> tuple[Tensor, Tensor, Tensor]:
     """Return pairs of people who meet (Q, 2), the steps in which they are near, and all that they share."""
     order = walks.frame.argsort(stable=True)
     person, xy = walks.person[order], walks.xy[order]
@@ -74,7 +74,7 @@ def _pairs(walks: Walks) -> tuple[Tensor, Tensor, Tensor]:
     return pair, torch.bincount(which, near.double(), len(pair)), torch.bincount(which, minlength=len(pair))
 
 
-def _near(side: Side, pairs: Tensor, weights: Tensor) -> Tensor:
+def _near(side: ScoredCrowd, pairs: Tensor, weights: Tensor) -> Tensor:
     """Return ``companions_near_share`` (R,); each pair counts for both of its people."""
     own = torch.full((int(pairs.max()) + 1,), -1)
     known = side.twin >= 0
@@ -85,7 +85,7 @@ def _near(side: Side, pairs: Tensor, weights: Tensor) -> Tensor:
     above = torch.zeros(len(side.twin), dtype=torch.float64)
     below = above.clone()
     for number in side.walks.round.unique().tolist():
-        pair, near, count = _pairs(Walks(*(value[side.walks.round == number] for value in side.walks)))
+        pair, near, count = _pairs(ScoredSteps(*(value[side.walks.round == number] for value in side.walks)))
         size = len(side.twin)
         chosen = torch.isin(pair[:, 0] * size + pair[:, 1], mine[:, 0] * size + mine[:, 1])
         for end in (0, 1):

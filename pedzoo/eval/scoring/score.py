@@ -11,7 +11,8 @@ from torch import Tensor
 from pedzoo.core.errors import UserError
 from pedzoo.eval.results import SEEN
 from pedzoo.eval.rollout import Progress
-from pedzoo.eval.scoring.files import file_side, is_recording
+from pedzoo.eval.scoring.crowds import policy_crowd, recorded_crowd
+from pedzoo.eval.scoring.files import file_crowd, is_recording
 from pedzoo.eval.scoring.likelihood import (
     OTHERS,
     others_likelihood,
@@ -20,9 +21,8 @@ from pedzoo.eval.scoring.likelihood import (
 )
 from pedzoo.eval.scoring.likelihood import likelihood as likelihood_of
 from pedzoo.eval.scoring.rows import RESAMPLES, real_rows, row, values_row
-from pedzoo.eval.scoring.sides import policy_side, recorded_side
 from pedzoo.eval.scoring.windows import windows_of
-from pedzoo.eval.unseen import for_fold, has_seen
+from pedzoo.eval.trained_on import for_fold, has_seen
 from pedzoo.metrics.realism.openings import through
 from pedzoo.policies.load import load_policy
 from pedzoo.sim.make import prepare_scenario
@@ -32,7 +32,7 @@ VERSION = 1
 """Of the measures: it grows whenever a formula changes, so that only equal versions are compared."""
 
 
-class Against(NamedTuple):
+class Reference(NamedTuple):
     """The recording that crowds are scored against.
 
     Attributes:
@@ -65,7 +65,7 @@ class Against(NamedTuple):
 
 def score(
     crowds: Sequence[str],
-    against: str | Against,
+    against: str | Reference,
     rollouts: int = 3,
     seed: int = 0,
     dt: float | None = None,
@@ -93,7 +93,7 @@ def score(
     Raises:
         UserError: An unknown policy, or a file that is refused.
     """
-    against = Against(against) if isinstance(against, str) else against
+    against = Reference(against) if isinstance(against, str) else against
     own = is_recording(against.recording)
     fold = "all" if own else against.recording
     walks = {
@@ -104,7 +104,7 @@ def score(
             load_policy(weights)  # misspelt names are refused before anything is measured
     gate = _gate(opening)
     prepared = against.prepared()
-    real = recorded_side(prepared)
+    real = recorded_crowd(prepared)
     rows, notes = real_rows(real), []
     if gate is not None:
         rows[0]["metrics"] |= through(real.walks, gate)
@@ -114,12 +114,12 @@ def score(
         rows.append(values_row(OTHERS, len(windows.begin), 1, others_likelihood(recorded, windows, fold)))
     for name, weights in walks.items():
         if is_recording(name):
-            side = file_side(name, prepared, dt)
+            side = file_crowd(name, prepared, dt)
             strangers = int((side.twin < 0).sum())
             if strangers:
                 notes.append(f"{name}: {strangers} of {len(side.twin)} people are none of the recorded ones")
         else:
-            side = policy_side(weights, prepared, rollouts, seed, physics, progress)
+            side = policy_crowd(weights, prepared, rollouts, seed, physics, progress)
         more: dict[str, Tensor] = {}
         if windows and recorded and not is_recording(name):
             joint = policy_windows(weights, windows, seed, physics, progress)

@@ -1,4 +1,4 @@
-"""What people read of a score: its tables."""
+"""The tables of a score."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pedzoo.eval.results import Page, cell
+from pedzoo.eval.results import ResultTable, cell
 from pedzoo.eval.scoring.files import is_recording
 from pedzoo.metrics.realism.features import FEATURES
 from pedzoo.metrics.realism.joint_likelihood import WEIGHTS
@@ -37,7 +37,7 @@ TABLES = {
 """Columns of each table; the report has more."""
 
 
-def pages(report: Mapping[str, Any]) -> list[Page]:
+def pages(report: Mapping[str, Any]) -> list[ResultTable]:
     """Return the tables of a report of `pedzoo.eval.scoring.score.score`; columns without numbers are out."""
     rows, result = report["rows"], []
     for title, columns in TABLES.items():
@@ -45,14 +45,16 @@ def pages(report: Mapping[str, Any]) -> list[Page]:
         some = [row for row in rows if any(key in row["metrics"] for key in known)]
         body = [[_label(row), str(row["n"]), *(cell(row, key) for key in known)] for row in some]
         if known:
-            result.append(Page(title, ["crowd", "n", *known], body, 2))
+            result.append(ResultTable(title, ["crowd", "n", *known], body, 2))
     telling = [
         [_label(row), key, ", ".join(f"{name} {share:.0%}" for name, share in telling.items())]
         for row in rows
         for key, telling in row.get("telling", {}).items()
     ]
     if telling:
-        result.append(Page("what the classifier goes by", ["crowd", "test", "by share of gain"], telling, 3))
+        result.append(
+            ResultTable("what the classifier goes by", ["crowd", "test", "by share of gain"], telling, 3)
+        )
     return result
 
 

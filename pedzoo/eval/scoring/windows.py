@@ -16,7 +16,7 @@ from pedzoo.data.tracks import Tracks
 from pedzoo.metrics.realism.features import every_step
 from pedzoo.metrics.realism.joint_likelihood import CONTACTS, MEASURED, step_values
 from pedzoo.sim.replay.people import CONTROLLED, SHORT, STAYED, RecordedPeople, without_goals
-from pedzoo.sim.replay.script import Scenes, Script
+from pedzoo.sim.replay.script import Script, ScriptScenes
 from pedzoo.sim.replay.slots import slots, table
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.scenarios.replay import PreparedReplay
@@ -28,7 +28,7 @@ MOST = 60
 """Windows: of a longer recording as many, evenly spread."""
 
 
-class Windows(NamedTuple):
+class JointWindows(NamedTuple):
     """The windows of a recording.
 
     Attributes:
@@ -46,7 +46,7 @@ class Windows(NamedTuple):
     goal: Tensor
 
 
-class Walked(NamedTuple):
+class JointRollouts(NamedTuple):
     """K rollouts of all windows.
 
     Attributes:
@@ -64,7 +64,7 @@ class Walked(NamedTuple):
     people: Tensor
 
 
-def windows_of(real: PreparedReplay) -> Windows:
+def windows_of(real: PreparedReplay) -> JointWindows:
     """Return the windows of a recording; people keep the exits that they have in it.
 
     Windows follow one another without overlap. People who are seen for all 3.2 s before are simulated, all
@@ -95,10 +95,10 @@ def windows_of(real: PreparedReplay) -> Windows:
     )
     who = script.people_in_slots(torch.arange(len(windows)), torch.full((len(windows),), OBS_LEN - 1))
     who = torch.where((who >= 0) & parts.controlled[who], who, -1)
-    return Windows(scenario, windows[:, 1], windows[:, 0], who, parts.goal[who].float())
+    return JointWindows(scenario, windows[:, 1], windows[:, 0], who, parts.goal[who].float())
 
 
-def walked(windows: Windows, parts: Iterable[Rollout]) -> Walked:
+def walked(windows: JointWindows, parts: Iterable[Rollout]) -> JointRollouts:
     """Return what happened in rollouts of all windows, round after round, in parts of some episodes."""
     count, bank = len(windows.begin), windows.scenario.bank
     columns: dict[str, list[Tensor]] = {}
@@ -122,7 +122,7 @@ def walked(windows: Windows, parts: Iterable[Rollout]) -> Walked:
             columns.setdefault(name, []).append(value)
     rounds = {name: torch.cat(value) for name, value in columns.items()}
     rounds = {name: value.view(-1, count, *value.shape[1:]) for name, value in rounds.items()}
-    return Walked(
+    return JointRollouts(
         {name: rounds[name] for name in MEASURED},
         {name: rounds[name] for name in CONTACTS},
         torch.stack((rounds["x"], rounds["y"]), -1),
@@ -169,7 +169,7 @@ def _with_roles(parts: RecordedPeople, people: RecordedPeople) -> RecordedPeople
     )
 
 
-def _scenes(parts: RecordedPeople, windows: int) -> tuple[Tensor, Scenes]:
+def _scenes(parts: RecordedPeople, windows: int) -> tuple[Tensor, ScriptScenes]:
     """Return who is in which slot, and the scenes of windows."""
     end = OBS_LEN + STEPS
     gone = parts.until.clamp_max(end)
@@ -185,5 +185,5 @@ def _scenes(parts: RecordedPeople, windows: int) -> tuple[Tensor, Scenes]:
     begin = torch.full_like(number, OBS_LEN - 1)
     no_lead, others = torch.full_like(number, -1), torch.ones_like(number, dtype=torch.bool)
     ends = begin + STEPS + 1, begin, begin + STEPS
-    scenes = Scenes(number, begin, *ends, no_lead, others)
+    scenes = ScriptScenes(number, begin, *ends, no_lead, others)
     return torch.stack(tables), scenes

@@ -10,9 +10,9 @@ from pedzoo.core.registry import DATASETS
 from pedzoo.core.spec import Spec
 from pedzoo.data.recordings import Fold, find_fold, open_fold
 from pedzoo.eval.episodes import packed_episodes
-from pedzoo.eval.prepared import prepared
 from pedzoo.eval.realism import HALVES, REAL, SPLITS, reference_rows, replay_row
 from pedzoo.eval.results import SEEN
+from pedzoo.eval.scenario_cache import prepared
 from pedzoo.eval.suite import (
     EvaluationCase,
     EvaluationOptions,
@@ -20,10 +20,10 @@ from pedzoo.eval.suite import (
     Suite,
     Tell,
     WorkUnit,
-    kept,
+    kept_episodes,
     walked,
 )
-from pedzoo.eval.unseen import for_fold, has_seen
+from pedzoo.eval.trained_on import for_fold, has_seen
 from pedzoo.maps.library import load_plan
 from pedzoo.metrics.realism.crowds import TAIL
 from pedzoo.metrics.realism.features import FEATURES
@@ -191,7 +191,7 @@ class Replay(Suite):
         def each() -> Iterator[Rollout]:
             for part, env in parts:
                 if not first:
-                    first.update({"kept": kept(unit, part, env)})
+                    first.update({"kept": kept_episodes(unit, part, env)})
                 yield part
 
         row = replay_row(unit.policy, each(), scenario, model.decision_dt, unit.metrics) | first["kept"]

@@ -8,7 +8,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.registry import ROBOTS
 from pedzoo.core.spec import Spec, build, name_of, parse
 from pedzoo.eval.robots import prepared_scenes, robot_rollout, robot_row
-from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite, Tell, WorkUnit, kept
+from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite, Tell, WorkUnit, kept_episodes
 from pedzoo.eval.suites.replay import digest_of
 from pedzoo.metrics.robots.legend import LEGEND
 from pedzoo.policies.load import load_policy, load_robot_policy
@@ -137,7 +137,7 @@ class Robots(Suite):
             env.physics.close()
             decision_dt = env.decision_dt
             if not parts and unit.keep_episodes:
-                first = kept(unit, part.walked, env)
+                first = kept_episodes(unit, part.walked, env)
             parts.append(part)
         row = robot_row(unit.policy, joined_robots(parts), decision_dt) | first
         for robot in row["per_agent"]:

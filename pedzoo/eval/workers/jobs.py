@@ -1,4 +1,4 @@
-"""What runs inside a worker: jobs arrive once, and the number of a job brings back its outcome."""
+"""The inside of a worker: it receives all jobs once, then does them by number."""
 
 import traceback
 import warnings
@@ -14,7 +14,7 @@ from torchrl.envs.utils import exploration_type, set_exploration_type
 from pedzoo.core.errors import UserError
 
 
-class Outcome(NamedTuple):
+class JobResult(NamedTuple):
     """What became of a job.
 
     Attributes:
@@ -64,7 +64,7 @@ class Worker:
             ) from error
 
     def do(self, number: int) -> bytes:
-        """Do a job and return its `Outcome`, pickled."""
+        """Do a job and return its `JobResult`, pickled."""
         result, error = None, None
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("default")
@@ -75,7 +75,7 @@ class Worker:
             except Exception as raised:  # the caller gets any error of a job
                 error = _portable(raised, number)
         warned = [(str(each.message), each.category, each.filename, each.lineno) for each in caught]
-        return cloudpickle.dumps(Outcome(result, error, warned))
+        return cloudpickle.dumps(JobResult(result, error, warned))
 
 
 def _portable(error: Exception, job: int) -> Exception:

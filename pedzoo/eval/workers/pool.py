@@ -12,7 +12,7 @@ import cloudpickle
 import torch
 
 from pedzoo.core.errors import UserError, need, unknown
-from pedzoo.eval.workers.jobs import Outcome, packed
+from pedzoo.eval.workers.jobs import JobResult, packed
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -97,14 +97,14 @@ def _there(
         from pedzoo.eval.workers.ray_workers import RayActors as Pool
     else:
         from pedzoo.eval.workers.processes import Processes as Pool
-    pool, shares = Pool(packed(jobs, work), workers), Shares(groups)
+    pool, shares = Pool(packed(jobs, work), workers), JobQueue(groups)
     running: dict[Future[bytes], tuple[int, int, int]] = {}
 
     def begin(worker: int, group: int | None) -> None:
         if taken := shares.take(group):
             running[pool.submit(worker, taken[0])] = worker, *taken
 
-    def outcome(future: Future[bytes], worker: int, job: int) -> Outcome:
+    def outcome(future: Future[bytes], worker: int, job: int) -> JobResult:
         try:
             return cloudpickle.loads(future.result())
         except pool.deaths as death:
@@ -114,7 +114,7 @@ def _there(
                 "if the memory was too small for so many at once, use fewer workers"
             )
             error.__cause__ = death
-            return Outcome(None, error)
+            return JobResult(None, error)
 
     try:
         for worker in range(workers):
@@ -136,7 +136,7 @@ def _there(
         pool.end()
 
 
-class Shares:
+class JobQueue:
     """Which job a worker does next: no worker waits while there is work, and jobs of a group stay together.
 
     A worker goes on with its group. When that is finished it begins the first group that no worker has

@@ -1,6 +1,7 @@
 """Images as floor plans: grey levels of a file, and plain images with a known resolution."""
 
 import math
+import os
 import struct
 import warnings
 from pathlib import Path
@@ -18,6 +19,9 @@ FORMATS = ("PNG", "PPM", "JPEG", "BMP", "TIFF")
 _LONGEST_FILE = 8 * LARGEST_PICTURE
 """Bytes: the largest picture with grey levels that are written out as texts."""
 
+_DENSEST = 8 * 1032
+"""Pixels in a byte of PNG, at most: eight of one bit, and deflate makes a byte of 1032."""
+
 
 def read_pixels(file: Path, owner: str = "") -> NDArray[np.uint8]:
     """Return an image's grey levels (H, W), row 0 at the top, of any of `FORMATS`.
@@ -27,14 +31,16 @@ def read_pixels(file: Path, owner: str = "") -> NDArray[np.uint8]:
     """
     from PIL import Image, ImageOps
 
-    if not file.is_file():
-        raise UserError(f"{owner}image {str(file)!r} does not exist")
+    if not os.path.isfile(file):  # unlike Path's, for names that no system takes, too
+        raise UserError(f"{owner}image {str(file)!r:.300} does not exist")
     what, remedy = f"{owner}image {str(file)!r}", "reduce it, and give its resolution accordingly"
     check_limit(file.stat().st_size, _LONGEST_FILE, what, "bytes", remedy)
     try:
         with warnings.catch_warnings(action="ignore"), Image.open(file, formats=FORMATS) as image:
             # what the header states, before a decoder makes place for it
             check_limit(image.width * image.height, LARGEST_PICTURE, what, "pixels", remedy)
+            if image.format == "PNG" and image.width * image.height > _DENSEST * file.stat().st_size:
+                raise UserError(f"{what} has fewer pixels than it says: is it cut off?")
             image.draft("L", None)  # of a jpg the brightness itself
             upright = ImageOps.exif_transpose(image)
             if upright.mode.startswith("I"):  # 16 bits: the upper half

@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from pedzoo.core.geometry import turn_matrix
 from pedzoo.core.machine import compiles
 from pedzoo.maps.walls.constants import INTO, WALL
 from pedzoo.maps.walls.nearest_boxes import CANDIDATES
@@ -50,22 +51,14 @@ class LocalWalls:
     def around(cls, walls: Walls, row: Tensor, pose: Tensor) -> LocalWalls:
         """Return the walls as N entries on maps ``row`` (N,) in poses (N, 4) see them."""
         row = row % walls.place.shape[1]
-        xx, xy, yx, yy, shift_x, shift_y = walls.affine.index_select(1, row)
-        angle, mirror, right, up = pose.double().unbind(1)
+        pose = pose.double()
         # pose and map together are one affine from the scene to cells; see `pedzoo.core.geometry.move_to_map`
-        c, s = angle.cos(), angle.sin()
-        d, e = c * mirror, s * mirror
-        home_x, home_y = c * right + s * up, d * up - e * right
-        frame = (
-            xx * c - xy * e,
-            yx * c - yy * e,
-            xx * s + xy * d,
-            yx * s + yy * d,
-            shift_x - xx * home_x - xy * home_y,
-            shift_y - yx * home_x - yy * home_y,
-            walls.side.index_select(0, row),
-        )
-        return cls(walls, torch.stack(frame), walls.place.index_select(1, row))
+        affine = walls.affine.index_select(1, row).t()
+        axes = affine[:, :4].view(-1, 2, 2).bmm(turn_matrix(pose))
+        shift = torch.baddbmm(affine[:, 4:, None], axes, pose[:, 2:, None], alpha=-1)
+        side = walls.side.index_select(0, row)[None]
+        frame = torch.cat((axes.permute(2, 1, 0).flatten(0, 1), shift[..., 0].t(), side))
+        return cls(walls, frame, walls.place.index_select(1, row))
 
     def select(self, index: Tensor) -> LocalWalls:
         """Return the walls as some of the N entries see them."""
@@ -146,13 +139,13 @@ class LocalWalls:
         away = torch.stack([torch.addcmul(axis[0] * scaled[0], axis[1], scaled[1]) for axis in axes])
         return distance.clamp_max(walls.limit) * sign, away
 
-    def half_planes(self, points: Tensor, within: Tensor) -> tuple[Tensor, Tensor]:
-        """Return distances to walls (*K, B, A) at points (2, *K, B, A), and what the walls leave free nearby.
+    def half_planes(self, points: Tensor, within: Tensor) -> Tensor:
+        """Return distances to walls at points (2, *K, B, A), and what the walls leave free: (4, *K, B, A).
 
-        The latter are half-planes (3, *K, B, A). Places p with n p > c are free: c, then x and y of n, which
-        is where the distance grows. A wall farther away than ``within`` (B, A), metres, may be any distance
-        above that away, with n = 0. That is what the compiled loops for single precision on the CPU say.
-        No gradient flows.
+        First comes the distance, then a half-plane. Places p with n p > c are free: c, then x and y of n,
+        which is where the distance grows. A wall farther away than ``within`` (B, A), metres, may be any
+        distance above that away, with n = 0. That is what the compiled loops for single precision on the CPU
+        say. No gradient flows.
         """
         shape = points.shape
         points = points.detach().reshape(2, -1, *shape[-2:])
@@ -164,8 +157,7 @@ class LocalWalls:
         else:
             gap, away = self.look(points, edges=False)
             result = torch.cat((torch.stack((gap, (points * away).sum(0) - gap)), away))
-        result = result.view(4, *shape[1:])
-        return result[0], result[1:]
+        return result.view(4, *shape[1:])
 
     @torch.no_grad()
     def cast(self, origin: Tensor, direction: Tensor, reach: float) -> Tensor:

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.types import STEP_SECONDS
-from pedzoo.metrics.realism.features import LINE, Steps
+from pedzoo.metrics.realism.features import LINE, SampledRollout
 from pedzoo.metrics.safety import HORIZON, collision_seconds
 
 LENGTH = 8
@@ -48,14 +48,13 @@ class Clips(NamedTuple):
     person: Tensor
 
 
-def clips(steps: Steps, start: Tensor, goal: Tensor, stride: int = 1) -> Clips:
-    """Return the clips of people's walks.
+def clips(steps: SampledRollout, start: Tensor, goal: Tensor) -> Clips:
+    """Return the clips of people's walks; one begins with every scored step that has enough after it.
 
     Args:
         steps: Every 0.4 s.
         start: Where the policy took each person over (P, 2), metres.
         goal: Their exits (P, 2), metres.
-        stride: Steps between the beginnings of two clips of a walk.
     """
     episode, slot, step = steps.scored.nonzero().unbind(1)
     if not len(step):
@@ -66,13 +65,13 @@ def clips(steps: Steps, start: Tensor, goal: Tensor, stride: int = 1) -> Clips:
     begins = torch.ones_like(row, dtype=torch.bool)
     begins[1:] = (person.diff() != 0) | (step.diff() != 1) | (slot.diff() != 0) | (episode.diff() != 0)
     since = row - torch.where(begins, row, 0).cummax(0).values
-    last = row[(since >= LENGTH - 1) & ((since - LENGTH + 1) % stride == 0)]
+    last = row[since >= LENGTH - 1]
     rows = last.unsqueeze(1) + torch.arange(1 - LENGTH, 1)
     return Clips(value[rows].flatten(1), person[last])
 
 
 def _step_values(
-    steps: Steps, start: Tensor, goal: Tensor, episode: Tensor, slot: Tensor, step: Tensor
+    steps: SampledRollout, start: Tensor, goal: Tensor, episode: Tensor, slot: Tensor, step: Tensor
 ) -> Tensor:
     """Return the numbers of scored steps (N, C)."""
     person = steps.person[episode, slot, step]
@@ -97,7 +96,7 @@ def _step_values(
     return torch.cat((turned.flatten(1), others[:, 8:], away.norm(dim=1, keepdim=True)), 1).float()
 
 
-def _others(steps: Steps, episode: Tensor, slot: Tensor, step: Tensor) -> Tensor:
+def _others(steps: SampledRollout, episode: Tensor, slot: Tensor, step: Tensor) -> Tensor:
     """Return the nearest two and the time to a collision (N, 9).
 
     Relative places of the nearest two, relative velocities, and seconds; an absent one is infinitely far.

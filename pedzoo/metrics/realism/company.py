@@ -10,7 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from pedzoo.metrics.realism.features import Steps
+from pedzoo.metrics.realism.features import SampledRollout
 from pedzoo.metrics.smoothness import STANDS
 from pedzoo.sim.replay.companions import DRIFT, NEAR, TOGETHER
 
@@ -41,7 +41,7 @@ _AT_ONCE = 4_000_000
 """Pairs of people and moments that are looked at at once."""
 
 
-def measured(steps: Steps, people: int, axis: Tensor) -> dict[str, PersonSums]:
+def measured(steps: SampledRollout, people: int, axis: Tensor) -> dict[str, PersonSums]:
     """Return the measures of one rollout, by the names of their columns.
 
     * ``standing_share``: of scored steps, those slower than 0.1 m/s.
@@ -59,12 +59,12 @@ def measured(steps: Steps, people: int, axis: Tensor) -> dict[str, PersonSums]:
     parts = []
     size = max(1, _AT_ONCE // (steps.person.shape[1] ** 2 * steps.person.shape[2]))
     for first in range(0, len(steps.person), size):
-        some = Steps(*(value[first : first + size] for value in steps))
+        some = SampledRollout(*(value[first : first + size] for value in steps))
         parts.append(_measured(some, people, axis))
     return added(parts)
 
 
-def _measured(steps: Steps, people: int, axis: Tensor) -> dict[str, PersonSums]:
+def _measured(steps: SampledRollout, people: int, axis: Tensor) -> dict[str, PersonSums]:
     """Return the measures of a few episodes E; pairs are (E, S, A, A)."""
     scored, there = steps.scored, steps.person >= 0
     person = steps.person[scored]
@@ -86,7 +86,7 @@ def _measured(steps: Steps, people: int, axis: Tensor) -> dict[str, PersonSums]:
     }
 
 
-def _accompanied(steps: Steps, apart: Tensor, distance: Tensor) -> Tensor:
+def _accompanied(steps: SampledRollout, apart: Tensor, distance: Tensor) -> Tensor:
     """Return which people have a companion (E, S, A) bool."""
     result = torch.zeros(distance.shape[:3], dtype=torch.bool)
     if distance.shape[1] < TOGETHER:
@@ -103,7 +103,7 @@ def _accompanied(steps: Steps, apart: Tensor, distance: Tensor) -> Tensor:
     return result
 
 
-def lane_order(steps: Steps, pairs: Tensor, axis: Tensor, people: int) -> PersonSums:
+def lane_order(steps: SampledRollout, pairs: Tensor, axis: Tensor, people: int) -> PersonSums:
     """Return how far walkers are sorted into lanes: 0 as in a mixed crowd, 1 if no strip has both ways.
 
     Strips of 0.6 m lie along the axis. Of all pairs of people who walk in one strip at a moment, s walk the

@@ -21,7 +21,7 @@ QUADRATS = 10
 """On each side of the scene."""
 
 
-class Walks(NamedTuple):
+class ScoredSteps(NamedTuple):
     """Scored steps of people, in the order of time for each.
 
     Attributes:
@@ -37,7 +37,7 @@ class Walks(NamedTuple):
     xy: Tensor
 
 
-def columns(mine: Walks, real: Walks) -> dict[str, float]:
+def columns(mine: ScoredSteps, real: ScoredSteps) -> dict[str, float]:
     """Return the columns, of several rounds their means; NaN where a crowd has no walk of three steps.
 
     ``crowdes_density``, ``crowdes_coverage``, ``crowdes_population``, ``crowdes_kinematics`` and
@@ -45,14 +45,14 @@ def columns(mine: Walks, real: Walks) -> dict[str, float]:
     """
     need("fast", "a score of realism")
     rounds = [
-        _columns(Walks(*(value[mine.round == number] for value in mine)), real)
+        _columns(ScoredSteps(*(value[mine.round == number] for value in mine)), real)
         for number in mine.round.unique().tolist()
     ]
     names = dict.fromkeys(name for one in rounds for name in one)
     return {name: float(np.mean([one[name] for one in rounds])) for name in names}
 
 
-def _columns(mine: Walks, real: Walks) -> dict[str, float]:
+def _columns(mine: ScoredSteps, real: ScoredSteps) -> dict[str, float]:
     low, high = real.xy.amin(0), real.xy.amax(0)
     steps = int(real.frame.max() - real.frame.min()) + 1
     (density, coverage), (true, covered) = (_quadrats(side, low, high, steps) for side in (mine, real))
@@ -73,7 +73,7 @@ def _columns(mine: Walks, real: Walks) -> dict[str, float]:
     }
 
 
-def _quadrats(side: Walks, low: Tensor, high: Tensor, steps: int) -> tuple[Tensor, Tensor]:
+def _quadrats(side: ScoredSteps, low: Tensor, high: Tensor, steps: int) -> tuple[Tensor, Tensor]:
     """Return people and occupied quadrats at every step (S,), divided by the number of quadrats."""
     place = ((side.xy - low) / (high - low).clamp_min(1e-9) * QUADRATS).long().clamp(0, QUADRATS - 1)
     frame, at = side.frame.unique(return_inverse=True)
@@ -83,7 +83,7 @@ def _quadrats(side: Walks, low: Tensor, high: Tensor, steps: int) -> tuple[Tenso
     return counts.sum(1) / QUADRATS**2, (counts > 0).sum(1) / QUADRATS**2
 
 
-def _of_walks(side: Walks) -> tuple[Tensor, ...]:
+def _of_walks(side: ScoredSteps) -> tuple[Tensor, ...]:
     """Return distance, mean speed, mean change of it and duration of the walks of three steps and more."""
     person, where = side.person.unique(return_inverse=True)
     order = torch.argsort(where, stable=True)
@@ -106,7 +106,7 @@ def _of_walks(side: Walks) -> tuple[Tensor, ...]:
     return way, way / steps, bend / bends, steps.double()
 
 
-def _flat(side: Walks) -> tuple[np.ndarray, np.ndarray]:
+def _flat(side: ScoredSteps) -> tuple[np.ndarray, np.ndarray]:
     """Return the places (N, 2) walk after walk, and where each walk begins (W + 1,)."""
     _, where = side.person.unique(return_inverse=True)
     order = torch.argsort(where, stable=True)

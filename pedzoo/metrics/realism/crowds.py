@@ -12,7 +12,7 @@ from torch import Tensor
 
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.metrics.realism.distances import Samples, counted, grid, resampled, wasserstein
-from pedzoo.metrics.realism.features import CLOSE, FEATURES, Steps, features, surroundings
+from pedzoo.metrics.realism.features import CLOSE, FEATURES, SampledRollout, features, surroundings
 from pedzoo.metrics.safety import begins
 from pedzoo.metrics.sums.quantiles import quantiles
 from pedzoo.sim.rollout import Rollout
@@ -27,7 +27,7 @@ MINUTES = TRACE_SECONDS / 60
 """Of one trace point."""
 
 
-class Crowd(NamedTuple):
+class CrowdSums(NamedTuple):
     """Sums over the walks of P people in K rounds.
 
     Attributes:
@@ -49,7 +49,9 @@ class Crowd(NamedTuple):
     steps_at: Tensor
 
 
-def crowd(rollout: Rollout, steps: Steps, first: int, scenes: int, start: Tensor, goal: Tensor) -> Crowd:
+def crowd(
+    rollout: Rollout, steps: SampledRollout, first: int, scenes: int, start: Tensor, goal: Tensor
+) -> CrowdSums:
     """Return the crowd of a rollout.
 
     Args:
@@ -75,7 +77,7 @@ def crowd(rollout: Rollout, steps: Steps, first: int, scenes: int, start: Tensor
         return torch.stack((points(when) * MINUTES, points(begins(when))))
 
     close = around.close.clamp(max=MOST_CLOSE)
-    return Crowd(
+    return CrowdSums(
         samples=features(steps, around, start, goal),
         minutes=points(underway) * MINUTES,
         agent_contact=contact(rollout.agent_contact),
@@ -86,7 +88,7 @@ def crowd(rollout: Rollout, steps: Steps, first: int, scenes: int, start: Tensor
     )
 
 
-def together(crowds: Sequence[Crowd]) -> Crowd:
+def together(crowds: Sequence[CrowdSums]) -> CrowdSums:
     """Return one crowd of several of the same people, such as those of different rounds."""
     samples = {
         name: Samples(*(torch.cat(values) for values in zip(*(c.samples[name] for c in crowds), strict=True)))
@@ -97,22 +99,22 @@ def together(crowds: Sequence[Crowd]) -> Crowd:
     )
     minutes, agents, walls, speeds, steps = (torch.stack(values).sum(0) for values in rest)
     rounds = torch.cat([c.round for c in crowds])
-    return Crowd(samples, minutes, agents, walls, rounds, speeds, steps)
+    return CrowdSums(samples, minutes, agents, walls, rounds, speeds, steps)
 
 
-def only(crowd: Crowd, seen: Tensor) -> Crowd:
+def only(crowd: CrowdSums, seen: Tensor) -> CrowdSums:
     """Return the crowd without the samples of people who were not ``seen`` (P,) bool."""
     keep = {name: seen[samples.person] for name, samples in crowd.samples.items()}
     samples = {name: Samples(*(value[keep[name]] for value in crowd.samples[name])) for name in keep}
     return crowd._replace(samples=samples, round=crowd.round[keep["speed"]])
 
 
-def spreads(real: Crowd) -> dict[str, float]:
+def spreads(real: CrowdSums) -> dict[str, float]:
     """Return the standard deviation of every feature in the real crowd: the unit of distances."""
     return {name: float(samples.value.double().std()) for name, samples in real.samples.items()}
 
 
-def distances(first: Crowd, second: Crowd) -> dict[str, Tensor]:
+def distances(first: CrowdSums, second: CrowdSums) -> dict[str, Tensor]:
     """Return the exact Wasserstein-1 distance (1,) of every feature, each person counting once."""
     return {
         name: first.minutes.new_tensor([wasserstein(first.samples[name].value, second.samples[name].value)])
@@ -120,7 +122,9 @@ def distances(first: Crowd, second: Crowd) -> dict[str, Tensor]:
     }
 
 
-def resampled_distances(first: Crowd, second: Crowd, mine: Tensor, theirs: Tensor) -> dict[str, Tensor]:
+def resampled_distances(
+    first: CrowdSums, second: CrowdSums, mine: Tensor, theirs: Tensor
+) -> dict[str, Tensor]:
     """Return the Wasserstein-1 distance (R,) of every feature, NaN without samples.
 
     Weights of people are (R, P) for the first crowd, and (R, Q) for the second.
@@ -138,8 +142,8 @@ def resampled_distances(first: Crowd, second: Crowd, mine: Tensor, theirs: Tenso
 
 
 def compared(
-    crowd: Crowd,
-    real: Crowd,
+    crowd: CrowdSums,
+    real: CrowdSums,
     mine: Tensor,
     theirs: Tensor,
     distance: dict[str, Tensor],
@@ -193,7 +197,7 @@ def compared(
     return result
 
 
-def density_speed(crowd: Crowd, weights: Tensor) -> tuple[Tensor, Tensor]:
+def density_speed(crowd: CrowdSums, weights: Tensor) -> tuple[Tensor, Tensor]:
     """Return the mean speed (R, C) at every density, m/s, NaN for a density without people, and the steps.
 
     The density is that of the circle of 2 m around a person, see `densities`, with a bin for every number of
@@ -210,7 +214,7 @@ def densities() -> Tensor:
     return torch.arange(1, MOST_CLOSE + 2) / (math.pi * CLOSE**2)
 
 
-def _mean_speeds(crowd: Crowd) -> Tensor:
+def _mean_speeds(crowd: CrowdSums) -> Tensor:
     """Return the mean speed of each person in each round (K, P), m/s, NaN where they were not scored."""
     speed, people = crowd.samples["speed"], len(crowd.minutes)
     rounds = int(crowd.round.max()) + 1 if len(crowd.round) else 1

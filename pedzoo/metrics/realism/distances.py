@@ -28,7 +28,7 @@ class Samples(NamedTuple):
     person: Tensor
 
 
-class Counts(NamedTuple):
+class CumulativeCounts(NamedTuple):
     """Number of each person's samples below some edges: all that resampling needs.
 
     Attributes:
@@ -67,7 +67,7 @@ def grid(first: Tensor, second: Tensor, size: int = EDGES) -> Tensor:
     return torch.from_numpy(np.unique(np.concatenate((even, *of_ranks)))).double()
 
 
-def counted(samples: Samples, edges: Tensor, people: int) -> Counts:
+def counted(samples: Samples, edges: Tensor, people: int) -> CumulativeCounts:
     """Return how many samples of each of P ``people`` lie below ``edges`` (G,), and on them.
 
     Raises:
@@ -80,10 +80,12 @@ def counted(samples: Samples, edges: Tensor, people: int) -> Counts:
         place = torch.searchsorted(edges, samples.value.double(), right=right)
         each = torch.bincount(samples.person * shape[1] + place, minlength=shape[0] * shape[1])
         result.append(each.view(shape)[:, :-1].cumsum(1).double())
-    return Counts(*result)
+    return CumulativeCounts(*result)
 
 
-def resampled(first: Counts, second: Counts, edges: Tensor, mine: Tensor, theirs: Tensor) -> Tensor:
+def resampled(
+    first: CumulativeCounts, second: CumulativeCounts, edges: Tensor, mine: Tensor, theirs: Tensor
+) -> Tensor:
     """Return the Wasserstein-1 distance (R,) of two crowds in every resample, NaN where one is empty.
 
     Between two edges the cumulative distributions are taken to differ evenly. The error is at most the larger
@@ -103,9 +105,9 @@ def drawn_people(people: int, resamples: int = 2000, seed: int = 0) -> Tensor:
     )
 
 
-def halves(people: int, splits: int = 200, seed: int = 0) -> Tensor:
+def halves(people: int, splits: int = 200) -> Tensor:
     """Return which people are in the first half of a crowd (R, P), 1 or 0, split at random R times."""
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(0)
     rank = torch.rand(splits, people, generator=generator).argsort(1)
     return torch.zeros(splits, people, dtype=torch.float64).scatter_(1, rank[:, : people // 2], 1.0)
 

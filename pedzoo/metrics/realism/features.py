@@ -38,7 +38,7 @@ _AT_ONCE = 250_000
 """Pairs of people that are compared at once: several such tensors fit a cache."""
 
 
-class Steps(NamedTuple):
+class SampledRollout(NamedTuple):
     """A rollout every 0.4 s, from its begin and with the step before, for people controlled at once.
 
     Attributes:
@@ -77,7 +77,7 @@ class Surroundings(NamedTuple):
     close: Tensor
 
 
-def every_step(rollout: Rollout) -> Steps:
+def every_step(rollout: Rollout) -> SampledRollout:
     """Return the steps of a rollout."""
     last = WINDOW - 1
     first, person = (
@@ -94,10 +94,10 @@ def every_step(rollout: Rollout) -> Steps:
     scored = torch.zeros_like(known)
     walks = rollout.controlled & (rollout.reached < rollout.goals)
     scored[..., 2:] = walks[..., last::WINDOW]
-    return Steps(xy, person, velocity, known, scored & known, rollout.radius)
+    return SampledRollout(xy, person, velocity, known, scored & known, rollout.radius)
 
 
-def coarse(steps: Steps) -> Steps:
+def coarse(steps: SampledRollout) -> SampledRollout:
     """Return the steps with every position averaged over three of them, so that annotation jitter is out.
 
     A position is the mean of those before, at and after its step, of the same person. Steps next to a
@@ -114,19 +114,19 @@ def coarse(steps: Steps) -> Steps:
     return _moved(steps, xy)._replace(known=known, scored=steps.scored & known)
 
 
-def to_millimetres(steps: Steps) -> Steps:
+def to_millimetres(steps: SampledRollout) -> SampledRollout:
     """Return the steps with positions rounded to 1 mm: else a file's decimals tell two crowds apart."""
     return _moved(steps, (steps.xy.double() * 1000).round().div(1000).float())
 
 
-def _moved(steps: Steps, xy: Tensor) -> Steps:
+def _moved(steps: SampledRollout, xy: Tensor) -> SampledRollout:
     """Return the steps at other positions (E, A, S, 2)."""
     velocity = torch.zeros_like(xy)
     velocity[:, :, 1:] = xy.diff(dim=2) / STEP_SECONDS
     return steps._replace(xy=xy, velocity=velocity)
 
 
-def features(steps: Steps, around: Surroundings, start: Tensor, goal: Tensor) -> dict[str, Samples]:
+def features(steps: SampledRollout, around: Surroundings, start: Tensor, goal: Tensor) -> dict[str, Samples]:
     """Return the samples of every feature of `FEATURES`.
 
     * ``speed`` and ``acceleration``, the amount of the change of velocity since the step before.
@@ -157,7 +157,7 @@ def features(steps: Steps, around: Surroundings, start: Tensor, goal: Tensor) ->
     }
 
 
-def surroundings(steps: Steps) -> Surroundings:
+def surroundings(steps: SampledRollout) -> Surroundings:
     """Return the surroundings of every scored step; others count whether scored or played back."""
     episode, slot, step = steps.scored.nonzero().unbind(1)
     place = (*steps.xy.unbind(-1), *steps.velocity.unbind(-1), steps.person >= 0, steps.known)

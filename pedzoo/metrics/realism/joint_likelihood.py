@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.types import STEP_SECONDS
-from pedzoo.metrics.realism.features import Steps, surroundings
+from pedzoo.metrics.realism.features import SampledRollout, surroundings
 from pedzoo.metrics.smoothness import STANDS
 
 BINS, PSEUDO_COUNT = 10, 0.1
@@ -59,7 +59,7 @@ class LogSums(NamedTuple):
     count: Tensor
 
 
-def step_values(steps: Steps, wall: Tensor) -> dict[str, Tensor]:
+def step_values(steps: SampledRollout, wall: Tensor) -> dict[str, Tensor]:
     """Return the values (E, A, S) of `MEASURED` in every scored step, NaN elsewhere.
 
     Acceleration is the change of the speed, so it has a sign, and turns are positive to the left. People

@@ -6,13 +6,13 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.types import STEP_SECONDS
-from pedzoo.metrics.realism.crowdes import Walks
+from pedzoo.metrics.realism.crowdes import ScoredSteps
 
 HEADWAYS = {"p5": 0.05, "p50": 0.5, "p95": 0.95}
 """Quantiles of the time between two who follow each other."""
 
 
-def through(walks: Walks, opening: Tensor) -> dict[str, float]:
+def through(walks: ScoredSteps, opening: Tensor) -> dict[str, float]:
     """Return how people pass an opening, of several rounds the means; flow and headways of two and more.
 
     * ``opening_through_share``: share of the scored people who end up on the other side: an odd number of
@@ -26,7 +26,7 @@ def through(walks: Walks, opening: Tensor) -> dict[str, float]:
     """
     rounds = []
     for number in walks.round.unique().tolist():
-        mine = Walks(*(value[walks.round == number] for value in walks))
+        mine = ScoredSteps(*(value[walks.round == number] for value in walks))
         rounds.append(_through(mine.person, mine.frame, mine.xy, opening))
     names = dict.fromkeys(name for one in rounds for name in one)
     return {name: sum(one[name] for one in rounds if name in one) / len(rounds) for name in names}

@@ -14,12 +14,12 @@ from torch import Tensor
 
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.metrics.navigation import stuck
-from pedzoo.metrics.realism.features import Steps, every_step
+from pedzoo.metrics.realism.features import SampledRollout, every_step
 from pedzoo.metrics.realism.paths import closed_loop_error, dtw, padded
 from pedzoo.sim.rollout import Rollout
 
 
-class Tracks(NamedTuple):
+class RecordedWalks(NamedTuple):
     """The recorded walks of P people, from where a policy takes over.
 
     Attributes:
@@ -63,7 +63,7 @@ class Walks(NamedTuple):
         return table
 
 
-class Tables(NamedTuple):
+class WalksByPerson(NamedTuple):
     """Walks of P people in K rounds, (K, P) each, NaN for no walk; ``real_seconds`` is (P,)."""
 
     success: Tensor
@@ -74,7 +74,7 @@ class Tables(NamedTuple):
     real_seconds: Tensor
 
     @classmethod
-    def of(cls, walks: Walks, real_seconds: Tensor, scenes: int) -> Tables:
+    def of(cls, walks: Walks, real_seconds: Tensor, scenes: int) -> WalksByPerson:
         """Return those of walks in rounds of ``scenes``, beside the recorded times (P,)."""
         success = ~walks.seconds.isnan()
         success, deadlock, seconds, ade, warped = (
@@ -84,7 +84,7 @@ class Tables(NamedTuple):
         return cls(success, deadlock, seconds, ade, warped, real_seconds)
 
 
-def tracks_of(parts: Sequence[Rollout], people: int) -> Tracks:
+def tracks_of(parts: Sequence[Rollout], people: int) -> RecordedWalks:
     """Return the tracks of a recorded crowd of P ``people``, given as rollouts of scenes 0, 1, ..."""
     scene = torch.full((people,), -1)
     seconds = torch.full((people,), torch.nan, dtype=torch.float64)
@@ -97,10 +97,12 @@ def tracks_of(parts: Sequence[Rollout], people: int) -> Tracks:
         positions.append(steps.xy[steps.scored])
         persons.append(steps.person[steps.scored])
         before += len(part.failed)
-    return Tracks(scene, seconds, *padded(torch.cat(positions), torch.cat(persons), people))
+    return RecordedWalks(scene, seconds, *padded(torch.cat(positions), torch.cat(persons), people))
 
 
-def walks_of(rollout: Rollout, steps: Steps, first: int, scenes: int, tracks: Tracks) -> Walks:
+def walks_of(
+    rollout: Rollout, steps: SampledRollout, first: int, scenes: int, tracks: RecordedWalks
+) -> Walks:
     """Return the walks of a rollout.
 
     Args:
@@ -131,7 +133,7 @@ def walks_of(rollout: Rollout, steps: Steps, first: int, scenes: int, tracks: Tr
     )
 
 
-def of_people(tables: Tables, weights: Tensor) -> dict[str, Tensor]:
+def of_people(tables: WalksByPerson, weights: Tensor) -> dict[str, Tensor]:
     """Return values that are means or medians over people, for weights (R, P), (R,) each."""
     rounds = len(tables.success)
     ratio = (tables.seconds / tables.real_seconds).nanmedian(0).values

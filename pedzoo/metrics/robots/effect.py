@@ -25,7 +25,7 @@ YIELDS = 0.1
 """m/s: a smaller change of velocity is no yielding."""
 
 
-class Walk(NamedTuple):
+class WalkProgress(NamedTuple):
     """How far people had come when the robot's episode ended (E, N).
 
     Attributes:
@@ -41,7 +41,7 @@ class Walk(NamedTuple):
     walked: Tensor
 
 
-def delay(joined: Walk, alone: Walk, pref_speed: Tensor, ended: Tensor) -> Tensor:
+def delay(joined: WalkProgress, alone: WalkProgress, pref_speed: Tensor, ended: Tensor) -> Tensor:
     """Return how much later people arrive because of the robot (E, N), seconds; below 0: earlier.
 
     A person who had arrived at the end of the robot's episode did so at a known time. For others it is that
@@ -69,7 +69,7 @@ def delay(joined: Walk, alone: Walk, pref_speed: Tensor, ended: Tensor) -> Tenso
     return times[0] - times[1]
 
 
-def detour(joined: Walk, alone: Walk) -> Tensor:
+def detour(joined: WalkProgress, alone: WalkProgress) -> Tensor:
     """Return how much farther people walk for the same progress (E, N), metres; below 0: less far.
 
     What they walked less what they covered of the planner's paths, with the robot less without. So a person
@@ -78,12 +78,12 @@ def detour(joined: Walk, alone: Walk) -> Tensor:
     return (joined.walked - joined.covered) - (alone.walked - alone.covered)
 
 
-def _whole(joined: Walk, alone: Walk) -> Tensor:
+def _whole(joined: WalkProgress, alone: WalkProgress) -> Tensor:
     """Return the length of whole planned ways (E, N), metres: of those who arrived; for others it cancels."""
     return torch.where(joined.arrived, joined.covered, alone.covered)
 
 
-class Encounters(NamedTuple):
+class RobotEncounters(NamedTuple):
     """Pairs of a robot and a person who met (E, R, N).
 
     Attributes:
@@ -107,7 +107,9 @@ class Encounters(NamedTuple):
         return self.known & (self.person > self.robot)
 
 
-def encounters(robots: Tensor, people: Tensor, there: Tensor, moved: Tensor, reach: Tensor) -> Encounters:
+def encounters(
+    robots: Tensor, people: Tensor, there: Tensor, moved: Tensor, reach: Tensor
+) -> RobotEncounters:
     """Return which pairs met, and which of the two changed its velocity more.
 
     An encounter of a pair begins where the time after which they would touch, if both kept their velocities,
@@ -133,7 +135,7 @@ def encounters(robots: Tensor, people: Tensor, there: Tensor, moved: Tensor, rea
         _change(velocity.expand(*near.shape, 2), begin, during)
         for velocity in (mine.unsqueeze(2), theirs.unsqueeze(1))
     )
-    return Encounters(near.any(-1), robot, person)
+    return RobotEncounters(near.any(-1), robot, person)
 
 
 def _change(velocity: Tensor, begin: Tensor, during: Tensor) -> Tensor:

@@ -10,7 +10,7 @@ from torch import Tensor
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.metrics import navigation, safety, smoothness
 from pedzoo.metrics.ratios import Ratio, finite, mean, of_sums, ratio, share
-from pedzoo.metrics.robots import driving, effect, near
+from pedzoo.metrics.robots import driving, effect, proximity
 from pedzoo.metrics.robots.legend import LEGEND
 from pedzoo.sim.robot_parts.rollout import RobotRollout
 from pedzoo.sim.rollout import Rollout
@@ -97,7 +97,7 @@ def _touches(rollout: RobotRollout, agents: _Agents) -> dict[str, Ratio]:
     there = there.expand(-1, contact.shape[1], -1, -1).gather(3, place.expand(*after.shape[:3], 1))[..., 0]
     gap = (after - moved).norm(dim=-1) - agents.reach
     nearest = gap.masked_fill(~there, torch.inf).argmin(2, keepdim=True)
-    drives = near.drives_into(before - robot, moved - robot, after - before).gather(2, nearest)[..., 0]
+    drives = proximity.drives_into(before - robot, moved - robot, after - before).gather(2, nearest)[..., 0]
     touches, every = contact.any(-1), torch.ones_like(drives)
     return {
         "robot_on_person": share(touches & drives, every),
@@ -133,18 +133,18 @@ def _near(agents: _Agents) -> dict[str, Ratio]:
     """Return how near robots come to people."""
     robots, people = agents.robots[:, :, 1:], agents.people[:, :, 1:]
     there, present = agents.there, agents.present
-    apart = near.distances(robots, people, there, present)
+    apart = proximity.distances(robots, people, there, present)
     gap, body = (apart - agents.reach.unsqueeze(-1)).amin(2), apart - agents.radius[..., None, None]
     farthest = torch.where(body.isfinite(), body, -torch.inf).amax((2, 3))
-    intruded, least = near.intrusions(robots, people, present, agents.reach)
+    intruded, least = proximity.intrusions(robots, people, present, agents.reach)
     intruded = intruded & there
     mine, theirs = (path.diff(dim=2) / TRACE_SECONDS for path in (agents.robots, agents.people))
     closing = mine.unsqueeze(2) - theirs.unsqueeze(1)
-    force = near.social_force(people.unsqueeze(1) - robots.unsqueeze(2), closing)
-    inside = {name: near.in_space(apart, agents.radius, name) for name in near.SPACES}
+    force = proximity.social_force(people.unsqueeze(1) - robots.unsqueeze(2), closing)
+    inside = {name: proximity.in_space(apart, agents.radius, name) for name in proximity.SPACES}
     return {f"space_{name}": share(when, there) for name, when in inside.items()} | {
         "personal_space": share(safety.keeps_distance(apart.amin(2), there), there),
-        "discomfort": share((gap < near.DISCOMFORT) & there, there),
+        "discomfort": share((gap < proximity.DISCOMFORT) & there, there),
         "intrusion_ratio": mean(intruded.sum(-1) / there.sum(-1).clamp_min(1), there.any(-1)),
         "intrusion_distance_m": mean(least, intruded),
         "nearest_person_m": finite(gap),
@@ -187,12 +187,12 @@ def _effect(rollout: RobotRollout) -> dict[str, Ratio]:
     return result
 
 
-def _walk(rollout: Rollout, progress: Tensor, people: slice) -> effect.Walk:
+def _walk(rollout: Rollout, progress: Tensor, people: slice) -> effect.WalkProgress:
     """Return how far people had come at the end."""
     reached, goals = rollout.reached[:, people], rollout.goals
     arrived = (reached[..., -1] >= goals) & rollout.mask[:, people]
     planned = navigation.planned_metres(rollout.planned[:, people], reached, goals)
-    return effect.Walk(
+    return effect.WalkProgress(
         arrived=arrived,
         seconds=navigation.finish_seconds(reached, goals),
         covered=torch.where(arrived, planned, progress[:, people]),

@@ -8,6 +8,8 @@ from torch import Tensor
 
 from pedzoo.metrics.sums.quantiles import quantiles
 
+RESAMPLES = 2000
+
 _NORMAL_95 = 1.959964
 
 Interval = tuple[float, float]
@@ -25,32 +27,30 @@ def wilson(share: float, trials: int) -> Interval:
     return max(0.0, low), min(1.0, high)
 
 
-def bootstrap(numerator: Tensor, denominator: Tensor, resamples: int = 2000, seed: int = 0) -> Interval:
+def bootstrap(numerator: Tensor, denominator: Tensor) -> Interval:
     """Return the percentile bootstrap interval over episodes of a ratio of sums, (E,) each."""
-    times = _resampled(len(numerator), resamples, seed)
+    times = _resampled(len(numerator))
     below = times @ denominator.double()
     result = (times @ numerator.double() / below)[below > 0]
     low, high = torch.quantile(result, torch.tensor([0.025, 0.975], dtype=torch.float64)).tolist()
     return low, high
 
 
-def bootstrap_quantile(
-    value: Tensor, episode: Tensor, episodes: int, at: float, resamples: int = 2000, seed: int = 0
-) -> Interval:
+def bootstrap_quantile(value: Tensor, episode: Tensor, episodes: int, at: float) -> Interval:
     """Return the percentile bootstrap interval over episodes of the quantile ``at`` of values (N,).
 
     ``episode`` (N,) is the episode of each value.
     """
-    result = quantiles(value, episode, _resampled(episodes, resamples, seed), (at,))[:, 0]
+    result = quantiles(value, episode, _resampled(episodes), (at,))[:, 0]
     ends = torch.nanquantile(result, torch.tensor([0.025, 0.975], dtype=torch.float64))
     low, high = ends.tolist()
     return low, high
 
 
 @lru_cache(maxsize=2)  # all metrics of a row, and all rows of a table, have the same
-def _resampled(episodes: int, resamples: int, seed: int) -> Tensor:
-    """Return how often each episode is drawn in each resample (resamples, E) float64."""
-    generator = torch.Generator().manual_seed(seed)
-    chosen = torch.randint(episodes, (resamples, episodes), generator=generator)
-    times = torch.zeros(resamples, episodes, dtype=torch.float64)
+def _resampled(episodes: int) -> Tensor:
+    """Return how often each episode is drawn in each resample (RESAMPLES, E) float64."""
+    generator = torch.Generator().manual_seed(0)
+    chosen = torch.randint(episodes, (RESAMPLES, episodes), generator=generator)
+    times = torch.zeros(RESAMPLES, episodes, dtype=torch.float64)
     return times.scatter_add_(1, chosen, torch.ones_like(times))

@@ -9,7 +9,7 @@ from torch import nn
 from pedzoo.core.types import OBS_LEN, PRED_LEN
 from pedzoo.models.base import Walking
 from pedzoo.models.blocks.anchored.forecaster import UNIT, AnchorForecaster
-from pedzoo.models.blocks.anchored.parts import AnchorLosses, Seen, Written
+from pedzoo.models.blocks.anchored.parts import AnchorInputs, AnchorLosses, ModePredictions
 from pedzoo.models.blocks.mlp import init_with_zeros, two_layers
 
 
@@ -54,13 +54,13 @@ class AnchorMLP(AnchorForecaster):
         self.widths = nn.Linear(width, a.steps * 2)
         init_with_zeros(self.paths, self.choice, self.widths)  # untrained, it leaves the anchors as they are
 
-    def write(self, batch: TensorDict, seen: Seen) -> Written:
+    def write(self, batch: TensorDict, seen: AnchorInputs) -> ModePredictions:
         """Return the anchors with their corrections."""
         anchors = self.anchors(seen)
         moved = seen.history.diff(dim=1) / seen.unit.unsqueeze(-1)
         speed = torch.stack((seen.speed, (seen.unit[:, 0] / UNIT).log()), -1)
         hidden = self.body(torch.cat((moved.flatten(1), speed), -1))
-        return Written(
+        return ModePredictions(
             anchors.path + self.paths(hidden).view_as(anchors.path),
             anchors.logits + self.choice(hidden),
             anchors.log_scale + self.widths(hidden.detach()).view(-1, 1, self.steps, 2),

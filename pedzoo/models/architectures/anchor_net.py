@@ -18,7 +18,7 @@ from pedzoo.core.geometry import unrotate
 from pedzoo.core.types import OBS_LEN, PRED_LEN, GoalProtocol
 from pedzoo.models.base import Walking
 from pedzoo.models.blocks.anchored.forecaster import UNIT, AnchorForecaster
-from pedzoo.models.blocks.anchored.parts import AnchorLosses, Seen, Written
+from pedzoo.models.blocks.anchored.parts import AnchorInputs, AnchorLosses, ModePredictions
 from pedzoo.models.blocks.floor_plan.map_patch import PatchEncoder
 from pedzoo.models.blocks.floor_plan.map_rings import RingEncoder
 from pedzoo.models.blocks.mlp import init_with_zeros, two_layers
@@ -114,7 +114,7 @@ class AnchorNet(AnchorForecaster):
         # the untrained network leaves the anchors as they are
         init_with_zeros(self.choice, self.widths, *([self.paths] if a.anchors else []))
 
-    def write(self, batch: TensorDict, seen: Seen) -> Written:
+    def write(self, batch: TensorDict, seen: AnchorInputs) -> ModePredictions:
         """Return the modes: anchors with what the decoder adds to them."""
         anchors, a = self.anchors(seen), self.architecture
         context = self._context(batch, seen)
@@ -125,13 +125,13 @@ class AnchorNet(AnchorForecaster):
         path = self.paths(hidden).view_as(anchors.path)
         # bounded: no mode is ever impossible
         choice = BOUND * (self.choice(hidden[:, :-1]).squeeze(-1) / BOUND).tanh()
-        return Written(
+        return ModePredictions(
             path + anchors.path if a.anchors else path,
             anchors.logits + choice if a.anchors else choice,
             anchors.log_scale + self.widths(context.detach()).view(-1, 1, a.steps, 2),
         )
 
-    def _context(self, batch: TensorDict, seen: Seen) -> Tensor:
+    def _context(self, batch: TensorDict, seen: AnchorInputs) -> Tensor:
         """Return all that is known about people (P, width)."""
         moved = seen.history.diff(dim=1) / seen.unit.unsqueeze(-1)
         own = [moved.flatten(1), (seen.unit / UNIT).log(), seen.speed.unsqueeze(-1)]
@@ -151,7 +151,7 @@ class AnchorNet(AnchorForecaster):
             features.append(self.map(maps_of(batch), position, seen.heading, map_id, pose))
         return self.context(torch.cat(features, -1))
 
-    def _neighbours(self, batch: TensorDict, seen: Seen, own: Tensor) -> Tensor:
+    def _neighbours(self, batch: TensorDict, seen: AnchorInputs, own: Tensor) -> Tensor:
         """Return what people (P, width) see of the others; one attention layer, in no order."""
         agents, crowd = agents_of(batch), seen.crowd
         there = agents["mask"]

@@ -20,7 +20,7 @@ from pedzoo.models.base import Forecaster, Walking
 from pedzoo.models.blocks.floor_plan.map_alexnet import AlexNetEncoder
 from pedzoo.models.blocks.floor_plan.map_patch import PatchEncoder
 from pedzoo.models.blocks.floor_plan.map_rings import RingEncoder
-from pedzoo.models.blocks.mlp import Trait, init_like_sgan, init_with_zeros, mlp
+from pedzoo.models.blocks.mlp import ContextNoise, init_like_sgan, init_with_zeros, mlp
 from pedzoo.models.blocks.parameter_cache import NOTHING, FusedWeights, ParameterCache, fuse
 from pedzoo.models.blocks.people import frame as frames
 from pedzoo.models.blocks.people import lines
@@ -150,7 +150,9 @@ class SGAN(Forecaster):
         if late := map_dim + a.approach_dim:
             # the untrained network looks at neither: they are listened to as far as they help
             nn.init.zeros_(cast("nn.Linear", self.to_decoder[0]).weight[:, -late:])
-        self.trait = Trait(a.decoder_dim - a.noise_dim, a.noise_dim, a.trait_dim) if a.trait_dim else None
+        self.trait = (
+            ContextNoise(a.decoder_dim - a.noise_dim, a.noise_dim, a.trait_dim) if a.trait_dim else None
+        )
         if self.trait is not None:
             self.trait.reset()
         if a.residual != "none":

@@ -34,7 +34,7 @@ from pedzoo.models.blocks.people.neighbours import RelativePooling
 from pedzoo.models.blocks.recurrent import DisplacementEncoder
 
 
-class Seen(NamedTuple):
+class EncodedPeople(NamedTuple):
     """Values of the people of a batch that do not depend on a draw.
 
     Attributes:
@@ -130,7 +130,7 @@ class SocialVRNN(Forecaster):
         self.posterior = LatentHead(width + a.state_dim, a.hidden_dim, a.latent_dim)
         self.decoder = MixtureDecoder(width, a.latent_dim, a.hidden_dim, a.components, a.min_scale)
 
-    def see(self, batch: TensorDict) -> Seen:
+    def see(self, batch: TensorDict) -> EncodedPeople:
         """Return the known features of all people."""
         agents = agents_of(batch)
         crowd = Crowd.of(agents["mask"])
@@ -145,9 +145,9 @@ class SocialVRNN(Forecaster):
             pose, map_id = batch["scene_pose"][crowd.scene], batch["map_id"][crowd.scene, 0]
             features.append(self.map_dropout(self.map(maps_of(batch), position, heading, map_id, pose)))
         joined = torch.cat(features, -1)
-        return Seen(joined, self.prior(joined), own[:, -1], heading, crowd)
+        return EncodedPeople(joined, self.prior(joined), own[:, -1], heading, crowd)
 
-    def mixture(self, seen: Seen, latent: Tensor, steps: int) -> FutureMixture:
+    def mixture(self, seen: EncodedPeople, latent: Tensor, steps: int) -> FutureMixture:
         """Return p(y | z, x) in each person's frame, of K x P people for latents (K, P, latent_dim)."""
         samples = latent.shape[0]
         base = lines.constant_velocity(seen.last, steps).repeat(samples, 1, 1)
@@ -226,22 +226,22 @@ class SocialVRNN(Forecaster):
         bound = nats.logsumexp(0) - math.log(samples)
         return seen.crowd.unpack(bound * known.any(-1))
 
-    def _most_likely(self, seen: Seen, steps: int) -> Tensor:
+    def _most_likely(self, seen: EncodedPeople, steps: int) -> Tensor:
         """Return the likeliest component's mean (1, P, T, 2) in each person's frame, at the mode."""
         mixture = self.mixture(seen, seen.prior.mean.unsqueeze(0), steps)
         return mixture.mean_of(mixture.most_likely())
 
-    def _truth(self, batch: TensorDict, seen: Seen) -> tuple[Tensor, Tensor]:
+    def _truth(self, batch: TensorDict, seen: EncodedPeople) -> tuple[Tensor, Tensor]:
         """Return true displacements (P, T, 2) in each person's frame and which are known (P, T)."""
         path = frames.into(seen.heading, seen.crowd.pack(true_displacements(batch)))
         return path, seen.crowd.pack(known_displacements(batch))
 
-    def _infer(self, seen: Seen, truth: Tensor, known: Tensor) -> Normal:
+    def _infer(self, seen: EncodedPeople, truth: Tensor, known: Tensor) -> Normal:
         """Return the posterior q(z | x, y)."""
         surprise = (truth - seen.last.unsqueeze(1)) * known.unsqueeze(-1)
         return self.posterior(seen.features, self.future(surprise))
 
-    def _world(self, seen: Seen, path: Tensor) -> Tensor:
+    def _world(self, seen: EncodedPeople, path: Tensor) -> Tensor:
         """Return paths (K, P, T, 2) of each person's frame as displacements in the world (B, K, A, T, 2)."""
         turned = frames.out_of(seen.heading, path)
         return seen.crowd.unpack(turned.transpose(0, 1)).transpose(1, 2)

@@ -60,7 +60,7 @@ def init_like_sgan(module: nn.Module) -> None:
             nn.init.kaiming_normal_(child.weight)
 
 
-class Trait(nn.Module):
+class ContextNoise(nn.Module):
     """Adds to a context the output of a small network for it and the noise together.
 
     A decoder that starts from [context; z] adds the two in every gate, so z can shift what people do and

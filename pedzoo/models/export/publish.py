@@ -11,8 +11,7 @@ from pedzoo.core.fetch import sha256_of
 from pedzoo.core.paths import WEIGHTS, weight_files
 from pedzoo.core.registry import names_code
 from pedzoo.core.types import PRED_LEN
-from pedzoo.data.provenance import licence as licence_by
-from pedzoo.data.provenance import provenance, together
+from pedzoo.data.provenance import licence, provenance, together
 from pedzoo.data.recordings import find_fold
 from pedzoo.models.export.run_record import RunRecord, read_run
 from pedzoo.models.zoo.card import ModelCard, Training, check_name, read_card, write_card
@@ -34,8 +33,6 @@ def publish(
     folder: str | Path,
     name: str | None = None,
     measured: list[dict[str, Any]] | None = None,
-    licence: str | None = None,
-    url: str | None = None,
 ) -> Path:
     """Write ``NAME/weights.safetensors`` and ``NAME/card.yaml`` and return the path of the latter.
 
@@ -47,8 +44,6 @@ def publish(
         name: ``architecture.tag``; None for that of the config and the data (`zoo_name`).
         measured: Reports of evaluations for the card; None keeps those of an existing card of the same
             weights.
-        licence: Of the weights; None for what the terms of their recordings allow.
-        url: Where the weights can be downloaded, if not beside the card.
 
     Raises:
         UserError: The checkpoint is none of ``pedzoo fit``'s or not in its run folder, the model is a class
@@ -68,9 +63,9 @@ def publish(
     data = _trained_on(record, plans="map" in model.needs)
     said = {key: record.training[key] for key in IN_WEIGHTS}
     if measured is None and (there := card_beside(weights)).is_file():
-        read_card(there)  # a damaged one is told before its weights are others
+        read_card(there)  # a damaged card raises here, before the weights change
     save_weights(model, weights, protocol=protocol, training=said)
-    return _write(weights, record, data, measured, licence, url)
+    return _write(weights, record, data, measured)
 
 
 def describe(weights: str | Path, measured: list[dict[str, Any]] | None = None) -> Path:
@@ -124,8 +119,6 @@ def _write(
     record: RunRecord,
     data: dict[str, Any],
     measured: list[dict[str, Any]] | None,
-    licence: str | None = None,
-    url: str | None = None,
 ) -> Path:
     """Write the card beside the weights."""
     path, config, digest = card_beside(weights), read_config(weights), sha256_of(weights)
@@ -141,9 +134,9 @@ def _write(
         data=data,
         evaluations=measured,
         versions=record.versions or {},
-        licence=licence or licence_by(data["terms"]),
+        licence=licence(data["terms"]),
         file=weights.name,
-        url=url,
+        url=None,
     )
     write_card(card, path)
     return path

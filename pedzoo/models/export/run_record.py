@@ -9,10 +9,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import yaml
-
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
+from pedzoo.core.limits import read_mapping
 
 RECORDS = ("config.yaml", "metrics.csv", "versions.json")
 """Files that `pedzoo fit` writes beside the folder of checkpoints."""
@@ -47,7 +46,7 @@ def read_run(checkpoint: Path, content: dict[str, Any]) -> RunRecord:
     """Return the record of a checkpoint's run, given the checkpoint's content.
 
     Raises:
-        UserError: It does not lie in the folder of a run.
+        UserError: It does not lie in the folder of a run, or the records there are damaged.
     """
     run = checkpoint.resolve().parent.parent
     if missing := [name for name in RECORDS if not (run / name).is_file()]:
@@ -55,7 +54,16 @@ def read_run(checkpoint: Path, content: dict[str, Any]) -> RunRecord:
             f"checkpoint {str(checkpoint)!r} is not in the folder of its run: {str(run)!r} has no "
             f"{' and no '.join(missing)}; expected RUN/checkpoints/best.ckpt as pedzoo fit leaves it"
         )
-    config = renamed.new_config(yaml.safe_load((run / "config.yaml").read_text()))
+    try:
+        return _record(run, content)
+    except (LookupError, TypeError, ValueError, AttributeError, csv.Error) as error:
+        raise UserError(
+            f"the records of the run {str(run)!r} are damaged ({error!r:.200}): expected those of pedzoo fit"
+        ) from error
+
+
+def _record(run: Path, content: dict[str, Any]) -> RunRecord:
+    config = _config(run)
     # a resumed run keeps the records of how it began
     begun = run / "before-resume-1" / "versions.json"
     command = json.loads((begun if begun.is_file() else run / "versions.json").read_text())["command"]
@@ -90,6 +98,10 @@ def read_run(checkpoint: Path, content: dict[str, Any]) -> RunRecord:
     made_with = json.loads((run / "versions.json").read_text())["versions"]
     went_on = next((option.value for option in options if option.key == "ckpt_path"), None)
     return RunRecord(training, config["data"].get("files"), made_with, config.get("weights") or went_on)
+
+
+def _config(run: Path) -> dict[str, Any]:
+    return renamed.new_config(read_mapping(run / "config.yaml", "config", "one that pedzoo fit wrote"))
 
 
 def monitored(run: Path, metric: str) -> dict[int, float]:
@@ -132,7 +144,7 @@ def _other_seeds(run: Path, config: dict[str, Any], own: dict[int, float]) -> di
     for other in sorted(run.parent.glob(f"{escape(family)}-seed*")):
         if other == run or not all((other / name).is_file() for name in RECORDS):
             continue
-        theirs = renamed.new_config(yaml.safe_load((other / "config.yaml").read_text()))
+        theirs = _config(other)
         values = monitored(other, config["monitor"])
         if _agree(theirs, config) and max(values, default=0) >= max(own, default=0):
             result |= _best(int(theirs["seed_everything"]), values, config)

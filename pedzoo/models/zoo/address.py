@@ -21,7 +21,7 @@ KEPT = "models"
 """Folder of the cache that holds what was fetched."""
 
 
-class Place(NamedTuple):
+class ModelAddress(NamedTuple):
     """Where a model is.
 
     Attributes:
@@ -49,7 +49,7 @@ def is_address(name: str) -> bool:
     return name.startswith(("hf://", "http://", "https://"))
 
 
-def place(name: str) -> Place:
+def place(name: str) -> ModelAddress:
     """Return where the model of an address is.
 
     A repository of the Hugging Face hub without the name of a model is one model's: the front matter of its
@@ -91,14 +91,14 @@ def _hub() -> str:
     return os.environ.get("HF_ENDPOINT", "https://huggingface.co").rstrip("/")
 
 
-def _on_hub(name: str) -> Place:
+def _on_hub(name: str) -> ModelAddress:
     match = _HUB.fullmatch(name)
     if not match:
         raise UserError(f"{name!r}: expected hf://OWNER/REPO, with @REVISION and /ARCH.TAG where wanted")
     owner, repo, revision, model = match.groups()
     revision = revision or "main"
     url, below = f"{_hub()}/{owner}/{repo}/resolve/{revision}", f"{KEPT}/hf/{owner}/{repo}/{revision}"
-    return Place(url, below, check_name(model) if model else _only_model(name, url, below))
+    return ModelAddress(url, below, check_name(model) if model else _only_model(name, url, below))
 
 
 def _only_model(name: str, url: str, below: str) -> str:
@@ -114,7 +114,7 @@ def _only_model(name: str, url: str, below: str) -> str:
     return model
 
 
-def _on_web(name: str) -> Place:
+def _on_web(name: str) -> ModelAddress:
     try:
         parts = urlsplit(name)
     except ValueError as error:  # brackets that do not close
@@ -124,4 +124,4 @@ def _on_web(name: str) -> Place:
     if not parts.hostname or parts.username or parts.query or parts.fragment or not is_name(model):
         raise UserError(f"{name!r}: expected {parts.scheme}://HOST/FOLDER/ARCH.TAG and nothing else")
     below = f"{KEPT}/{parts.scheme}/{quote(parts.netloc, safe='')}{folder}"
-    return Place(f"{parts.scheme}://{parts.netloc}{folder}", below, model)
+    return ModelAddress(f"{parts.scheme}://{parts.netloc}{folder}", below, model)

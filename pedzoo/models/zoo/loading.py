@@ -18,7 +18,7 @@ from pedzoo.core.paths import config_names, write_whole
 from pedzoo.core.registry import MODELS, ROBOT_POLICIES, names_code
 from pedzoo.core.spec import grouped, parse, setting_groups, setting_types, unquoted
 from pedzoo.core.types import GoalProtocol
-from pedzoo.models.base import Forecaster
+from pedzoo.models.base import Forecaster, has_parameters
 from pedzoo.models.zoo.card import ModelCard
 from pedzoo.models.zoo.fitting import check_archive, check_settings, check_shapes, check_tensors
 from pedzoo.models.zoo.header import Config, config_in, opened
@@ -165,7 +165,9 @@ def build(config: dict[str, Any], own: type[Forecaster] | None = None, source: s
         raise UserError(f"{source!r}: {name}: {error}") from error
     try:
         return _made(cls, init, name)
-    except (TypeError, RuntimeError) as error:  # values of other kinds, impossible sizes
+    except UserError:
+        raise
+    except (TypeError, ValueError, ArithmeticError, RuntimeError) as error:  # other kinds, impossible sizes
         raise UserError(f"{name!r} cannot be built with the arguments {init}: {_first(error)}") from error
 
 
@@ -280,14 +282,15 @@ def _made(model: type, init: dict[str, Any], name: str) -> Forecaster:
         inspect.signature(model).bind(**grouped(model, init))
     except TypeError as error:
         raise UserError(
-            f"{name!r} cannot be built with the arguments {init}: {error}; is it of another version?"
+            f"{name!r} cannot be built with the arguments {init!s:.2000}: {error!s:.200}; is it of another "
+            "version?"
         ) from error
     return model.of(**init)
 
 
 def baselines() -> list[str]:
     """Return the names of the architectures that have nothing to train."""
-    return [name for name in MODELS.names() if not any(True for _ in MODELS.get(name)().parameters())]
+    return [name for name in MODELS.names() if not has_parameters(MODELS.get(name))]
 
 
 def _first(error: Exception) -> str:

@@ -9,9 +9,9 @@ from typing import NamedTuple
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.fetch import sha256_of
-from pedzoo.core.paths import CARD, shipped
+from pedzoo.core.paths import CARD, expanded, shipped
 from pedzoo.core.registry import MODELS, names_code
-from pedzoo.models.zoo.address import Place, download, is_address, kept_models, place
+from pedzoo.models.zoo.address import ModelAddress, download, is_address, kept_models, place
 from pedzoo.models.zoo.card import ModelCard, is_name, read_card
 from pedzoo.models.zoo.layout import card_files, name_of_files, weights_beside
 
@@ -22,8 +22,8 @@ ROBOTS = "robot_"
 """How the names of weights begin that move robots, not people."""
 
 
-class Entry(NamedTuple):
-    """A model that was found.
+class ZooEntry(NamedTuple):
+    """A model of the zoo or of a file: its card, and where that is.
 
     Attributes:
         card: Its card.
@@ -33,10 +33,10 @@ class Entry(NamedTuple):
 
     card: ModelCard
     path: Path
-    place: Place | None = None
+    place: ModelAddress | None = None
 
 
-def find(name: str) -> Entry | None:
+def find(name: str) -> ZooEntry | None:
     """Return the model of a name; its card is fetched where it must, its weights are not.
 
     Args:
@@ -55,12 +55,12 @@ def find(name: str) -> Entry | None:
         raise UserError(f"no model {name!r:.100}: {error.strerror}") from error
 
 
-def _found(name: str) -> Entry | None:
+def _found(name: str) -> ZooEntry | None:
     if is_address(name):
         return _fetched(name)
     if is_file(name):
         return None
-    path = Path(name).expanduser()
+    path = expanded(name)
     if path.name == name:
         if is_name(name) and (result := _by_name(name)):
             return result
@@ -78,7 +78,7 @@ def is_file(name: str) -> bool:
     return not is_address(name) and (names_code(name) or name.endswith((".ckpt", ".safetensors")))
 
 
-def weights_of(entry: Entry) -> Path:
+def weights_of(entry: ZooEntry) -> Path:
     """Return the weights of a model, checked against its card, and downloaded where they are not there.
 
     Raises:
@@ -123,7 +123,9 @@ def no_model(name: str, others: Iterable[str] = (), kind: str = "model") -> User
         others: Names that would do as well, besides those of models.
         kind: What was expected.
     """
-    known, others = names(), list(others)
+    # robots walk among people, and are none
+    known = [one for one in names() if kind != "policy" or not one.startswith(ROBOTS)]
+    others = list(others)
     near = get_close_matches(name, [*others, *known], n=1)
     families = [f"{one.partition('.')[0]}." for one in (name, *near)]
     family = next(filter(None, ([one for one in known if one.startswith(stem)] for stem in families)), [])
@@ -147,10 +149,10 @@ def _sources(address: bool) -> list[str]:
 
 
 def _folders() -> list[Path]:
-    return [shipped("checkpoints"), *(Path(source).expanduser() for source in _sources(address=False))]
+    return [shipped("checkpoints"), *(expanded(source) for source in _sources(address=False))]
 
 
-def _by_name(name: str) -> Entry | None:
+def _by_name(name: str) -> ZooEntry | None:
     for folder in _folders():
         if file := card_files(folder).get(name):
             return _named(file)
@@ -171,16 +173,16 @@ def _by_name(name: str) -> Entry | None:
     return None
 
 
-def _only_one(folder: Path) -> Entry:
+def _only_one(folder: Path) -> ZooEntry:
     if (own := folder / CARD).is_file():
-        return Entry(read_card(own), own)
+        return ZooEntry(read_card(own), own)
     if len(cards := card_files(folder)) != 1:
         remedy = f"say which: {', '.join(str(folder / name) for name in cards)}" if cards else "no card in it"
         raise UserError(f"folder {str(folder)!r} is not that of one model: {remedy}")
     return _named(*cards.values())
 
 
-def _fetched(name: str) -> Entry:
+def _fetched(name: str) -> ZooEntry:
     """Return the model of an address. A card that was fetched is kept: its model stays what it was."""
     where = place(name)
     path = download(where.cards, f"{where.folder}/{where.model}.yaml")
@@ -191,7 +193,7 @@ def _fetched(name: str) -> Entry:
         raise UserError(f"{name}: {error}") from error
 
 
-def _named(path: Path) -> Entry:
+def _named(path: Path) -> ZooEntry:
     """Return the model of a card's file, which must be named after it, or its folder must."""
     card = read_card(path)
     if card.name != name_of_files(path):
@@ -199,4 +201,4 @@ def _named(path: Path) -> Entry:
         raise UserError(
             f"model card {str(path)!r} is of {card.name!r}: the {what} must have the model's name"
         )
-    return Entry(card, path)
+    return ZooEntry(card, path)

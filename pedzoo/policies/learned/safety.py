@@ -54,20 +54,28 @@ def safe(batch: TensorDictBase, step: Tensor) -> Tensor:
     there = agents["mask"].unsqueeze(-1)
     history, velocity = cast("Tensor", agents["history"]), cast("Tensor", agents["velocity"])
     here = history[:, :, -1]
+    waits = (history - here.unsqueeze(2)).norm(dim=-1).amax(2) < WAITED
     steps = ProposedSteps(
         torch.where(there, here, 0.0),
         torch.where(moved.unsqueeze(-1), step, velocity * STEP_SECONDS).where(there, 0.0),
         STEP_SECONDS * cast("Tensor", agents["top_speed"])[..., 0],
         agents["mask"],
         moved,
-        (history - here.unsqueeze(2)).norm(dim=-1).amax(2) < WAITED,
+        waits,
         cast("Tensor", agents["radius"])[..., 0],
         agents["kind"] == ROBOT,
         torch.where(there, velocity, 0.0),
-        randomness.uniform(randomness.join(scene_keys(batch), "rank", ids_of(batch))),
+        _ranks(batch, waits),
     )
     walls = bank.walls_around(batch["map_id"][:, 0], batch["scene_pose"]) if bank.grids else None
     return kept_clear(steps._replace(step=yielding(steps, walls)), walls)
+
+
+def _ranks(batch: TensorDictBase, waits: Tensor) -> Tensor | None:
+    """Return a number of every agent (B, A), which two who wait need; None on the CPU where none waits."""
+    if waits.device.type == "cpu" and not bool(waits.any()):
+        return None
+    return randomness.uniform(randomness.join(scene_keys(batch), "rank", ids_of(batch)))
 
 
 def scene_keys(batch: TensorDictBase) -> Tensor:

@@ -26,10 +26,12 @@ def led_apart(batch: TensorDictBase) -> Tensor:
     agents = agents_of(batch)
     here, mask = cast("Tensor", agents["history"])[:, :, -1], cast("Tensor", agents["mask"])
     # one whole number for each spot, 0 and -0 being the same; absent agents have numbers that no spot has
-    bits = (here.float() + 0.0).contiguous().view(torch.int32).long()
+    bits = (here.float() + 0.0).contiguous().view(torch.int64)[..., 0]
     absent = torch.iinfo(torch.int64).min + torch.arange(mask.shape[1], device=mask.device)
-    spot, order = torch.where(mask, (bits[..., 0] << 32) | (bits[..., 1] & 0xFFFFFFFF), absent).sort(dim=1)
+    spot, order = torch.where(mask, bits, absent).sort(dim=1)
     pairs = spot[:, 1:] == spot[:, :-1]
+    if pairs.device.type == "cpu" and not bool(pairs.any()):
+        return torch.zeros_like(here)
     shared = functional.pad(pairs, (1, 0)) | functional.pad(pairs, (0, 1))
     shared = torch.zeros_like(mask).scatter(1, order, shared) & cast("Tensor", agents["controlled"])
     angle = 2 * math.pi * randomness.uniform(randomness.join(scene_keys(batch), "same spot", ids_of(batch)))

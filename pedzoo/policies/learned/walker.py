@@ -16,10 +16,10 @@ from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.types import AHEAD_SECONDS, PRED_LEN, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.models.base import Forecaster, Noise
 from pedzoo.models.blocks.timed_noise import timed_noise
+from pedzoo.policies.base import NamedPolicy
 from pedzoo.policies.learned.first_seen import FirstSeenMemory
 from pedzoo.policies.learned.safety import safe
 from pedzoo.policies.learned.same_spot import led_apart
-from pedzoo.policies.named import NamedPolicy
 
 _DETERMINISTIC = (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN)
 
@@ -36,6 +36,20 @@ class Plan(NamedTuple):
     key: Tensor
     begun: Tensor
     steps: Tensor
+
+
+class EpisodeNoise(NamedTuple):
+    """The noise of the last scenes that were asked about, where it stays the same for an episode.
+
+    Attributes:
+        key: Of the scenes (B, 1) long.
+        agent: Numbers of the agents (B, A) long.
+        noise: Of each (B, A, noise_dim).
+    """
+
+    key: Tensor
+    agent: Tensor
+    noise: Tensor
 
 
 class Walker(NamedPolicy):
@@ -92,6 +106,7 @@ class Walker(NamedPolicy):
         self.safety = model.walking_safety if safety is None else safety
         self.extend_goal = model.walking_extend_goal if extend_goal is None else extend_goal
         self._plan: Plan | None = None
+        self._episode_noise: EpisodeNoise | None = None
         self._first_seen = FirstSeenMemory()
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -134,17 +149,28 @@ class Walker(NamedPolicy):
         """Return each person's noise (B, A, noise_dim) in scenes as they are now, None for none."""
         if not self.model.noise_dim or exploration_type() in _DETERMINISTIC:
             return None
-        agent = ids_of(tensordict)
+        scene_key, agent, time = tensordict["scene_key"], ids_of(tensordict), tensordict["time"]
         if self.model.noise_periods:
-            key = randomness.join(tensordict["scene_key"], "noise", self.noise_seed)
-            return timed_noise(key, agent, tensordict["time"], self.model.noise_periods)
+            key = randomness.join(scene_key, "noise", self.noise_seed)
+            return timed_noise(key, agent, time, self.model.noise_periods)
+        if self.noise in ("step", "mixed") or agent.device.type != "cpu":
+            return self._drawn(scene_key, agent, time)
+        last = self._episode_noise
+        if last is None or not (torch.equal(last.key, scene_key) and torch.equal(last.agent, agent)):
+            with torch.inference_mode(False):  # the next call may ask for gradients
+                noise = self._drawn(scene_key, agent, time)
+                last = self._episode_noise = EpisodeNoise(scene_key.clone(), agent.clone(), noise)
+        return last.noise
+
+    def _drawn(self, scene_key: Tensor, agent: Tensor, time: Tensor) -> Tensor:
+        """Return the noise (B, A, noise_dim) of scenes (B, 1) and agents (B, A) at times (B, 1)."""
         drawn_for = torch.zeros_like(agent) if self.noise == "scene" else agent
-        key = randomness.join(tensordict["scene_key"], "noise", drawn_for)
+        key = randomness.join(scene_key, "noise", drawn_for)
         if self.noise_seed:
             key = randomness.join(key, self.noise_seed)
         key, dims = key.unsqueeze(-1), torch.arange(self.model.noise_dim, device=agent.device)
         if self.noise in ("step", "mixed"):
-            step = (tensordict["time"] / STEP_SECONDS).round().long()
+            step = (time / STEP_SECONDS).round().long()
             now = randomness.join(key, step.unsqueeze(-1))
             lasts = dims < (lasting(self.model.noise_dim) if self.noise == "mixed" else 0)
             key = torch.where(lasts, key, now)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pedzoo.policies.local_planner import People, Robot
+from pedzoo.policies.local_planner import ObservedPeople, Robot
 from pedzoo.policies.orca.agent_lines import agent_lines
 from pedzoo.policies.orca.programs import solve
 from pedzoo.policies.orca.settings import OrcaSettings
@@ -28,7 +28,7 @@ class CrowdnavOrca:
         Args:
             time_step: Seconds for which the velocities are held.
             neighbor_dist: Metres between centres from which on people are ignored.
-            max_neighbors: So many nearest people are heeded.
+            max_neighbors: So many nearest people count.
             time_horizon: Seconds for which velocities are safe.
             margin: Metres by which all radii are longer than they are.
             safety_space: Further metres, which CrowdNav's users tune.
@@ -44,7 +44,7 @@ class CrowdnavOrca:
         )
         self.wider = margin + safety_space
 
-    def __call__(self, robot: Robot, people: People) -> Tensor:
+    def __call__(self, robot: Robot, people: ObservedPeople) -> Tensor:
         """Return the velocities (B, 2), m/s."""
         scenes, slots = people.mask.shape
         position = _beside(robot.position, people.position)

@@ -8,7 +8,7 @@ from torch.nn.functional import normalize
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import limit_speed
-from pedzoo.policies.local_planner import People, Robot
+from pedzoo.policies.local_planner import ObservedPeople, Robot
 
 
 class CrowdnavSocialForce:
@@ -37,7 +37,7 @@ class CrowdnavSocialForce:
             raise UserError(f"crowdnav_social_force: {given}: expected numbers above 0")
         self.time_step, self.strength, self.reach, self.tau = time_step, strength, reach, tau
 
-    def __call__(self, robot: Robot, people: People) -> Tensor:
+    def __call__(self, robot: Robot, people: ObservedPeople) -> Tensor:
         """Return the velocities (B, 2), m/s."""
         wanted = normalize(robot.goal - robot.position, dim=-1) * robot.v_pref[:, None]
         away = robot.position[:, None] - people.position

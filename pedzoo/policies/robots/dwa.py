@@ -14,7 +14,7 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import direction_of, heading_of
-from pedzoo.policies.local_planner import Clearance, Drive, People, Robot
+from pedzoo.policies.local_planner import Clearance, DriveState, ObservedPeople, Robot
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,8 @@ class DwaSettings:
 
 def dwa_command(
     robot: Robot,
-    drive: Drive,
-    people: People,
+    drive: DriveState,
+    people: ObservedPeople,
     time_step: float,
     settings: DwaSettings,
     walls: Clearance | None = None,
@@ -96,7 +96,9 @@ def dwa_command(
     return speed.gather(1, best)[:, 0], turn_rate.gather(1, best)[:, 0]
 
 
-def window(drive: Drive, top_speed: Tensor, time_step: float, settings: DwaSettings) -> tuple[Tensor, Tensor]:
+def window(
+    drive: DriveState, top_speed: Tensor, time_step: float, settings: DwaSettings
+) -> tuple[Tensor, Tensor]:
     """Return the speeds and turn rates (B, S) that can be reached in one step, S = speeds * turn_rates.
 
     Args:
@@ -138,8 +140,8 @@ def arc(heading: Tensor, speed: Tensor, turn_rate: Tensor, seconds: Tensor | flo
 
 def free_seconds(
     robot: Robot,
-    drive: Drive,
-    people: People,
+    drive: DriveState,
+    people: ObservedPeople,
     speed: Tensor,
     turn_rate: Tensor,
     settings: DwaSettings,
@@ -180,20 +182,20 @@ class Dwa:
     def __init__(self, settings: DwaSettings = DwaSettings(), time_step: float = 0.25) -> None:
         """Take the settings; ``time_step`` is in seconds."""
         self.settings, self.time_step = settings, time_step
-        self._drive: Drive | None = None
+        self._drive: DriveState | None = None
 
     def command(
-        self, robot: Robot, drive: Drive, people: People, walls: Clearance | None = None
+        self, robot: Robot, drive: DriveState, people: ObservedPeople, walls: Clearance | None = None
     ) -> tuple[Tensor, Tensor]:
         """Return speeds and turn rates (B,), m/s and rad/s, of robots whose motion is known."""
         return dwa_command(robot, drive, people, self.time_step, self.settings, walls)
 
-    def __call__(self, robot: Robot, people: People) -> Tensor:
+    def __call__(self, robot: Robot, people: ObservedPeople) -> Tensor:
         """Return the velocities (B, 2), m/s."""
         drive = self._drive
         if drive is None:
             still = torch.zeros_like(robot.v_pref)
-            drive = Drive(heading_of(robot.goal - robot.position), still, still)
+            drive = DriveState(heading_of(robot.goal - robot.position), still, still)
         speed, turn_rate = self.command(robot, drive, people)
-        self._drive = Drive(drive.heading + turn_rate * self.time_step, speed, turn_rate)
+        self._drive = DriveState(drive.heading + turn_rate * self.time_step, speed, turn_rate)
         return arc(drive.heading, speed, turn_rate, self.time_step) / self.time_step

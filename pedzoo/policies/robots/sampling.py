@@ -14,7 +14,7 @@ from torch.nn.functional import normalize
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import direction_of, rotate
-from pedzoo.policies.local_planner import Clearance, People, Robot
+from pedzoo.policies.local_planner import Clearance, ObservedPeople, Robot
 
 ROUNDING = 1e-5
 """Metres by which a distance may be wrong in single precision."""
@@ -58,7 +58,7 @@ class SamplingSettings:
 
 def sampled_velocity(
     robot: Robot,
-    people: People,
+    people: ObservedPeople,
     time_step: float,
     settings: SamplingSettings,
     walls: Clearance | None = None,
@@ -109,7 +109,9 @@ def velocities(robot: Robot, settings: SamplingSettings) -> Tensor:
     return torch.cat((moving, torch.zeros_like(moving[:, :1])), dim=1)
 
 
-def people_gap(robot: Robot, people: People, samples: Tensor, time_step: float, horizon: int) -> Tensor:
+def people_gap(
+    robot: Robot, people: ObservedPeople, samples: Tensor, time_step: float, horizon: int
+) -> Tensor:
     """Return the least distances of bodies in each step (B, S, H), metres; infinite without people.
 
     Args:
@@ -140,6 +142,6 @@ class Sampling:
         """Take the settings; ``time_step`` is in seconds."""
         self.settings, self.time_step = settings, time_step
 
-    def __call__(self, robot: Robot, people: People, walls: Clearance | None = None) -> Tensor:
+    def __call__(self, robot: Robot, people: ObservedPeople, walls: Clearance | None = None) -> Tensor:
         """Return the velocities (B, 2), m/s."""
         return sampled_velocity(robot, people, self.time_step, self.settings, walls)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pedzoo.policies.local_planner import People, Robot
+from pedzoo.policies.local_planner import ObservedPeople, Robot
 
 
 class Stop:
     """Never moves."""
 
-    def __call__(self, robot: Robot, people: People) -> Tensor:
+    def __call__(self, robot: Robot, people: ObservedPeople) -> Tensor:
         """Return zeros (B, 2)."""
         return torch.zeros_like(robot.position)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from pedzoo.policies.local_planner import People, Robot
+from pedzoo.policies.local_planner import ObservedPeople, Robot
 
 
 class Straight:
     """Goes to the goal at its preferred speed and sees no people."""
 
-    def __call__(self, robot: Robot, people: People) -> Tensor:
+    def __call__(self, robot: Robot, people: ObservedPeople) -> Tensor:
         """Return the velocities (B, 2), m/s."""
         return normalize(robot.goal - robot.position, dim=-1) * robot.v_pref[:, None]

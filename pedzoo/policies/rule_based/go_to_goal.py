@@ -17,8 +17,8 @@ class GoToGoal(Policy):
 
         Args:
             dt: Seconds between decisions.
-            safety: Whether it has the safety layer of learned models, see `pedzoo.policies.learned.safety`:
-                what that does where nothing was learned. What it had asked for is then written, too, as
+            safety: Whether it has the safety layer of learned models, see `pedzoo.policies.learned.safety`.
+                That shows what the layer does alone. The velocity before the layer is then written, too, as
                 ``asked`` (B, A, 2) in m/s.
 
         Raises:

@@ -112,6 +112,8 @@ class CallerClock(NamedTuple):
 
     def parts(self, ticks: int) -> Tensor:
         """Return the share (S,) of every trace step of a decision in the next ``dt`` seconds."""
+        if ticks == 1:
+            return torch.ones(1)
         begin, tick = self.now - self.decided, self.decision_dt / ticks
         edges = torch.arange(ticks + 1, dtype=torch.float64) * tick
         edges[-1] = math.inf

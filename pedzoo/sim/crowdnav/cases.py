@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from pedzoo.policies.local_planner import People, Robot
+from pedzoo.policies.local_planner import ObservedPeople, Robot
 from pedzoo.sim.crowdnav.draws import Draws, on_circle
 from pedzoo.sim.crowdnav.settings import RADIUS, SPEED, Setting
 
@@ -27,7 +27,7 @@ class Cases(NamedTuple):
     """
 
     robot: Robot
-    people: People
+    people: ObservedPeople
     goal: Tensor
     draws: Draws
 
@@ -48,7 +48,9 @@ def cases(setting: Setting, seeds: Sequence[int]) -> Cases:
         others = torch.cat((start[:, None], end[:, None], place, -place), dim=1)
         place[:, slot] = free_place(setting, draws, rows, others)
     radius = place.new_full((scenes, slots), RADIUS)
-    people = People(place, torch.zeros_like(place), radius, torch.ones(scenes, slots, dtype=torch.bool))
+    people = ObservedPeople(
+        place, torch.zeros_like(place), radius, torch.ones(scenes, slots, dtype=torch.bool)
+    )
     robot = Robot(start, torch.zeros_like(start), end, radius[:, 0], torch.full_like(radius[:, 0], SPEED))
     return Cases(robot, people, -place, draws)
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pedzoo.policies.local_planner import People, Robot
+from pedzoo.policies.local_planner import ObservedPeople, Robot
 from pedzoo.policies.orca.velocity import orca_velocity
 from pedzoo.policies.robots.crowdnav_orca import toward
 from pedzoo.sim.crowdnav.settings import MARGIN, SPEED, TIME_STEP, Setting
 
 
-def people_velocity(setting: Setting, robot: Robot | None, people: People, goal: Tensor) -> Tensor:
+def people_velocity(setting: Setting, robot: Robot | None, people: ObservedPeople, goal: Tensor) -> Tensor:
     """Return the people's next velocities (B, N, 2), m/s.
 
     Each takes others to want nothing, but that changes no velocity: ORCA looks at those that others have.
@@ -43,7 +43,7 @@ def people_velocity(setting: Setting, robot: Robot | None, people: People, goal:
     return chosen[:, :slots].double()
 
 
-def places_ahead(setting: Setting, people: People, goal: Tensor) -> Tensor:
+def places_ahead(setting: Setting, people: ObservedPeople, goal: Tensor) -> Tensor:
     """Return where people will be (F, B, N, 2) in the next steps, if no person is replaced, metres."""
     places = []
     for _ in range(setting.foresight):

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.geometry import limit_speed, nearest_part
-from pedzoo.policies.local_planner import People, Robot
+from pedzoo.policies.local_planner import ObservedPeople, Robot
 from pedzoo.sim.crowdnav.cases import Cases, free_place
 from pedzoo.sim.crowdnav.draws import Draws
 from pedzoo.sim.crowdnav.people import people_velocity, places_ahead
@@ -33,9 +33,9 @@ class State(NamedTuple):
 
     seconds: float
     robot: Robot
-    people: People
+    people: ObservedPeople
     goal: Tensor
-    known: People
+    known: ObservedPeople
     going: Tensor
     draws: Draws
 
@@ -111,7 +111,7 @@ def step(setting: Setting, state: State, velocity: Tensor) -> tuple[State, Event
     return after, Events(outcome, seconds, reward, clearance, intruded)
 
 
-def swept_clearance(robot: Robot, people: People, velocity: Tensor, seconds: float) -> Tensor:
+def swept_clearance(robot: Robot, people: ObservedPeople, velocity: Tensor, seconds: float) -> Tensor:
     """Return the least distances (B, N) between bodies on the way, metres; infinite for absent people.
 
     Args:
@@ -126,7 +126,7 @@ def swept_clearance(robot: Robot, people: People, velocity: Tensor, seconds: flo
     return torch.where(people.mask, apart - robot.radius[:, None] - people.radius, torch.inf)
 
 
-def in_range(setting: Setting, robot: Robot, people: People) -> Tensor:
+def in_range(setting: Setting, robot: Robot, people: ObservedPeople) -> Tensor:
     """Return which people the robot's sensor sees (B, N) bool."""
     if setting.sensor_range is None:
         return people.mask
@@ -135,14 +135,14 @@ def in_range(setting: Setting, robot: Robot, people: People) -> Tensor:
     )
 
 
-def _known(setting: Setting, state: State) -> People:
+def _known(setting: Setting, state: State) -> ObservedPeople:
     """Return what the robot knows: people in sight as they are, others as if they had gone straight on."""
     seen = in_range(setting, state.robot, state.people)
     people, known = state.people, state.known
     gone_on = known.position + TIME_STEP * known.velocity
     position = torch.where(seen[..., None], people.position, gone_on)
     velocity = torch.where(seen[..., None], people.velocity, known.velocity)
-    return People(position, velocity, people.radius, known.mask | seen)
+    return ObservedPeople(position, velocity, people.radius, known.mask | seen)
 
 
 def replaced(setting: Setting, state: State) -> State:

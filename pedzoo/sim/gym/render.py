@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import direction_of
-from pedzoo.sim.physics_parts.base import Bodies
 from pedzoo.sim.physics_parts.camera import Camera, person_color
+from pedzoo.sim.physics_parts.state_picture import bodies_seen
 from pedzoo.sim.robot_parts.env import RobotEnv
 
 MODES = ("rgb_array", "human")
@@ -63,7 +63,7 @@ class Pictures:
         import cv2
 
         env, state = self._env, self._env.state
-        bodies = Bodies.of(state)
+        bodies = bodies_seen(state)
         if scene not in self._cameras:
             there = state.mask[scene]
             seen = torch.cat((state.position[scene][there], state.goal_point[scene][there]))

@@ -252,7 +252,7 @@ class Bullet(Physics):
         """See `Physics.image`; drawn on a GPU where pybullet's plugin for it works, else on the CPU."""
         one = people.scene(scene)
         (asked,) = self._scenes.placed(one, self._present(one))
-        return from_above(asked, self._radius(one)[0], size, self.framed(people, scene, size, camera))
+        return from_above(asked, one, self._radius(one)[0], size, self.framed(people, scene, size, camera))
 
     @torch.no_grad()
     def onboard(
@@ -260,4 +260,4 @@ class Bullet(Physics):
     ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
         """See `Physics.onboard`."""
         placed = self._scenes.placed(people, self._present(people))
-        return from_robots(placed, self._radius(people), heading, lens)
+        return from_robots(placed, people, self._radius(people), heading, lens)

@@ -22,6 +22,7 @@ from pedzoo.sim.dynamics import SKIN, integrate
 from pedzoo.sim.motion import Contacts, Distances, Motion, MotionInput, Owned
 from pedzoo.sim.physics_parts.camera import Camera, Lens, free_corners
 from pedzoo.sim.physics_parts.compiled import advance_compiled
+from pedzoo.sim.physics_parts.stance import Stance
 from pedzoo.sim.state import State
 
 REACH = 5.0
@@ -32,11 +33,11 @@ class Bodies(NamedTuple):
     """Where people are in B scenes.
 
     Attributes:
-        position: Scene positions (B, A, 2), metres.
-        mask: Which people are present (B, A) bool.
+        position: Scene positions (B, A, 2), metres, of the people who are present by ``mask`` (B, A) bool.
         map_id: Floor plan of each scene (B, 1) long, -1 for none.
         pose: How each scene lies on its floor plan (B, 4).
         radius: Of the bodies (B, A), metres; None for that of the backend.
+        stance: How agents stand, for pictures; None where it is not known.
     """
 
     position: Tensor
@@ -44,6 +45,7 @@ class Bodies(NamedTuple):
     map_id: Tensor
     pose: Tensor
     radius: Tensor | None = None
+    stance: Stance | None = None
 
     @classmethod
     def of(cls, state: State) -> Bodies:
@@ -52,7 +54,8 @@ class Bodies(NamedTuple):
 
     def scene(self, number: int) -> Bodies:
         """Return those of one scene."""
-        return Bodies(*(None if value is None else value[[number]] for value in self))  # type: ignore[arg-type]
+        own = [None if value is None else value[[number]] for value in self[:5]]
+        return Bodies(*own, self.stance and self.stance.scene(number))  # type: ignore[arg-type]
 
 
 class Physics(ABC):
@@ -149,8 +152,7 @@ class Physics(ABC):
         if own is None:
             return self._advance(state, MotionInput(velocity, moving, substeps, played, wanted, command))
         own = own & moving
-        if command is None:
-            command = torch.zeros_like(state.velocity)
+        command = torch.zeros_like(state.velocity) if command is None else command
         ticks = velocity.shape[1]
         moved = self.move_owned(state, command, own, ticks, substeps)
         if played is None:
@@ -280,9 +282,8 @@ class Physics(ABC):
 
     def _radius(self, people: Bodies) -> Tensor:
         """Return the radii of the bodies (B, A), metres."""
-        if people.radius is not None:
-            return people.radius
-        return people.position.new_full(people.mask.shape, self.body_radius)
+        usual = people.position.new_full(people.mask.shape, self.body_radius)
+        return usual if people.radius is None else people.radius
 
     def _present(self, people: Bodies) -> Tensor:
         return people.mask & people.position.isfinite().all(-1)

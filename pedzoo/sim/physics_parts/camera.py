@@ -21,6 +21,9 @@ WALL = (112, 114, 122)
 OUTSIDE = (205, 208, 212)
 """RGB of the area beyond the floor plan, and above the horizon."""
 
+ROBOT_BODY, ROBOT_FRONT = (45, 48, 56), (255, 176, 32)
+"""RGB of robots, and of their front."""
+
 _PEOPLE = (
     (214, 39, 40),
     (31, 119, 180),

@@ -42,7 +42,8 @@ def step_compiled(
     from pedzoo.sim.physics_parts.compiled_step_loops import move, settle
 
     (scenes, agents), ticks = state.mask.shape, rules.ticks
-    past, velocity = torch.empty_like(state.past), torch.empty_like(state.velocity)
+    before = state.past.contiguous()
+    past, velocity = torch.empty_like(before), torch.empty_like(state.velocity)
     events = torch.empty(3, scenes, agents, ticks, dtype=torch.bool)
     flags = torch.empty(6, scenes, agents, dtype=torch.bool)
     counts = torch.empty(4, scenes, agents, dtype=torch.long)
@@ -53,7 +54,7 @@ def step_compiled(
     happened, now, bad, marks, numbers = (value.numpy() for value in (events, clock, failed, flags, counts))
     given = (
         commands, state.failed, state.mask, state.controlled, state.goal_id, state.later_goals, state.person,
-        state.drawn, state.reached, state.past, state.velocity, state.heading, state.top_speed, state.radius,
+        state.drawn, state.reached, before, state.velocity, state.heading, state.top_speed, state.radius,
         state.goal_point, state.clock, state.deadline, state.stands, state.overdue,
     )  # fmt: skip
     walls = state.wall_frame, state.wall_place

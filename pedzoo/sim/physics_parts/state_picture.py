@@ -8,7 +8,13 @@ from numpy.typing import NDArray
 
 from pedzoo.sim.physics_parts.base import Bodies, Physics
 from pedzoo.sim.physics_parts.camera import Camera, person_color
+from pedzoo.sim.physics_parts.stance import Stance
 from pedzoo.sim.state import State
+
+
+def bodies_seen(state: State) -> Bodies:
+    """Return the bodies of a state, and how they stand: for pictures."""
+    return Bodies.of(state)._replace(stance=Stance.of(state))
 
 
 def picture_of(
@@ -17,7 +23,7 @@ def picture_of(
     """Return the picture (H, W, 3) uint8 RGB of a scene, of ``size`` width and height in pixels."""
     import cv2
 
-    bodies, there = Bodies.of(state), state.mask[scene]
+    bodies, there = bodies_seen(state), state.mask[scene]
     seen = torch.cat((state.position[scene][there], state.goal_point[scene][there]))
     open_floor = int(state.map_id[scene]) < 0
     camera = Camera().around(seen, size) if open_floor else None

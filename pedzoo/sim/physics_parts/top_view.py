@@ -1,4 +1,4 @@
-"""A scene drawn from the top: floor plan and people as discs."""
+"""A scene drawn from the top: the floor plan, people with shoulders and a head, robots as discs."""
 
 from __future__ import annotations
 
@@ -6,9 +6,22 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.sim.physics_parts.camera import FLOOR, OUTSIDE, WALL, Camera, person_color
 from pedzoo.sim.physics_parts.frames import after, inverse, map_to_scene
+from pedzoo.sim.physics_parts.stance import (
+    FACE,
+    FACE_AHEAD,
+    HAIR,
+    HEAD,
+    SKIN,
+    Stance,
+    shoulders,
+)
+
+EDGE = (40, 40, 40)
+"""RGB around bodies."""
 
 _FINE = 4
 """cv2 draws at whole pixels, or at sixteenths of them with this shift."""
@@ -23,6 +36,7 @@ def draw_top_view(
     radius: Tensor,
     size: tuple[int, int],
     camera: Camera,
+    stance: Stance | None = None,
 ) -> NDArray[np.uint8]:
     """Return the picture (H, W, 3) uint8 RGB of floor and people.
 
@@ -35,11 +49,16 @@ def draw_top_view(
         radius: Of bodies (A,), metres.
         size: Width and height in pixels.
         camera: Its center and width are used; it looks down for every ``view``.
+        stance: Of one scene, where people face; None draws discs.
     """
     image = draw_floor(grid, unknown, pose, size, camera)
     to_pixel = camera.to_pixel(size)
     for person in present.nonzero()[:, 0].tolist():
-        draw_disc(image, to_pixel, position[person], float(radius[person]), person_color(person))
+        place, wide, color = position[person], float(radius[person]), person_color(person)
+        if stance is None or bool(stance.robot[0, person]):
+            draw_disc(image, to_pixel, place, wide, color)
+        else:
+            draw_person(image, to_pixel, place, float(stance.heading[0, person]), wide, color)
     return image
 
 
@@ -67,6 +86,45 @@ def draw_floor(
     return image
 
 
+def draw_person(
+    image: NDArray[np.uint8],
+    to_pixel: NDArray[np.float64],
+    place: Tensor,
+    heading: float,
+    radius: float,
+    color: tuple[int, int, int],
+) -> None:
+    """Draw a person into a picture: shoulders across where it faces, the disc that touches, and a head.
+
+    Args:
+        image: See `draw_disc`, as are the others.
+        to_pixel: Of its camera.
+        place: Scene position (2,), metres.
+        heading: Radians.
+        radius: Of the disc, metres.
+        color: RGB.
+    """
+    import cv2
+
+    scale, middle = to_pixel[0, 0], place.detach().cpu().double().numpy()
+    ahead, wide = np.array([np.cos(heading), np.sin(heading)]), radius / BODY_RADIUS
+
+    def disc(forward: float, across: float, tint: tuple[int, int, int]) -> None:
+        pixel = to_pixel[:, :2] @ (middle + wide * forward * ahead) + to_pixel[:, 2]
+        x, y = (round(value * 2**_FINE) for value in pixel)
+        cv2.circle(image, (x, y), round(across * scale * 2**_FINE), tint, cv2.FILLED, cv2.LINE_AA, _FINE)
+
+    outline = to_pixel[:, :2] @ (middle + wide * shoulders(heading)).T + to_pixel[:, 2:]
+    corners = np.round(outline.T * 2**_FINE).astype(np.int32)
+    # the edge first, then all that it surrounds
+    cv2.polylines(image, [corners], True, EDGE, 2, cv2.LINE_AA, _FINE)
+    disc(0.0, radius + 1 / scale, EDGE)
+    cv2.fillPoly(image, [corners], color, cv2.LINE_AA, _FINE)
+    disc(0.0, radius, color)
+    disc(0.0, wide * HEAD, HAIR)
+    disc(FACE_AHEAD, wide * FACE, SKIN)
+
+
 def draw_disc(
     image: NDArray[np.uint8],
     to_pixel: NDArray[np.float64],
@@ -89,4 +147,4 @@ def draw_disc(
     x, y = (round(value * 2**_FINE) for value in pixel)
     across = round(radius * to_pixel[0, 0] * 2**_FINE)
     cv2.circle(image, (x, y), across, color, cv2.FILLED, cv2.LINE_AA, _FINE)
-    cv2.circle(image, (x, y), across, (40, 40, 40), 1, cv2.LINE_AA, _FINE)
+    cv2.circle(image, (x, y), across, EDGE, 1, cv2.LINE_AA, _FINE)

@@ -8,12 +8,13 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from pedzoo.core import renamed
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
 from pedzoo.sim.replay.people import RecordedPeople, top_speed_of
 from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
 
 
-class Scenes(NamedTuple):
+class ScriptScenes(NamedTuple):
     """The R scenes of a script. Frames are those of recordings, 0.4 s.
 
     Attributes:
@@ -35,7 +36,7 @@ class Scenes(NamedTuple):
     others: Tensor
 
 
-class Opening(NamedTuple):
+class SceneStarts(NamedTuple):
     """The people of scenes when these begin.
 
     Attributes:
@@ -56,9 +57,12 @@ class Opening(NamedTuple):
     velocity: Tensor | None = None
     deadline: Tensor | None = None
 
-    def to(self, device: torch.device) -> Opening:
+    def to(self, device: torch.device) -> SceneStarts:
         """Return the opening on a device."""
-        return Opening(*(None if value is None else value.to(device) for value in self))  # type: ignore[arg-type]
+        return SceneStarts(*(None if value is None else value.to(device) for value in self))  # type: ignore[arg-type]
+
+
+__getattr__ = renamed.old_classes(globals(), {"Opening": "SceneStarts"})
 
 
 class Script:
@@ -70,7 +74,7 @@ class Script:
     people leave with the decision in which they arrive.
     """
 
-    def __init__(self, people: RecordedPeople, xy: Tensor, occupants: Tensor, scenes: Scenes) -> None:
+    def __init__(self, people: RecordedPeople, xy: Tensor, occupants: Tensor, scenes: ScriptScenes) -> None:
         """Take the parts.
 
         Args:
@@ -88,7 +92,7 @@ class Script:
         if self.xy.device == torch.device(device):
             return self
         people = RecordedPeople(*(value.to(device) for value in self.people))
-        scenes = Scenes(*(value.to(device) for value in self.scenes))
+        scenes = ScriptScenes(*(value.to(device) for value in self.scenes))
         return type(self)(people, self.xy.to(device), self.occupants.to(device), scenes)
 
     @cached_property
@@ -136,7 +140,7 @@ class Script:
         share = (share / TRACE_PER_STEP)[:, None, :, None]
         return torch.lerp(here.unsqueeze(2), there.unsqueeze(2), share).unflatten(2, (points, substeps))
 
-    def opening(self, scene: Tensor) -> tuple[Opening, Tensor]:
+    def opening(self, scene: Tensor) -> tuple[SceneStarts, Tensor]:
         """Return how scenes (B,) begin, and people's positions in the frames until then (B, A, 8, 2)."""
         frame = self.scenes.origin[scene]
         person = self.people_in_slots(scene, frame)
@@ -149,7 +153,7 @@ class Script:
         came = (seen < 1).unsqueeze(2)
         last = torch.where(came, history[:, :, -1], history[:, :, -2])
         following = torch.where(came, self.places(person, at + 1), history[:, :, -1])
-        return Opening(
+        return SceneStarts(
             scene=scene,
             person=person,
             controlled=self._taken(scene, person, at, before=True),

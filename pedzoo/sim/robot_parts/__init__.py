@@ -1,1 +1,1 @@
-"""What robots among people are made of: bodies, scenes with robots, sensors' view, the environment."""
+"""Parts of robots among people: scenes with robots, their sensors' view, rewards, the environment."""

@@ -1,4 +1,4 @@
-"""What became of robots in a decision: arrived, touched something, too late."""
+"""The outcome of a decision for robots: arrival, contacts, timeout."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def outcome_of(
     time_limit: float | None,
     ends_at: str,
 ) -> Outcome:
-    """Return what became of the last ``robots`` agents in a decision.
+    """Return the outcome of a decision for the last ``robots`` agents.
 
     Args:
         before: The scenes at its beginning.

@@ -1,4 +1,4 @@
-"""What a robot is rewarded for: a weighted sum of terms."""
+"""The reward of a robot: a weighted sum of terms."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What metrics and pictures of robots are made of: episodes with robots, and the same ones without them."""
+"""The rollout of robots: episodes with robots, and the same ones without them."""
 
 from __future__ import annotations
 

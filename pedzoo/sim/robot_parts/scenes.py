@@ -10,13 +10,13 @@ from dataclasses import replace
 from typing import Any
 
 import torch
-import yaml
 from torch import Tensor
 
 from pedzoo.core.batch import ROBOT
 from pedzoo.core.bodies import HOLONOMIC, Fleet, RobotBody
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose
+from pedzoo.core.limits import load_yaml
 from pedzoo.core.randomness import Draws
 from pedzoo.core.registry import SCENARIOS
 from pedzoo.core.spec import Spec, build, homes, setting_groups, setting_types
@@ -220,7 +220,7 @@ def with_robots(
 def _more(people: Any, robots: int) -> Any:
     """Return a number of people, or the least and largest one, with robots; texts stay texts."""
     if isinstance(people, str):
-        value = yaml.safe_load(people)
+        value = load_yaml(people)
         return people if not _counts(value) else str(_more(value, robots))
     if not _counts(people):  # written one by one: robots take the places of the last
         return people

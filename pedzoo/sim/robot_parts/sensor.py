@@ -1,4 +1,4 @@
-"""What every sensor of a robot is."""
+"""The interface of robots' sensors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the sensors of robots look at: the scenes, and how to say it in a robot's own frame."""
+"""The view of robots' sensors: the scenes, and their values in a robot's own frame."""
 
 from __future__ import annotations
 

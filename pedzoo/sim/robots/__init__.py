@@ -1,1 +1,4 @@
-"""Robots by name: one file each, found by the registry. What they share is in `pedzoo.sim.robot_parts`."""
+"""Bodies of robots by name: one file each, found by the registry.
+
+Their policies are in `pedzoo.policies.robots`, their shared parts in `pedzoo.sim.robot_parts`.
+"""

@@ -10,7 +10,8 @@ from typing import Any
 
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.limits import load_yaml, read_mapping
-from pedzoo.core.spec import Spec, Written, parse, unquoted
+from pedzoo.core.paths import expanded
+from pedzoo.core.spec import Spec, SpecText, parse, unquoted
 
 KEYS = ("people", "map", "speed", "speed_std")
 """The settings of `pedzoo.sim.scenarios.custom.Custom`."""
@@ -21,7 +22,7 @@ _ROS = {"image", "resolution", "origin"}
 """Keys of a floor plan."""
 
 
-def scenario_spec(scenario: str | Spec) -> Spec | Written:
+def scenario_spec(scenario: str | Spec) -> Spec | SpecText:
     """Return the name and the settings of a scenario, those of a file where one is named.
 
     Args:
@@ -34,10 +35,10 @@ def scenario_spec(scenario: str | Spec) -> Spec | Written:
     spec = parse(scenario) if isinstance(scenario, str) else scenario
     if not spec.name.endswith((".yaml", ".yml")):
         return spec
-    file = Path(spec.name).expanduser()
+    file = expanded(spec.name)
     settings = _read(file)
     for key, value in spec.settings.items():
-        settings[key] = load_yaml(unquoted(value)) if isinstance(spec, Written) else value
+        settings[key] = load_yaml(unquoted(value)) if isinstance(spec, SpecText) else value
     if wrong := [key for key in settings if key not in KEYS]:
         raise unknown(f"key of scenario {spec.name}", str(wrong[0]), KEYS)
     people = settings.get("people")

@@ -20,7 +20,7 @@ from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.planning.planner import Planner
 
 if TYPE_CHECKING:
-    from pedzoo.sim.replay.script import Opening, Script
+    from pedzoo.sim.replay.script import SceneStarts, Script
 
 SLOWEST = 0.3
 """Least preferred speed, m/s."""
@@ -55,7 +55,7 @@ class Layout(NamedTuple):
         kind: `pedzoo.core.batch.PERSON` or `ROBOT` (B, A) long; None for persons.
         group: Number of the company that an agent walks in (B, A) long, -1 for alone; None: all are.
         drive: How bodies move (B, A) long: `HOLONOMIC`, `UNICYCLE` or `DIFF_DRIVE` of `pedzoo.core.bodies`;
-            None for holonomic ones. Like the next two, heeded where `Scenario.wheels` says so.
+            None for holonomic ones. Like the next two, read where `Scenario.wheels` says so.
         acceleration: Greatest change of speed (B, A), m/s^2; None for any.
         turn_acceleration: Greatest change of the turning rate of wheels (B, A), rad/s^2; None for any.
         track: Distance between the wheels (B, A), metres; None for 1.
@@ -71,7 +71,7 @@ class Layout(NamedTuple):
     goal: Tensor
     pose: Tensor | None = None
     history: Tensor | None = None
-    opening: Opening | None = None
+    opening: SceneStarts | None = None
     stand: Tensor | None = None
     hold: Tensor | None = None
     radius: Tensor | None = None
@@ -111,7 +111,7 @@ class Scenario(ABC):
         wheels: Some agents have wheels or a limited acceleration: see `Layout.drive`.
         smallest_radius: Of any body, metres; None where all have that of the environment. Sub-steps are so
             short that no agent moves more than half of it.
-        begun: People begin on their way, where layouts have an `Opening`; no warm start moves them.
+        begun: People begin on their way, where layouts have an `SceneStarts`; no warm start moves them.
         waits: Some people wait at places: see `Layout.hold` and `pauses`.
         meet: Seconds after the warm start at which people meet who walk from the start on; None where they
             need not. A robot, which stands in the warm start, then starts as far ahead.

@@ -19,7 +19,7 @@ from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.library import load_plan
 from pedzoo.maps.planning.graph import format_point
 from pedzoo.maps.planning.planner import Planner
-from pedzoo.sim.replay.script import Opening
+from pedzoo.sim.replay.script import SceneStarts
 from pedzoo.sim.scenario_parts.scenario import SLOWEST, WARM_SECONDS, Layout, PreparedScenario, Scenario
 from pedzoo.sim.state import PAST_LEN
 
@@ -106,7 +106,7 @@ class Custom(Scenario):
         if row >= 0:
             room = prepared.bank.signed_distance(behind, maps, identity_pose(self.people)).amin(1)
             ahead = ahead * (room > BODY_RADIUS).unsqueeze(1)
-        return replace(prepared, tables=_Tables(map_id, start, ahead, goal))
+        return replace(prepared, tables=_Starts(map_id, start, ahead, goal))
 
     def _check_free(self, bank: MapBank, map_id: int) -> None:
         """Raise the error for places inside a wall."""
@@ -139,7 +139,7 @@ class Custom(Scenario):
         seconds = STEP_SECONDS * torch.arange(1 - OBS_LEN, 1, device=device)
         history = start.unsqueeze(2) + (speed.unsqueeze(2) * seconds).unsqueeze(3) * ahead.unsqueeze(2)
         slot = torch.arange(self.people, device=device).expand(scenes, -1)
-        opening = Opening(torch.zeros_like(map_id), slot, mask, torch.full_like(goal, PAST_LEN))
+        opening = SceneStarts(torch.zeros_like(map_id), slot, mask, torch.full_like(goal, PAST_LEN))
         return Layout(map_id, start, mask, speed, goal, history=history, opening=opening)
 
     def speeds(self, draws: Draws) -> Tensor:
@@ -148,7 +148,7 @@ class Custom(Scenario):
         return (self._means.to(deviation) + deviation).clamp_min(SLOWEST)
 
 
-class _Tables(NamedTuple):
+class _Starts(NamedTuple):
     """Where the P people begin.
 
     Attributes:

@@ -104,7 +104,7 @@ class Goals(Scenario):
         for starts in (places, [spread[: self.pool] for spread in places]):
             pairs = zip(prepared.bank.grids, starts, goals, strict=True)
             choices.append(_Choice([_far(prepared.planner, *given) for given in pairs]))
-        tables = _Tables(
+        tables = _Candidates(
             map_id=torch.tensor([grid.map_id for grid in prepared.bank.grids]),
             places=_padded(places, float("nan")),
             counts=counts,
@@ -179,7 +179,7 @@ class _Choice:
         return self._columns.to(lot.device)[row, place, index]
 
 
-class _Tables(NamedTuple):
+class _Candidates(NamedTuple):
     """Candidates of the draws, for M floor plans with at most S places and G goals.
 
     Attributes:

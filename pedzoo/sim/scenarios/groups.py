@@ -36,7 +36,7 @@ BEYOND = 5.0
 SIZES = (2, 4)
 
 
-class Seats(NamedTuple):
+class GroupPlaces(NamedTuple):
     """Each person's group and place in it, (B, A) long each.
 
     Attributes:
@@ -108,7 +108,7 @@ class Groups(Hall):
     def _widths(self, draws: Draws) -> Tensor:
         return torch.tensor(self.doors, device=draws.key.device)[draws.integers("door", len(self.doors))]
 
-    def seats(self, draws: Draws) -> Seats:
+    def seats(self, draws: Draws) -> GroupPlaces:
         """Return people's groups, whose sizes are drawn, and their places in them."""
         together, slot = self.people - self.alone, torch.arange(self.people, device=draws.key.device)
         fewest, most = self.size
@@ -119,7 +119,7 @@ class Groups(Hall):
         begin = torch.nn.functional.pad(ends, (1, 0)).gather(1, last)
         alone = slot >= together
         units = (ends < together).sum(1, keepdim=True) + 1
-        return Seats(
+        return GroupPlaces(
             torch.where(alone, units + slot - together, unit),
             torch.where(alone, 0, slot - begin),
             torch.where(alone, 1, ends.gather(1, last) - begin),

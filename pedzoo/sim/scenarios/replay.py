@@ -19,9 +19,9 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.library import load_plan
 from pedzoo.maps.planning.planner import Planner
-from pedzoo.sim.real import real_parts
+from pedzoo.sim.recorded_rollout import real_parts
 from pedzoo.sim.replay.people import RecordedPeople, SpeedOf, people_of, top_speed_of
-from pedzoo.sim.replay.script import Scenes, Script
+from pedzoo.sim.replay.script import Script, ScriptScenes
 from pedzoo.sim.replay.slots import pieces, slots, table
 from pedzoo.sim.rollout import Rollout, joined
 from pedzoo.sim.scenario_parts.scenario import Layout, PreparedScenario, Scenario
@@ -235,7 +235,7 @@ class PreparedReplay(PreparedScenario):
         return real_parts(self, self.scenes)
 
 
-def _all_simulated(people: RecordedPeople, recordings: int) -> tuple[Tensor, Scenes]:
+def _all_simulated(people: RecordedPeople, recordings: int) -> tuple[Tensor, ScriptScenes]:
     """Return which person is in which slot, and the scenes, with all people simulated that can be."""
     frames = int(people.until.max()) + 1
     slot, scene_rows = torch.full_like(people.first, -1), []
@@ -253,7 +253,7 @@ def _all_simulated(people: RecordedPeople, recordings: int) -> tuple[Tensor, Sce
     return occupants, _scenes_of(scene_rows)
 
 
-def _one_simulated(people: RecordedPeople, recordings: int, around: bool) -> tuple[Tensor, Scenes]:
+def _one_simulated(people: RecordedPeople, recordings: int, around: bool) -> tuple[Tensor, ScriptScenes]:
     """Return the same with a scene for each person, ordered by how long they stay."""
     until = people.until if around else people.last
     frames = int(until.max()) + 1
@@ -278,7 +278,7 @@ def _occupants(
     return torch.stack([table(torch.where(m, slot, -1), people.first, end, frames, most) for m in mine])
 
 
-def _scenes_of(rows: list[tuple[Any, ...]]) -> Scenes:
+def _scenes_of(rows: list[tuple[Any, ...]]) -> ScriptScenes:
     columns = (torch.tensor([int(value) for value in column]) for column in zip(*rows, strict=True))
     number, origin, until, last, left, lead, others = columns
-    return Scenes(number, origin, until, last, left, lead, others.bool())
+    return ScriptScenes(number, origin, until, last, left, lead, others.bool())

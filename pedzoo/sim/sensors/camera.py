@@ -11,6 +11,7 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.sim.physics_parts.camera import Lens
+from pedzoo.sim.physics_parts.state_picture import bodies_seen
 from pedzoo.sim.robot_parts.sensor import Reading, Sensor
 from pedzoo.sim.robot_parts.view import RobotView
 
@@ -59,6 +60,6 @@ class Camera(Sensor):
 
     def read(self, view: RobotView) -> dict[str, Tensor]:
         """See `Sensor.read`."""
-        pictures = view.physics.onboard(view.bodies, view.heading, self.lens)
+        pictures = view.physics.onboard(bodies_seen(view.state), view.heading, self.lens)
         rgb, depth = (torch.from_numpy(values).to(view.heading.device) for values in pictures)
         return {"rgb": rgb, "depth": depth}

@@ -33,7 +33,7 @@ MANNER_DIM = 2 * STYLE_DIM + 1
 """M: numbers of how a person and the others began to walk."""
 
 
-class Compared(NamedTuple):
+class CrowdFeatures(NamedTuple):
     """A crowd's walks as numbers.
 
     Attributes:
@@ -51,7 +51,7 @@ class Compared(NamedTuple):
     manner: Tensor
 
 
-class _Near(NamedTuple):
+class _NearestTwo(NamedTuple):
     """The others around M people: places and velocities of the nearest two (M, 2, 2), and times."""
 
     place: Tensor
@@ -60,7 +60,7 @@ class _Near(NamedTuple):
     seconds: Tensor
 
 
-def compared(walk: CrowdWalk, real: Excerpts) -> Compared:
+def compared(walk: CrowdWalk, real: Excerpts) -> CrowdFeatures:
     """Return the numbers of a crowd that walks in the place of the people of ``real``."""
     where = walk.scored.nonzero(as_tuple=True)
     scene, slot, frame = where
@@ -99,7 +99,7 @@ def compared(walk: CrowdWalk, real: Excerpts) -> Compared:
     crowd = ((style * walks).sum(1, keepdim=True) / walks.sum(1, keepdim=True).clamp_min(1)).expand_as(style)
     manner = torch.cat((style, crowd, real.pref_speed.unsqueeze(2)), 2)[excerpt, person]
     clips = steps.unfold(2, LENGTH, 1)[whole].transpose(1, 2)
-    return Compared(features, clips, person, whole.shape[1], manner)
+    return CrowdFeatures(features, clips, person, whole.shape[1], manner)
 
 
 def coarse(walk: CrowdWalk) -> CrowdWalk:
@@ -168,7 +168,7 @@ def _company_distance(walk: CrowdWalk, real: Excerpts) -> Tensor:
     return total.index_add(0, number, apart)[count > 0] / count[count > 0]
 
 
-def _nearest_two(walk: CrowdWalk, velocity: Tensor, where: tuple[Tensor, ...]) -> _Near:
+def _nearest_two(walk: CrowdWalk, velocity: Tensor, where: tuple[Tensor, ...]) -> _NearestTwo:
     """Return the others around people; no gradient flows through the choice."""
     scene, slot, frame = where
     there = walk.there.transpose(1, 2)[scene, frame]
@@ -190,7 +190,7 @@ def _nearest_two(walk: CrowdWalk, velocity: Tensor, where: tuple[Tensor, ...]) -
     place, moving = away.gather(1, one)[:, 0], moves.gather(1, one)[:, 0]
     meets = (seconds > 0) & (seconds < HORIZON)
     seconds = torch.where(meets, _touch(place, moving).clamp(0, HORIZON), seconds)
-    return _Near(away.gather(1, two), moves.gather(1, two), distance.isinf(), seconds)
+    return _NearestTwo(away.gather(1, two), moves.gather(1, two), distance.isinf(), seconds)
 
 
 def _touch(away: Tensor, velocity: Tensor) -> Tensor:

@@ -40,12 +40,12 @@ class Judge(nn.Module):
     mean: Tensor
     scale: Tensor
 
-    def __init__(self, hidden_dim: int = 96, kept: int = 40, drawn: int = 3) -> None:
+    def __init__(self, hidden_dim: int = 96, buffer: int = 40, drawn: int = 3) -> None:
         """Create the parameters.
 
         Args:
             hidden_dim: Width of the first hidden layer.
-            kept: Updates whose clips are kept.
+            buffer: Updates whose clips are stored.
             drawn: Of these are drawn for each step of the judge, beside the present one. Both crowds of an
                 update are of one recording: recordings differ more than crowds.
         """
@@ -58,7 +58,7 @@ class Judge(nn.Module):
             nn.Linear(64, 1),
         )  # fmt: skip
         self.drawn = drawn
-        self._past: deque[tuple[Tensor, Tensor]] = deque(maxlen=kept)
+        self._past: deque[tuple[Tensor, Tensor]] = deque(maxlen=buffer)
 
     def forward(self, rows: Tensor) -> Tensor:
         """Return how real clips look (W,), logits, from what is `legible` of them (W, N)."""

@@ -10,7 +10,7 @@ from pedzoo.maps.planning.planner import Planner
 from pedzoo.metrics.realism.clips import Clips
 from pedzoo.metrics.realism.features import FEATURES
 from pedzoo.metrics.realism.two_sample import FOLDS, auc, two_sample
-from pedzoo.train.crowds.comparison import Compared, coarse, compared
+from pedzoo.train.crowds.comparison import CrowdFeatures, coarse, compared
 from pedzoo.train.crowds.excerpts import RecordedCrowd, excerpts
 from pedzoo.train.crowds.walking_on import CrowdWalk, Policy, recorded, walked_on
 from pedzoo.train.loop.likeness import wasserstein
@@ -26,8 +26,8 @@ def whole_replays(policy: Policy, crowds: Sequence[RecordedCrowd], planner: Plan
     ``realism``, ``auc`` and ``auc_coarse`` as in `pedzoo score`, people of all recordings together, and
     ``unlike``, their sum.
     """
-    made: dict[str, list[Compared]] = {"auc": [], "auc_coarse": []}
-    true: dict[str, list[Compared]] = {"auc": [], "auc_coarse": []}
+    made: dict[str, list[CrowdFeatures]] = {"auc": [], "auc_coarse": []}
+    true: dict[str, list[CrowdFeatures]] = {"auc": [], "auc_coarse": []}
     for number, crowd in enumerate(crowds):
         real = excerpts(crowd, [1 - OBS_LEN], crowd.frames)
         walk = walked_on(policy, real, planner, torch.tensor([number]))
@@ -49,7 +49,7 @@ def _rounded(walk: CrowdWalk) -> CrowdWalk:
     return walk._replace(xy=(walk.xy.double() * 1000).round().div(1000).float())
 
 
-def _area(made: list[Compared], true: list[Compared]) -> float:
+def _area(made: list[CrowdFeatures], true: list[CrowdFeatures]) -> float:
     """Return the area under the classifier's ROC curve; no person is in training and test."""
     begin = torch.tensor([0, *(one.people for one in made)]).cumsum(0).tolist()
     people = begin[-1]
@@ -65,5 +65,5 @@ def _area(made: list[Compared], true: list[Compared]) -> float:
     return float(auc(two_sample(sides[0], sides[1], part, part), each, each))
 
 
-def _all(side: list[Compared], name: str) -> Tensor:
+def _all(side: list[CrowdFeatures], name: str) -> Tensor:
     return torch.cat([one.features[name] for one in side])

@@ -1,4 +1,4 @@
-"""What a model of one's own must keep to be trained, tried on one batch before the first epoch."""
+"""The contract of users' models in training, checked on one batch before the first epoch."""
 
 from __future__ import annotations
 

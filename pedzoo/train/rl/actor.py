@@ -1,4 +1,4 @@
-"""A walker with a density: velocities around the one that the forecaster says, for policy gradients."""
+"""A walker with a probability density: velocities around that of the forecaster, for policy gradients."""
 
 import math
 from typing import Any, ClassVar, cast

@@ -91,7 +91,7 @@ class Gatherer:
         self.env.physics.close()
 
 
-def rated(
+def with_advantages(
     seen: TensorDict,
     reward: Callable[[TensorDict, TensorDict], Tensor],
     critic: Callable[[TensorDictBase], TensorDictBase],

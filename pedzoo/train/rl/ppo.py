@@ -20,7 +20,7 @@ from pedzoo.sim.scenario_parts.scenario import PreparedScenario
 from pedzoo.train.modules.module import ForecastModule
 from pedzoo.train.rl.actor import Spread, actor
 from pedzoo.train.rl.critic import Critic
-from pedzoo.train.rl.experience import Gatherer, rated
+from pedzoo.train.rl.experience import Gatherer, with_advantages
 from pedzoo.train.rl.objective import advantages, clipped
 from pedzoo.train.rl.rewards import Reward
 
@@ -209,7 +209,7 @@ class PPOModule(ForecastModule):
         optimizer, random = cast("Any", self.optimizers()), self.random()
         gatherer = gatherers[int(self.iteration) % len(gatherers)]
         seen = gatherer.gather(self._seed_of_iteration())
-        lived = rated(seen.to(self.device), self.reward, self.critic, estimate)
+        lived = with_advantages(seen.to(self.device), self.reward, self.critic, estimate)
         self.set_lr(optimizer, self.lr)
         optimizer.param_groups[1]["lr"] = self.optimisation.lr_critic
         parts = _parts_of(batch, self.optimisation.minibatches)

@@ -1,4 +1,4 @@
-"""CrowdNav's crowds as environments: people do not see the robot, so their ways are only looked up."""
+"""CrowdNav's crowds as environments: people do not see the robot, so their walks are computed once."""
 
 from __future__ import annotations
 

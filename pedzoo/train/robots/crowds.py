@@ -1,4 +1,4 @@
-"""Crowds of CrowdNav that do not see the robot: walked once, looked up ever after."""
+"""Crowds of CrowdNav that do not see the robot: computed once, then looked up."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What robots lived through, and how good it was."""
+"""The experience of robots: their decisions, with rewards and advantages."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _KEPT: list[Any] = [("robots", "observation"), ("robots", "body")]
 class Gatherer:
     """B scenes in which a policy gathers decisions; the scenes go on from one gathering to the next.
 
-    TorchRL's collectors keep the whole scene batch of every decision. This keeps what robots sense.
+    TorchRL's collectors store the whole scene batch of every decision. This stores the robots' observations.
     """
 
     def __init__(self, env: RobotEnv | CrossingEnv, seed: int) -> None:
@@ -70,7 +70,7 @@ def act(scenes: TensorDictBase, decision: Tensor) -> None:
 
 
 @torch.no_grad()
-def rated(lived: TensorDict, critic: TensorDictModuleBase, estimate: GAE) -> TensorDict:
+def with_advantages(lived: TensorDict, critic: TensorDictModuleBase, estimate: GAE) -> TensorDict:
     """Return decisions (N, R) with advantages, of mean 0 and deviation 1 over those that count, and values.
 
     Args:
@@ -93,8 +93,8 @@ def rated(lived: TensorDict, critic: TensorDictModuleBase, estimate: GAE) -> Ten
     return cast("TensorDict", lived.select("robots").flatten(0, 1))
 
 
-def ends(then: TensorDictBase) -> dict[str, Tensor]:
-    """Return as which shares of the episodes that ended in decisions (...) there were success and so on."""
+def outcome_shares(then: TensorDictBase) -> dict[str, Tensor]:
+    """Return the shares of success, contacts and so on among the episodes that ended in decisions (...)."""
     robots = cast("TensorDictBase", then["robots"])
     info, over = cast("TensorDictBase", robots["info"]), robots["done"][..., 0] & robots["info", "active"]
     flags = {"success": info["success"], "collision": touched(info), "timeout": info["timeout"]}
@@ -110,16 +110,15 @@ def touched(info: TensorDictBase) -> Tensor:
 
 @torch.no_grad()
 def walked_once(
-    env: RobotEnv | CrossingEnv, policy: Callable[[TensorDictBase], TensorDictBase], seed: int = 0
+    env: RobotEnv | CrossingEnv, policy: Callable[[TensorDictBase], TensorDictBase]
 ) -> dict[str, Tensor]:
     """Return how one episode in each scene went: shares, seconds of those that succeeded, and the return.
 
     Args:
         env: With one robot in each scene.
         policy: Writes ``robots/action``.
-        seed: Of the scenes.
     """
-    env.set_seed(seed, static_seed=True)
+    env.set_seed(0, static_seed=True)
     now = env.reset()
     shape = now["robots", "info", "active"].shape
     flags = {name: torch.zeros(shape, dtype=torch.bool) for name in ("success", "collision", "timeout")}

@@ -19,9 +19,9 @@ from pedzoo.policies.robots.attention import Attention
 from pedzoo.sim.robot_parts.env import RobotEnv
 from pedzoo.sim.robot_parts.make import make_robot_env
 from pedzoo.train.rl.objective import advantages, clipped
-from pedzoo.train.robots.acting import Mean, Value, actor
+from pedzoo.train.robots.actor_critic import Mean, Value, actor
 from pedzoo.train.robots.crossing import SETTINGS, CrossingEnv
-from pedzoo.train.robots.experience import Gatherer, ends, rated, walked_once
+from pedzoo.train.robots.experience import Gatherer, outcome_shares, walked_once, with_advantages
 from pedzoo.train.robots.teacher import CONSTANT_VELOCITY, teacher_of
 
 _SEEDS = 2**52
@@ -187,9 +187,9 @@ class RobotPPO(L.LightningModule):
         imitates = int(self.iteration) < self.imitate
         teacher = self.teacher if imitates else None
         lived: Any = torch.cat([one.gather(acting, self.steps, teacher) for one in gatherers])
-        log = ends(lived["next"])
+        log = outcome_shares(lived["next"])
         log["reward"] = lived["next", "robots", "reward"].mean()
-        known = rated(lived, self.value, estimate)
+        known = with_advantages(lived, self.value, estimate)
         log |= self._learn(loss, known, imitates)
         self.iteration += 1
         log |= {"std": self.mean.log_std.detach().exp().mean()}

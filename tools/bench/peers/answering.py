@@ -19,7 +19,7 @@ Step = Callable[[], None]
 
 
 @dataclass
-class Case:
+class TimedCase:
     """Something that can be timed.
 
     Attributes:
@@ -49,19 +49,19 @@ def loop_cases(
     note: str,
     build: Callable[[dict[str, Any], Any], tuple[Step, Step | None]],
     section: str = "loop",
-) -> list[Case]:
+) -> list[TimedCase]:
     """Return the cases of a simulator with steps of 0.1 s, each kind at every size of a section.
 
     Args:
         asked: The sizes that are asked about.
         most: More people than this are left out.
-        kinds: By name, what ``build`` takes and what the reader is told about it.
+        kinds: By name, what ``build`` takes and its description for the reader.
         note: What is included; ``{about}`` stands for what is said of the kind.
         build: Takes what is asked about, and the kind's value.
         section: Other questions are left out.
     """
     return [
-        Case(
+        TimedCase(
             kind,
             size["scenes"],
             size["people"],
@@ -76,7 +76,7 @@ def loop_cases(
 
 
 def serve(
-    name: str, versions: dict[str, str], cases: Callable[[list[dict[str, Any]], int], list[Case]]
+    name: str, versions: dict[str, str], cases: Callable[[list[dict[str, Any]], int], list[TimedCase]]
 ) -> None:
     """Answer until no question comes any more.
 
@@ -87,7 +87,7 @@ def serve(
     """
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # nothing else may come between the answers, whatever a library prints to
-    known: list[Case] = []
+    known: list[TimedCase] = []
     built: dict[int, tuple[Step, Step | None]] = {}
     now = time.perf_counter
     for line in sys.stdin:
@@ -114,7 +114,9 @@ def serve(
         print(json.dumps(answer), file=answers, flush=True)
 
 
-def timed(case: Case, scenes: tuple[Step, Step | None], seconds: float, now: Callable[[], float]) -> float:
+def timed(
+    case: TimedCase, scenes: tuple[Step, Step | None], seconds: float, now: Callable[[], float]
+) -> float:
     """Return agent-steps per second of about so many seconds; what puts scenes back is not counted."""
     step, again = scenes
     taken, steps = 0.0, 0

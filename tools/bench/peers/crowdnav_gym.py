@@ -20,7 +20,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from answering import Case, Step, serve
+from answering import Step, TimedCase, serve
 
 FOLDER = "CROWDNAV"
 """The variable with the checkout: ``pedzoo bench --crowdnav`` sets it."""
@@ -29,13 +29,13 @@ MOST = 20
 """People who find room on its circle."""
 
 
-def cases(asked: list[dict[str, Any]], threads: int) -> list[Case]:
+def cases(asked: list[dict[str, Any]], threads: int) -> list[TimedCase]:
     """Return the circle crossing for every number of people that is asked about in one scene."""
     sizes = [size for size in asked if size["section"] == "robots" and size["scenes"] == 1]
     folder = checkout() if sizes else Path()
     note = "circle crossing, neither walls nor lidar, people decide every 0.25 s, a robot that goes straight"
     return [
-        Case("gym", 1, size["people"], 0.25, note, lambda size=size: built(folder, size["people"] - 1))
+        TimedCase("gym", 1, size["people"], 0.25, note, lambda size=size: built(folder, size["people"] - 1))
         for size in sizes
         if size["people"] <= MOST
     ]

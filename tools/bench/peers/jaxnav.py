@@ -21,7 +21,7 @@ import os
 from importlib.metadata import version
 from typing import Any
 
-from answering import Case, Step, loop_cases, serve
+from answering import Step, TimedCase, loop_cases, serve
 
 ONE_THREAD = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
 STARTS = 64
@@ -37,7 +37,7 @@ KINDS = {
 ROBOTS = {"lidar": ((64, False), "64 rays of one robot among walls of its own")}
 
 
-def cases(asked: list[dict[str, Any]], threads: int) -> list[Case]:
+def cases(asked: list[dict[str, Any]], threads: int) -> list[TimedCase]:
     """Return both kinds for every size that is asked about."""
     if threads == 1:
         os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {ONE_THREAD}".strip()

@@ -13,17 +13,17 @@ from __future__ import annotations
 from importlib.metadata import version
 from typing import Any
 
-from answering import Case, Step, serve
+from answering import Step, TimedCase, serve
 from pyrvo.pyrvo import RVOSimulator
 
 EVERY = 10
 UNLIMITED = 10_000
 
 
-def cases(asked: list[dict[str, Any]], threads: int) -> list[Case]:
+def cases(asked: list[dict[str, Any]], threads: int) -> list[TimedCase]:
     """Return both kinds of steps for all scenes that are given; RVO2 in pyrvo has one thread."""
     return [
-        Case(
+        TimedCase(
             name,
             scenes["scenes"],
             scenes["people"],

@@ -22,7 +22,7 @@ from importlib.metadata import version
 from typing import Any
 
 import torch
-from answering import Case, Step, loop_cases, serve
+from answering import Step, TimedCase, loop_cases, serve
 from vmas import make_env  # pyright: ignore[reportMissingImports]
 from vmas.scenarios.navigation import Scenario  # pyright: ignore[reportMissingImports]
 from vmas.simulator.core import Landmark, Line  # pyright: ignore[reportMissingImports]
@@ -43,7 +43,7 @@ ROBOTS = {
 ABOUT = f"navigation, {{about}}, random actions, all scenes reset at once after {STEPS} steps"
 
 
-def cases(asked: list[dict[str, Any]], threads: int) -> list[Case]:
+def cases(asked: list[dict[str, Any]], threads: int) -> list[TimedCase]:
     """Return what can be done of every size that is asked about."""
     torch.set_num_threads(threads)
     robots = loop_cases(asked, MOST, ROBOTS, ABOUT, with_robot, "robots")

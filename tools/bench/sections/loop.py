@@ -129,7 +129,7 @@ def _metrics(speeds: list[float], step: float) -> dict[str, Measured]:
     return {"agent_steps_per_s": Measured.of(speeds), "step_s": Measured.of([step])}
 
 
-class Running:
+class ActiveRollout:
     """An environment and the policy that moves its agents, in the middle of episodes."""
 
     def __init__(self, env: PedestrianEnv, policy: TensorDictModuleBase, quick: bool = False) -> None:
@@ -146,7 +146,7 @@ class Running:
         _, self.now = self.env.step_and_maybe_reset(self.policy(self.now))
 
 
-class Walk(Running):
+class Walk(ActiveRollout):
     """People who walk by a policy."""
 
     def __init__(self, scene: PreparedScenario | str, size: Size, policy: str, quick: bool = False) -> None:

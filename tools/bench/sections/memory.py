@@ -24,7 +24,7 @@ PEAK = Path(__file__).parents[1] / "peak.py"
 class Memory(Section):
     """64 scenes of 5 people, 64 goals, 20 steps, on the floor plan with the most cells.
 
-    The bar is about the largest floor plan that is given; without any, memory on ``flat`` is only told.
+    The bar is about the largest floor plan that is given. Without any, ``flat`` is measured without a bar.
     """
 
     def rows(self) -> Iterator[Row]:

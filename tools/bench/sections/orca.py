@@ -106,7 +106,7 @@ class _Crowd(NamedTuple):
         return orca_velocity(self.position, self.velocity, self.preferred, speed, mask, SETTINGS, near)
 
     def scenes(self):
-        """Return them in the form that peers are told."""
+        """Return them in the form that peers read."""
         speed = torch.full(self.position.shape[:2], TOP_SPEED)
         size = Size(*self.position.shape[:2])
         state = self.position, self.velocity, self.preferred, speed

@@ -18,7 +18,7 @@ from tools.bench.figures import Measured, Row
 from tools.bench.peer import Scenes, running
 from tools.bench.scenes import Size, sizes
 from tools.bench.section import Section
-from tools.bench.sections.loop import Running
+from tools.bench.sections.loop import ActiveRollout
 from tools.bench.turns import Clock, Side, in_turns, ratio, repeated
 
 PLAN = "apartment.7"
@@ -123,7 +123,7 @@ def measured(speeds: list[float], agents: int, step: float) -> dict[str, Measure
     }
 
 
-class Drive(Running):
+class Drive(ActiveRollout):
     """Robots that drive straight among people."""
 
     def __init__(self, size: Size, plan: str, people: str, lidar: bool, quick: bool = False) -> None:

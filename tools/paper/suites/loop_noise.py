@@ -11,8 +11,8 @@ from typing import Any, ClassVar, NamedTuple
 import torch
 from torch import Tensor
 
-from pedzoo.eval.prepared import prepared
 from pedzoo.eval.rollout import joined, prepare, walk
+from pedzoo.eval.scenario_cache import prepared
 from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite, Tell, WorkUnit
 from pedzoo.metrics.closed_loop import closed_loop
 from pedzoo.metrics.ratios import Ratio, ratio, summarised

@@ -52,9 +52,9 @@ def clustered(futures: Tensor, modes: int, seed: int) -> Clusters:
     # one more future, as far off as all are: a cluster of one is not certain
     total = squared.mean(0).expand(modes, -1, -1).clone().index_add_(0, label, squared)
     scale = (total / (count + 1).view(-1, 1, 1)).sqrt()
-    kept = torch.from_numpy(centroids).float().view(modes, steps, 2)
+    centres = torch.from_numpy(centroids).float().view(modes, steps, 2)
     mean = torch.from_numpy(points.mean(0)).float().view(1, steps, 2)
-    return Clusters(torch.cat((kept, mean)), ((count + 1) / (count + 1).sum()).log(), scale)
+    return Clusters(torch.cat((centres, mean)), ((count + 1) / (count + 1).sum()).log(), scale)
 
 
 def fan(modes: int, steps: int) -> Tensor:

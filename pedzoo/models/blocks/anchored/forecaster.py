@@ -17,7 +17,7 @@ from pedzoo.core.types import BODY_RADIUS, GoalProtocol
 from pedzoo.data.goals import TIMED
 from pedzoo.models.base import Forecaster, known_displacements
 from pedzoo.models.blocks.anchored.clusters import FEW, clustered, fan
-from pedzoo.models.blocks.anchored.parts import AnchorLosses, Seen, Written
+from pedzoo.models.blocks.anchored.parts import AnchorInputs, AnchorLosses, ModePredictions
 from pedzoo.models.blocks.anchored.reversal import reversed_in_time
 from pedzoo.models.blocks.mixture import FutureMixture
 from pedzoo.models.blocks.people import frame as frames
@@ -67,14 +67,14 @@ class AnchorForecaster(Forecaster):
         self.logits = nn.Parameter(torch.zeros(classes, modes))
         self.log_scale = nn.Parameter(torch.full((classes, modes, steps, 2), -2.0))
 
-    def write(self, batch: TensorDict, seen: Seen) -> Written:
+    def write(self, batch: TensorDict, seen: AnchorInputs) -> ModePredictions:
         """Return what the model says; by default the anchors themselves."""
         return self.anchors(seen)
 
-    def anchors(self, seen: Seen) -> Written:
+    def anchors(self, seen: AnchorInputs) -> ModePredictions:
         """Return the anchors of people's speeds."""
         which = _speed_class(seen)
-        return Written(self.get_buffer("centroids")[which], self.logits[which], self.log_scale[which])
+        return ModePredictions(self.get_buffer("centroids")[which], self.logits[which], self.log_scale[which])
 
     @torch.no_grad()
     def prepare(self, batches: Iterable[TensorDict], seed: int = 0) -> None:
@@ -110,7 +110,7 @@ class AnchorForecaster(Forecaster):
                 f"--model.generator.architecture.steps {steps}"
             )
 
-    def see(self, batch: TensorDict) -> Seen:
+    def see(self, batch: TensorDict) -> AnchorInputs:
         """Return the people of a batch in their own frames."""
         agents = agents_of(batch)
         crowd = Crowd.of(agents["mask"])
@@ -129,18 +129,18 @@ class AnchorForecaster(Forecaster):
             base = lines.bent_line(last, goal, self.steps, self.goal_protocol in TIMED).cumsum(1)
             goal = torch.cat((goal, wanted), -1)
         speed = (last.square().sum(-1) + 1e-12).sqrt()
-        return Seen(own, goal, base, speed, speed.clamp_min(UNIT).unsqueeze(-1), heading, crowd)
+        return AnchorInputs(own, goal, base, speed, speed.clamp_min(UNIT).unsqueeze(-1), heading, crowd)
 
-    def truth(self, batch: TensorDict, seen: Seen) -> Tensor:
+    def truth(self, batch: TensorDict, seen: AnchorInputs) -> Tensor:
         """Return true positions (P, T, 2) from the last observed one, in each person's frame."""
         agents = agents_of(batch)
         return frames.into(seen.heading, seen.crowd.pack(agents["future"] - agents["history"][:, :, -1:]))
 
-    def placed(self, written: Written, seen: Seen) -> Tensor:
+    def placed(self, written: ModePredictions, seen: AnchorInputs) -> Tensor:
         """Return positions (P, M + 1, T, 2), metres, of what was written in units of the anchors."""
         return seen.base.unsqueeze(1) + written.path * seen.unit.view(-1, 1, 1, 1)
 
-    def mixture(self, written: Written, seen: Seen) -> FutureMixture:
+    def mixture(self, written: ModePredictions, seen: AnchorInputs) -> FutureMixture:
         """Return the density of displacements in each person's frame."""
         path = self.placed(written, seen)[:, :-1]
         scale = written.log_scale.exp() * seen.unit.view(-1, 1, 1, 1) + LEAST
@@ -222,14 +222,14 @@ class AnchorForecaster(Forecaster):
         known = seen.crowd.pack(known_displacements(batch))
         return seen.crowd.unpack(mixture.log_prob(_displacements(self.truth(batch, seen)), known))
 
-    def _futures(self, batch: TensorDict) -> tuple[Seen, FutureMixture]:
+    def _futures(self, batch: TensorDict) -> tuple[AnchorInputs, FutureMixture]:
         """Return the people of a batch, and the density of their displacements."""
         seen = self.see(batch)
         return seen, self.mixture(self.write(batch, seen), seen)
 
     def _drawn(
         self,
-        seen: Seen,
+        seen: AnchorInputs,
         mixture: FutureMixture,
         samples: int,
         steps: int,
@@ -240,7 +240,7 @@ class AnchorForecaster(Forecaster):
         many = FutureMixture(*(value.expand(samples, *value.shape) for value in mixture))
         return self._world(seen, many.mean_of(many.at_quantile(share.to(mixture.logits.device))), steps)
 
-    def _world(self, seen: Seen, path: Tensor, steps: int) -> Tensor:
+    def _world(self, seen: AnchorInputs, path: Tensor, steps: int) -> Tensor:
         """Return displacements (K, P, T, 2) in people's frames as (B, K, A, steps, 2) in the world.
 
         Steps beyond those that the model was trained for repeat the last one.
@@ -250,7 +250,7 @@ class AnchorForecaster(Forecaster):
         return seen.crowd.unpack(path.transpose(0, 1)).transpose(1, 2)
 
 
-def _speed_class(seen: Seen) -> Tensor:
+def _speed_class(seen: AnchorInputs) -> Tensor:
     """Return which of the classes of speeds people are in (P,) long."""
     return torch.bucketize(seen.speed, seen.speed.new_tensor(SPEEDS))
 

@@ -25,7 +25,7 @@ class AnchorLosses:
     reverse: bool = True
 
 
-class Seen(NamedTuple):
+class AnchorInputs(NamedTuple):
     """The people of a batch, each in their own frame.
 
     Attributes:
@@ -47,7 +47,7 @@ class Seen(NamedTuple):
     crowd: Crowd
 
 
-class Written(NamedTuple):
+class ModePredictions(NamedTuple):
     """What a model says about P people, in units of the anchors.
 
     Attributes:

@@ -15,6 +15,7 @@ from torch.nn import functional as F
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.fetch import fetch, sha256_of
+from pedzoo.core.paths import expanded
 
 FILE = "alexnet-owt-7be5be79.pth"
 URLS = (f"https://download.pytorch.org/models/{FILE}", f"https://s3.amazonaws.com/pytorch/models/{FILE}")
@@ -95,7 +96,7 @@ def load(path: str | None = None) -> dict[str, Tensor]:
         UserError: No such file, no network, or other weights than the published ones.
     """
     given = path or os.environ.get("PEDZOO_ALEXNET")
-    file = Path(given).expanduser() if given else obtain()
+    file = expanded(given) if given else obtain()
     if not file.is_file():
         raise UserError(f"no AlexNet weights at {given!r}: get {URLS[0]}, {_OR_GIVE}")
     tensors = _read(file)

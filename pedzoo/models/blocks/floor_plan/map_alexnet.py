@@ -36,7 +36,8 @@ class PerBank(Generic[T]):
         """Return the value of a bank on its device, made by ``make(bank)`` where it is not kept."""
         key = bank, bank.device
         if key not in self._kept:
-            self._kept[key] = make(bank)
+            with torch.inference_mode(False):  # the next use may ask for gradients
+                self._kept[key] = make(bank)
             while len(self._kept) > MOST:
                 self._kept.popitem(last=False)
         self._kept.move_to_end(key)

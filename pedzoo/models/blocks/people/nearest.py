@@ -9,7 +9,7 @@ from pedzoo.core.geometry import unrotate
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
 
 NEAREST = 6
-"""Others that a person heeds."""
+"""Nearest others of a person that a network sees."""
 
 FEATURES = 12
 """Numbers of each of them."""
@@ -23,8 +23,8 @@ _SOON = 5.0
 _STAYS, _BESIDE = 0.35, 1.3
 """Metres by which a companion's place beside a person changes in 2.8 s, and how far away it is."""
 
-_HEEDED, _REACH = 3, 3.0
-"""Known companions that a person heeds, the nearest ones, and metres: farther ones count as so far away."""
+_COMPANIONS, _REACH = 3, 3.0
+"""Nearest companions of a person that a network sees, and metres: farther ones count as so far away."""
 
 
 class Neighbours(NamedTuple):
@@ -108,7 +108,9 @@ def nearest(
         weight = (-changed / _STAYS - (centre / _BESIDE).square()).exp().masked_fill(absent, 0.0)
     else:
         with torch.no_grad():
-            squared, mate = apart.masked_fill(~companions, _FAR).topk(min(_HEEDED, people), 2, largest=False)
+            squared, mate = apart.masked_fill(~companions, _FAR).topk(
+                min(_COMPANIONS, people), 2, largest=False
+            )
             weight = (squared < _FAR).to(place.dtype)
         turned, moving = (unrotate(of_others(values, mate), frame) for values in (here, velocity))
         length = (turned.square().sum(-1, keepdim=True) + 1e-6).sqrt()

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pedzoo.sim.physics_parts.bullet.client import connect, egl_plugin, load_egl
-from pedzoo.sim.physics_parts.camera import FLOOR, OUTSIDE, WALL, Lens, person_color
+from pedzoo.sim.physics_parts.bullet.figure import Figure, Figures
+from pedzoo.sim.physics_parts.camera import FLOOR, OUTSIDE, WALL, Lens
 
 CUT_HEIGHT = 1.0
 """Metres at which walls are cut off in pictures from above, so that people behind them are seen."""
@@ -18,7 +19,7 @@ _NEAREST = 0.05
 """Metres from which on robots see."""
 
 BODY_HEIGHT = 1.75
-"""Metres, with both round ends of the capsule."""
+"""Metres of a person's capsule in the scene of physics, with both round ends."""
 
 SHAPES = 16
 """pybullet takes so many shapes per body and drops the others without a word."""
@@ -58,7 +59,7 @@ class BulletLooks:
                 physicsClientId=client,
             )
             pybullet.createMultiBody(0, -1, shape, physicsClientId=client)
-        self._figures: dict[tuple[int, float], int] = {}
+        self._figures = Figures(pybullet, client, AWAY)
 
     def close(self) -> None:
         """Disconnect; a second time does nothing."""
@@ -66,7 +67,7 @@ class BulletLooks:
 
     def render(
         self,
-        positions: dict[int, tuple[float, float, float]],
+        figures: dict[int, Figure],
         size: tuple[int, int],
         eye: tuple[Sequence[float], Sequence[float], Sequence[float]],
         view_angle: float,
@@ -74,7 +75,7 @@ class BulletLooks:
         """Return a picture (H, W, 3) uint8 RGB.
 
         Args:
-            positions: Where to draw which agent: x, y and the radius of its body, metres.
+            figures: How to draw which agent.
             size: Width and height in pixels.
             eye: Where the camera stands, what it looks at and which way is up.
             view_angle: Horizontal opening angle, radians.
@@ -83,7 +84,7 @@ class BulletLooks:
         distance = math.dist(eye[0], eye[1])
         upright = 2 * math.atan(math.tan(view_angle / 2) * height / width)
         picture, _, empty = self._shot(
-            positions, size, eye, upright, (max(0.1, 0.2 * distance), 3 * distance + 10)
+            figures, size, eye, upright, (max(0.1, 0.2 * distance), 3 * distance + 10)
         )
         # The floor is where no body is: one to draw takes longer on the CPU than all the rest.
         picture[empty] = FLOOR
@@ -91,7 +92,7 @@ class BulletLooks:
 
     def onboard(
         self,
-        positions: dict[int, tuple[float, float, float]],
+        figures: dict[int, Figure],
         place: Sequence[float],
         ahead: Sequence[float],
         lens: Lens,
@@ -99,7 +100,7 @@ class BulletLooks:
         """Return a picture (H, W, 3) uint8 RGB and the depth (H, W), metres, as a robot sees it.
 
         Args:
-            positions: See `render`.
+            figures: See `render`.
             place: Where the camera stands (x, y), metres.
             ahead: The direction (x, y) in which it looks.
             lens: Its pixels, angle and height.
@@ -108,7 +109,7 @@ class BulletLooks:
         size, farthest = (lens.width, lens.height), 1.2 * lens.reach + 1
         upright = 2 * math.atan(math.tan(lens.angle / 2) * lens.height / lens.width)
         eye = ([x, y, z], [x + dx, y + dy, z], [0.0, 0.0, 1.0])
-        picture, buffer, empty = self._shot(positions, size, eye, upright, (_NEAREST, farthest))
+        picture, buffer, empty = self._shot(figures, size, eye, upright, (_NEAREST, farthest))
         depth = _NEAREST * farthest / (farthest - (farthest - _NEAREST) * buffer)
         floor = np.broadcast_to(lens.floor()[:, None], empty.shape)
         picture[empty] = np.where(floor[empty, None] < np.inf, FLOOR, OUTSIDE)
@@ -117,7 +118,7 @@ class BulletLooks:
 
     def _shot(
         self,
-        positions: dict[int, tuple[float, float, float]],
+        figures: dict[int, Figure],
         size: tuple[int, int],
         eye: tuple[Sequence[float], Sequence[float], Sequence[float]],
         upright: float,
@@ -128,7 +129,7 @@ class BulletLooks:
         The vertical opening angle ``upright`` is in radians, and ``limits``, the planes between which bodies
         are drawn, in metres.
         """
-        self.place(positions)
+        self._figures.show(figures)
         width, height = size
         image = self._p.getCameraImage(
             width,
@@ -150,26 +151,9 @@ class BulletLooks:
         buffer = np.asarray(image[3], dtype=np.float64).reshape(height, width)
         return picture, buffer, np.asarray(image[4]).reshape(height, width) < 0
 
-    def place(self, positions: dict[int, tuple[float, float, float]]) -> None:
-        """Put the agents at ``positions``, see `render`, and take all others away."""
-        shown = {self._figure(person, radius): (x, y) for person, (x, y, radius) in positions.items()}
-        for body in self._figures.values():
-            place = (*shown[body], BODY_HEIGHT / 2) if body in shown else AWAY
-            self._p.resetBasePositionAndOrientation(body, place, UPRIGHT, physicsClientId=self.client)
-
-    def _figure(self, person: int, radius: float) -> int:
-        """Return the body that is drawn for an agent; the first time, it is made."""
-        if (person, radius) not in self._figures:
-            shape = self._p.createVisualShape(
-                self._p.GEOM_CAPSULE,
-                radius=radius,
-                length=max(BODY_HEIGHT - 2 * radius, 0.0),
-                rgbaColor=_rgba(person_color(person)),
-                physicsClientId=self.client,
-            )
-            body = self._p.createMultiBody(0, -1, shape, AWAY, physicsClientId=self.client)
-            self._figures[person, radius] = body
-        return self._figures[person, radius]
+    def place(self, figures: dict[int, Figure]) -> None:
+        """Show these agents, see `render`, and no others."""
+        self._figures.show(figures)
 
 
 def half_extents(part: NDArray[np.float64], height: float) -> list[list[float]]:

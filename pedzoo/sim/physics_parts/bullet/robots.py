@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pedzoo.core.errors import UserError
+from pedzoo.core.paths import expanded
 from pedzoo.sim.physics_parts.bullet.client import load_pybullet, quiet
 from pedzoo.sim.physics_parts.bullet.looks import AWAY, UPRIGHT
 
@@ -24,7 +25,7 @@ def find_urdf(name: str) -> str:
     load_pybullet()
     import pybullet_data
 
-    for path in (Path(name).expanduser(), Path(pybullet_data.getDataPath()) / name):
+    for path in (expanded(name), Path(pybullet_data.getDataPath()) / name):
         if path.is_file():
             return str(path.resolve())
     raise UserError(

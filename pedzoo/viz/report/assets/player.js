@@ -208,9 +208,10 @@ class Player {
 
   follow(hash) {
     const given = new URLSearchParams(hash.replace(/^#/, ""));
-    const number = this.cases.findIndex((one) => one.name === given.get("case"));
-    if (number < 0) return;
-    const wanted = { a: given.get("a") ?? undefined, b: given.get("b") ?? undefined, episode: given.get("episode") };
+    const name = given.get("case"), number = name === null ? 0 : this.cases.findIndex((one) => one.name === name);
+    if (number < 0 || given.size === 0) return;
+    const [a, b, episode] = ["a", "b", "episode"].map((key) => given.get(key) ?? undefined);
+    const wanted = { a, b, episode };
     this.pick(number, wanted);
     const dt = this.sides[0].episode ? this.sides[0].episode.dt : 0.1;
     this.set({ point: (Number(given.get("t")) || 0) / dt, who: given.get("who") });

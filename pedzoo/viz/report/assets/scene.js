@@ -7,6 +7,9 @@ const PERSONAL = 0.5; // metres between centres, as the metric personal_space ha
 const GOAL = 0.3; // metres
 const TRAIL = 40; // points
 const BANDS = 5;
+const BODY = 0.15; // metres: figures grow with their bodies
+const FIGURE = { along: 0.13, across: 0.23, head: 0.1, face: 0.07, ahead: 0.05 }; // as pedzoo.sim.physics_parts.stance
+const SKIN = "rgb(226,180,150)", HAIR = "rgb(66,48,40)", EDGE = "rgb(40,40,40)";
 
 const colorOf = (person) => PALETTE[((person.person % PALETTE.length) + PALETTE.length) % PALETTE.length];
 const theme = (name) => getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
@@ -182,6 +185,13 @@ class Scene {
     });
   }
 
+  oval(ahead, along, across, color) {
+    this.context.fillStyle = color;
+    this.context.beginPath();
+    this.context.ellipse(ahead, 0, along, across, 0, 0, 7);
+    this.context.fill();
+  }
+
   body(episode, one, point, layers, chosen) {
     const context = this.context, [x, y] = one.pixel, radius = Math.max(2.5, one.person.radius * this.scale);
     const touching = within(one.person.touch, point) || within(one.person.wall, point);
@@ -198,18 +208,14 @@ class Scene {
       context.fillStyle = "#ffb020";
       context.fillRect(radius * 0.35, -radius * 0.5, radius * 0.3, radius);
     } else {
-      context.globalAlpha = 0.55; // shoulders
-      context.beginPath();
-      context.ellipse(0, 0, radius * 0.75, radius * 1.5, 0, 0, 7);
-      context.fill();
-      context.globalAlpha = 1; // the body that touches
-      context.beginPath();
-      context.arc(0, 0, radius, 0, 7);
-      context.fill();
-      context.fillStyle = "rgba(255,255,255,0.85)";
-      context.beginPath();
-      context.arc(radius * 0.5, 0, radius * 0.28, 0, 7);
-      context.fill();
+      const size = radius / BODY, edge = Math.max(1, this.scale * 0.012);
+      // the edge first, then shoulders, the disc that touches, hair and face
+      this.oval(0, FIGURE.along * size + edge, FIGURE.across * size + edge, EDGE);
+      this.oval(0, radius + edge, radius + edge, EDGE);
+      this.oval(0, FIGURE.along * size, FIGURE.across * size, one.color);
+      this.oval(0, radius, radius, one.color);
+      this.oval(0, FIGURE.head * size, FIGURE.head * size, HAIR);
+      this.oval(FIGURE.ahead * size, FIGURE.face * size, FIGURE.face * size, SKIN);
     }
     context.restore();
     if (touching || chosen) {

@@ -1,4 +1,4 @@
-"""What all policies share: a name, a short text about themselves, and the way into any simulator."""
+"""The base class of all policies: their name, and their controller for any simulator."""
 
 from __future__ import annotations
 

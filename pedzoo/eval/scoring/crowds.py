@@ -15,9 +15,9 @@ from pedzoo.core.types import STEP_SECONDS
 from pedzoo.eval.rollout import Progress, prepare, walk
 from pedzoo.metrics.realism.clips import Clips, clips
 from pedzoo.metrics.realism.company import PersonSums, added, main_axis, measured
-from pedzoo.metrics.realism.crowdes import Walks
-from pedzoo.metrics.realism.crowds import Crowd, crowd, together
-from pedzoo.metrics.realism.features import Steps, coarse, every_step, to_millimetres
+from pedzoo.metrics.realism.crowdes import ScoredSteps
+from pedzoo.metrics.realism.crowds import CrowdSums, crowd, together
+from pedzoo.metrics.realism.features import SampledRollout, coarse, every_step, to_millimetres
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.policy import has_noise
 from pedzoo.sim.replay.people import RecordedPeople
@@ -28,7 +28,7 @@ BLOCKS, BLOCK_SECONDS = 20, 30.0
 """Intervals come from at most so many blocks of time, of at least so many seconds."""
 
 
-class View(NamedTuple):
+class CrowdView(NamedTuple):
     """A crowd as it is, or over coarse positions.
 
     Attributes:
@@ -36,11 +36,11 @@ class View(NamedTuple):
         clips: For the classifier.
     """
 
-    crowd: Crowd
+    crowd: CrowdSums
     clips: Clips
 
 
-class Side(NamedTuple):
+class ScoredCrowd(NamedTuple):
     """One crowd.
 
     Attributes:
@@ -55,10 +55,10 @@ class Side(NamedTuple):
     """
 
     name: str
-    fine: View
-    coarse: View
+    fine: CrowdView
+    coarse: CrowdView
     sums: dict[str, PersonSums]
-    walks: Walks
+    walks: ScoredSteps
     people: RecordedPeople
     twin: Tensor
     rounds: int = 1
@@ -69,7 +69,7 @@ class Side(NamedTuple):
         return self.fine.crowd.minutes > 0
 
 
-def side(
+def scored_crowd(
     name: str,
     parts: Iterable[Rollout],
     scenario: PreparedReplay,
@@ -77,7 +77,7 @@ def side(
     goal: Tensor,
     twin: Tensor | None = None,
     rounds: int = 1,
-) -> Side:
+) -> ScoredCrowd:
     """Return a crowd, given as rollouts of scenes 0, 1, ... one after the other.
 
     Args:
@@ -90,7 +90,7 @@ def side(
         rounds: How often the scenes are walked.
     """
     people, first = scenario.persons, 0
-    views: tuple[list[tuple[Crowd, Clips]], ...] = ([], [])
+    views: tuple[list[tuple[CrowdSums, Clips]], ...] = ([], [])
     sums, rows, axis = [], [], main_axis(start, goal)
     for part in parts:
         steps = every_step(part)
@@ -102,24 +102,24 @@ def side(
         first += len(part.failed)
     fine, rough = map(_joined, views)
     twin = torch.arange(len(start)) if twin is None else twin
-    walks = Walks(*(torch.cat(values) for values in zip(*rows, strict=True)))
-    return Side(name, fine, rough, added(sums), walks, people, twin, rounds)
+    walks = ScoredSteps(*(torch.cat(values) for values in zip(*rows, strict=True)))
+    return ScoredCrowd(name, fine, rough, added(sums), walks, people, twin, rounds)
 
 
-def recorded_side(scenario: PreparedReplay) -> Side:
+def recorded_crowd(scenario: PreparedReplay) -> ScoredCrowd:
     """Return the recorded crowd."""
     people = scenario.persons
-    return side("real", scenario.real_parts(), scenario, people.start, people.goal)
+    return scored_crowd("real", scenario.real_parts(), scenario, people.start, people.goal)
 
 
-def policy_side(
+def policy_crowd(
     policy: str,
     scenario: PreparedReplay,
     rounds: int,
     seed: int,
     physics: str,
     progress: Progress | None = None,
-) -> Side:
+) -> ScoredCrowd:
     """Return what a policy makes of the recorded people: in ``rounds`` if it has noise, else once.
 
     Raises:
@@ -130,7 +130,7 @@ def policy_side(
     walks, env = prepare(policy, scenario, physics, episodes, seed)
     try:
         parts = walk(walks, env, episodes, progress=progress)
-        return side(policy, parts, scenario, people.start, people.goal, rounds=rounds)
+        return scored_crowd(policy, parts, scenario, people.start, people.goal, rounds=rounds)
     finally:
         env.physics.close()
 
@@ -151,7 +151,7 @@ def blocks_of(people: RecordedPeople) -> tuple[Tensor, int]:
     return block, before
 
 
-def _scored_rows(steps: Steps, first: int, scenario: PreparedReplay) -> Walks:
+def _scored_rows(steps: SampledRollout, first: int, scenario: PreparedReplay) -> ScoredSteps:
     """Return the scored steps of episodes ``first``, ... of a replay."""
     assert scenario.script is not None
     scenes, people = scenario.script.scenes, scenario.persons
@@ -161,9 +161,9 @@ def _scored_rows(steps: Steps, first: int, scenario: PreparedReplay) -> Walks:
     apart = (int(people.until.max()) + 1) * scenes.table[scene]
     frame = scenes.origin[scene] + step - 1 + apart
     person = steps.person[episode, slot, step]
-    return Walks((episode + first) // scenario.scenes, person, frame, steps.xy[episode, slot, step])
+    return ScoredSteps((episode + first) // scenario.scenes, person, frame, steps.xy[episode, slot, step])
 
 
-def _joined(parts: list[tuple[Crowd, Clips]]) -> View:
+def _joined(parts: list[tuple[CrowdSums, Clips]]) -> CrowdView:
     crowds, pieces = zip(*parts, strict=True)
-    return View(together(crowds), Clips(*(torch.cat(values) for values in zip(*pieces, strict=True))))
+    return CrowdView(together(crowds), Clips(*(torch.cat(values) for values in zip(*pieces, strict=True))))

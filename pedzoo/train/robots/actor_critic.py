@@ -38,7 +38,7 @@ class Mean(TensorDictModuleBase):
 
 
 class Value(TensorDictModuleBase):
-    """The critic: what a robot can still expect."""
+    """The critic: the return that a robot can still expect."""
 
     in_keys: ClassVar[list[Any]] = SEEN
     out_keys: ClassVar[list[Any]] = [("robots", "value")]

@@ -1,4 +1,4 @@
-"""Scenarios are kept within a process: finding the ways on a floor plan can take longer than walking."""
+"""A cache of prepared scenarios: planning the paths on a floor plan can take longer than the walks."""
 
 from pedzoo.core.spec import Spec
 from pedzoo.sim.make import CLEARANCE, make_scenario, prepare_scenario

@@ -28,14 +28,14 @@ _AT_ONCE = 64
 def real_parts(prepared: PreparedScenario, scenes: int) -> Iterator[Rollout]:
     """Yield the first ``scenes`` of a scenario with a script, as people really walked in them.
 
-    On the same slots and trace as any rollout of them. ``controlled`` are the people that a policy would
-    have, for as long as it would have them if it walked as they did: until they come within 0.3 m of their
+    Slots and trace are those of any rollout of them. ``controlled`` are the people that a policy would
+    move, for as long as it would move them if it walked as they did: until they come within 0.3 m of their
     goal. From there on they have ``reached`` it. Others meet them until they really leave, so people may
     stand about at the exit where no policy controls an agent. Some never come so near, because the goal is
     not quite where they left: they reach it by leaving.
     """
     assert prepared.script is not None
-    script = AsRecorded.of(prepared.script)
+    script = RecordedScript.of(prepared.script)
     fine, physics = substeps(prepared.fastest_agent), Compiled(prepared.bank)
     planned = kernel.rules_of(prepared, TRACE_PER_STEP, fine)
     episodes = Episodes(prepared, "recorded", physics, planned)
@@ -45,11 +45,11 @@ def real_parts(prepared: PreparedScenario, scenes: int) -> Iterator[Rollout]:
         yield _walked(prepared.scenario, script, physics, rules, start)
 
 
-class AsRecorded(Script):
+class RecordedScript(Script):
     """The script in which no policy takes an agent over: people come and go as they really did."""
 
     @classmethod
-    def of(cls, script: Script) -> AsRecorded:
+    def of(cls, script: Script) -> RecordedScript:
         """Return the script of the same people."""
         return cls(script.people, script.xy, script.occupants, script.scenes)
 

@@ -25,7 +25,7 @@ ENCODING = "utf-8-sig"
 
 
 @dataclass(frozen=True)
-class TextForm:
+class TextFormat:
     """How a text file holds its table.
 
     Attributes:
@@ -39,7 +39,7 @@ class TextForm:
     columns: tuple[int, ...]
 
     @classmethod
-    def of(cls, path: Path) -> TextForm:
+    def of(cls, path: Path) -> TextFormat:
         """Find out from the first line of a file.
 
         Raises:
