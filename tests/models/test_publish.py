@@ -227,6 +227,9 @@ def test_names_say_what_was_not_seen_and_what_is_unusual(changed: dict[str, Any]
         ("closed_loop/sgan_goal_map", "eth_ucy", "sgan_goal_map.indoor"),
         ("closed_loop/sgan_goal", "hotel", "sgan_goal.indoor_hotel"),
         ("ppo/sgan_goal", "eth_ucy", "sgan_goal.eth_ucy_ppo"),
+        ("closed_loop/social_walker", "zara1", "social_walker.zara1"),
+        ("closed_loop/social_walker_styled", "zara1", "social_walker.styled_zara1"),
+        ("closed_loop/social_walker_styled", "eth_ucy", "social_walker.styled"),
     ],
 )
 def test_controllers_are_named_after_what_they_are_for(config: str, fold: str, name: str) -> None:

@@ -63,7 +63,7 @@ GATE_NOISE = 1.7
 """Spread of the chance by which velocities are held, in units of the gate."""
 
 ASTRAY, LOOKING_UP = 0.3, 3.0
-"""Velocities farther off what people want, in units of their speed, are held the more rarely; of the gate."""
+"""Velocities that are farther off what people want, in units of their speed, open the gate by so much more."""
 
 HELD_STANDING = 4.5
 """Of the gate, for people who stand: before training they set out in 7 % of steps."""
@@ -185,8 +185,8 @@ class SocialWalker(Forecaster):
             setting_out = -HELD_STANDING * stands
             often: Tensor | float = 2.0
             if a.style_prior:
-                astray = (_length(past[:, :, -1] - want) / now.pref_speed - ASTRAY).clamp_min(0) * (1 - stands)
-                often = GATE_NOISE * _normal_quantile(1 - held_of(usual)) + LOOKING_UP * astray
+                off = (_length(past[:, :, -1] - want) / now.pref_speed - ASTRAY).clamp_min(0)
+                often = GATE_NOISE * _normal_quantile(1 - held_of(usual)) + LOOKING_UP * off * (1 - stands)
             gate = ((out[..., 15] + often + GATE_NOISE * step[..., 0] + late + setting_out) / 0.2).sigmoid()
             # held velocities are exactly those of before; the gradient is that of the soft gate
             moves = _hard(gate).unsqueeze(-1) * moves
