@@ -63,7 +63,7 @@ GATE_NOISE = 1.7
 """Spread of the chance by which velocities are held, in units of the gate."""
 
 ASTRAY, LOOKING_UP = 0.3, 3.0
-"""Velocities that are farther off what people want, in units of their speed, open the gate by so much more."""
+"""Velocities farther off what people want than a share of their speed open the gate by so much more."""
 
 HELD_STANDING = 4.5
 """Of the gate, for people who stand: before training they set out in 7 % of steps."""
