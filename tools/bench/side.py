@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent / "peers"))
 
 import numpy as np
 import torch
-from answering import Case, Step, serve  # pyright: ignore[reportMissingImports]
+from answering import Step, TimedCase, serve  # pyright: ignore[reportMissingImports]
 
 import pedzoo
 from pedzoo.maps.free_space import free_points
@@ -61,13 +61,13 @@ REGISTRIES = ("pedzoo.core.registry", "pedzoo.registry")
 UNBATCHED = ("base", "bullet")
 
 
-def cases(asked: list[dict[str, Any]], threads: int) -> list[Case]:
+def cases(asked: list[dict[str, Any]], threads: int) -> list[TimedCase]:
     """Return what this checkout can do of the sections and sizes that are asked about."""
     torch.set_num_threads(threads)
     return [case for size in asked for case in section(size["section"], size["scenes"], size["people"])]
 
 
-def section(name: str, scenes: int, people: int) -> Iterator[Case]:
+def section(name: str, scenes: int, people: int) -> Iterator[TimedCase]:
     """Give the cases of one section at one size."""
     for policy in SECTIONS[name]:
         dt = load_policy(policy).decision_dt
@@ -80,10 +80,11 @@ def section(name: str, scenes: int, people: int) -> Iterator[Case]:
             ) -> tuple[Step, Step | None]:
                 return make(scenes, people, policy, physics)
 
-            yield Case(f"env {policy}", scenes, people, dt, variant, build, round(TURN / dt))
+            yield TimedCase(f"env {policy}", scenes, people, dt, variant, build, round(TURN / dt))
     if name == "controller":
         plan = PLANS.get(people, PLAN)
-        yield Case(f"controller in {plan}", 1, people, DECISION, "", lambda: steering(plan, people), CALLS)
+        name = f"controller in {plan}"
+        yield TimedCase(name, 1, people, DECISION, "", lambda: steering(plan, people), CALLS)
 
 
 def variants() -> tuple[str, ...]:

@@ -26,7 +26,7 @@ def led_apart(batch: TensorDictBase) -> Tensor:
     agents = agents_of(batch)
     here, mask = cast("Tensor", agents["history"])[:, :, -1], cast("Tensor", agents["mask"])
     # one whole number for each spot, 0 and -0 being the same; absent agents have numbers that no spot has
-    bits = (here.float() + 0.0).contiguous().view(torch.int64)[..., 0]
+    bits = (here.float() + 0.0).flatten().view(torch.int64).view(mask.shape)
     absent = torch.iinfo(torch.int64).min + torch.arange(mask.shape[1], device=mask.device)
     spot, order = torch.where(mask, bits, absent).sort(dim=1)
     pairs = spot[:, 1:] == spot[:, :-1]
