@@ -23,6 +23,11 @@ def unrotate(vectors: Tensor, direction: Tensor) -> Tensor:
     return torch.stack((torch.addcmul(c * x, s, y), torch.addcmul(c * y, s, x, value=-1)), dim=-1)
 
 
+def smooth_norm(vectors: Tensor) -> Tensor:
+    """Return the lengths (...) of ``vectors`` (..., 2), with a finite gradient at 0."""
+    return (vectors.square().sum(-1) + 1e-8).sqrt()
+
+
 def limit_speed(velocity: Tensor, top_speed: Tensor) -> Tensor:
     """Return velocities (..., 2) shortened to at most ``top_speed`` (...)."""
     velocity = velocity.clamp(-1e6, 1e6)  # the square of more is infinite

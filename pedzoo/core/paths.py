@@ -20,7 +20,7 @@ def shipped(folder: str) -> Path:
 
 
 def expanded(path: str | Path) -> Path:
-    """Return a path with ``~`` written out; of a user whom nobody knows it stays, and no file is there."""
+    """Return a path with ``~`` written out; that of an unknown user stays, and no file is there."""
     return Path(os.path.expanduser(path))
 
 

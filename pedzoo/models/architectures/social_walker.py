@@ -15,7 +15,7 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.nn import functional
 
-from pedzoo.core.geometry import rotate, unrotate
+from pedzoo.core.geometry import rotate, smooth_norm, unrotate
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS, GoalProtocol
 from pedzoo.models.base import Forecaster, Walking, known_displacements, true_displacements
 from pedzoo.models.blocks.people.nearest import FEATURES, nearest
@@ -185,7 +185,7 @@ class SocialWalker(Forecaster):
             setting_out = -HELD_STANDING * stands
             often: Tensor | float = 2.0
             if a.style_prior:
-                off = (_length(past[:, :, -1] - want) / now.pref_speed - ASTRAY).clamp_min(0)
+                off = (smooth_norm(past[:, :, -1] - want) / now.pref_speed - ASTRAY).clamp_min(0)
                 often = GATE_NOISE * _normal_quantile(1 - held_of(usual)) + LOOKING_UP * off * (1 - stands)
             gate = ((out[..., 15] + often + GATE_NOISE * step[..., 0] + late + setting_out) / 0.2).sigmoid()
             # held velocities are exactly those of before; the gradient is that of the soft gate
@@ -249,13 +249,8 @@ class SocialWalker(Forecaster):
 
 def _braked(velocity: Tensor) -> Tensor:
     """Return velocities (..., 2), m/s, after a step of braking; 0 for people who can stand by then."""
-    speed = _length(velocity).unsqueeze(-1)
+    speed = smooth_norm(velocity).unsqueeze(-1)
     return velocity * (1 - BRAKING / speed.clamp_min(BRAKING))
-
-
-def _length(vectors: Tensor) -> Tensor:
-    """Return lengths (...,) whose gradient is finite at 0."""
-    return (vectors.square().sum(-1) + 1e-8).sqrt()
 
 
 def _normal_quantile(share: Tensor) -> Tensor:

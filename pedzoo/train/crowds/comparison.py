@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from pedzoo.core.batch import in_company
-from pedzoo.core.geometry import unrotate
+from pedzoo.core.geometry import smooth_norm, unrotate
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
 from pedzoo.metrics.realism.clips import CHANNELS, FAR, LENGTH
 from pedzoo.metrics.realism.features import LINE
@@ -75,10 +75,10 @@ def compared(walk: CrowdWalk, real: Excerpts) -> CrowdFeatures:
     across = way[:, 0] * offset[:, 1] - way[:, 1] * offset[:, 0]
     company = ~near.absent[:, 0]
     features = {
-        "speed": _length(now),
-        "acceleration": _length(change),
+        "speed": smooth_norm(now),
+        "acceleration": smooth_norm(change),
         "heading_rate": turns(before, now) / STEP_SECONDS,
-        "nearest_distance": _length(near.place[company, 0]),
+        "nearest_distance": smooth_norm(near.place[company, 0]),
         "time_to_collision": near.seconds[company],
         "lateral_deviation": across[has_line] / length[has_line],
     }
@@ -90,7 +90,7 @@ def compared(walk: CrowdWalk, real: Excerpts) -> CrowdFeatures:
     place = torch.where(missing, far, unrotate(near.place, frame_of))
     relative = torch.where(missing, 0.0, unrotate(near.velocity, frame_of))
     vectors = torch.cat((unrotate(torch.stack((now, change), 1), frame_of), place, relative), 1)
-    value = torch.cat((vectors.flatten(1), near.seconds.unsqueeze(1), _length(away).unsqueeze(1)), 1)
+    value = torch.cat((vectors.flatten(1), near.seconds.unsqueeze(1), smooth_norm(away).unsqueeze(1)), 1)
     steps = value.new_zeros(*walk.scored.shape, len(CHANNELS)).index_put(where, value)
     whole = walk.scored.unfold(2, LENGTH, 1).all(3)
     excerpt, person, _ = whole.nonzero(as_tuple=True)
@@ -128,8 +128,8 @@ def summaries(walk: CrowdWalk, real: Excerpts) -> tuple[Tensor, Tensor]:
         return [mean / scale, (variance + 1e-4).sqrt() / spread]
 
     velocity = functional.pad(walk.xy.diff(dim=2) / STEP_SECONDS, (0, 0, 1, 0))
-    speed = _length(velocity)
-    change = (_length(functional.pad(velocity.diff(dim=2) / STEP_SECONDS, (0, 0, 1, 0))) + 0.02).log()
+    speed = smooth_norm(velocity)
+    change = (smooth_norm(functional.pad(velocity.diff(dim=2) / STEP_SECONDS, (0, 0, 1, 0))) + 0.02).log()
     line = functional.normalize(real.exit - real.start, dim=2).unsqueeze(2)
     offset = walk.xy - real.start.unsqueeze(2)
     aside = line[..., 0] * offset[..., 1] - line[..., 1] * offset[..., 0]
@@ -161,7 +161,7 @@ def _company_distance(walk: CrowdWalk, real: Excerpts) -> Tensor:
     """Return the mean distance of people to their companions (N,), metres, of steps that are scored."""
     scene, one, other = in_company(real.group, real.there.any(2)).nonzero(as_tuple=True)
     both = walk.scored[scene, one] & walk.there[scene, other]
-    apart = torch.where(both, _length(walk.xy[scene, one] - walk.xy[scene, other]), 0.0)
+    apart = torch.where(both, smooth_norm(walk.xy[scene, one] - walk.xy[scene, other]), 0.0)
     number = scene * walk.xy.shape[1] + one
     total = apart.new_zeros(walk.scored.flatten(0, 1).shape)
     count = total.index_add(0, number, both.to(apart.dtype))
@@ -199,8 +199,3 @@ def _touch(away: Tensor, velocity: Tensor) -> Tensor:
     gap = away.square().sum(1) - (2 * BODY_RADIUS) ** 2
     under = closing.square() - velocity.square().sum(1) * gap
     return gap / (under.clamp_min(_GRAZING).sqrt() + closing.clamp_min(1e-3))
-
-
-def _length(vectors: Tensor) -> Tensor:
-    """Return the lengths of vectors (..., 2), with a gradient of at most 1 everywhere."""
-    return (vectors.square().sum(-1) + 1e-8).sqrt()
