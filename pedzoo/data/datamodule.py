@@ -15,7 +15,7 @@ from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import OBS_LEN, GoalProtocol, TimeBase
 from pedzoo.data.own_files import OwnFiles
-from pedzoo.data.recordings import OWN_FILES, Recording, Scene, Split, find_fold, open_fold
+from pedzoo.data.recordings import OWN_FILES, OpenFold, Recording, Scene, Split, find_fold, open_fold
 from pedzoo.data.sampler import BucketSampler, Draw
 from pedzoo.data.scenes import SceneSet, augmentation
 from pedzoo.data.tracks import Tracks
@@ -169,11 +169,11 @@ class TrajectoryDataModule(L.LightningDataModule):
             "fit": ("train", "val"), "validate": ("val",), "test": ("test",), None: ("train", "val", "test")
         }  # fmt: skip
         missing: list[Split] = [split for split in wanted[stage] if split not in self.sets]
-        recordings = {split: self._recordings(split) for split in missing}
+        recordings = {split: self._recordings(self.source, split) for split in missing}
         steps = self.imitated.steps if "train" in missing else 0
         real: list[Recording] = []
         if steps:
-            real = recordings["train"] if self._real is self.source else self._real.recordings("train")
+            real = recordings["train"] if self._real is self.source else self._recordings(self._real, "train")
         plans = {recording.plan for part in (*recordings.values(), real) for recording in part}
         if new := sorted(plan for plan in plans if plan and plan not in self._grids):
             self._grids |= {plan: load_plan(plan) for plan in new}
@@ -188,18 +188,18 @@ class TrajectoryDataModule(L.LightningDataModule):
             self.unrolled = self._scenes(real, steps, "present", 1)
             _print_counts(f"{self.fold} train, unrolled for {steps} steps", self.unrolled)
 
-    def _recordings(self, split: Split) -> list[Recording]:
-        """Return the recordings of a split, with a scene held out where one is."""
+    def _recordings(self, source: OwnFiles | OpenFold, split: Split) -> list[Recording]:
+        """Return the recordings of a split of a source, with a scene held out where one is."""
         scene = self.hparams["hold_out"]
         if scene is None or split == "test":
-            return self.source.recordings(split)
+            return source.recordings(split)
         fold = None if self.hparams["files"] else find_fold(scene)
         if fold is None or not fold.tested or fold.name == self.fold:
             raise UserError(
                 f"--data.hold_out {scene}: expected another scene of the recordings of {self.fold!r}"
             )
         parts: tuple[Split, ...] = ("train",) if split == "train" else ("train", "val")
-        every = [one for part in parts for one in self.source.recordings(part)]
+        every = [one for part in parts for one in source.recordings(part)]
         # a part of a recording begins with the name of the whole
         tested = tuple(fold.tested)
         return [one for one in every if one.tracks.name.startswith(tested) == (split == "val")]
@@ -211,7 +211,7 @@ class TrajectoryDataModule(L.LightningDataModule):
         """
         true = self.hparams["files"] or self.hparams["clock"] == "true"
         source = self.source if true else open_fold(self.fold, self.hparams["root"], "true")
-        scenes = [self._scene(one) for one in source.recordings(split)]
+        scenes = [self._scene(one) for one in self._recordings(source, split)]
         return [(one.tracks, one.grid.map_id if one.grid else -1) for one in scenes]
 
     def _scene(self, recording: Recording) -> Scene:

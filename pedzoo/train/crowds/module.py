@@ -53,6 +53,7 @@ class CrowdModule(ForecastModule):
         safety: bool | None = None,
         judge_lr: float = 1e-3,
         annotation_noise: float = 0.0,
+        weight_decay: float = 0.0,
         **options: Any,
     ) -> None:
         """Take a generator and what it is compared by.
@@ -74,6 +75,8 @@ class CrowdModule(ForecastModule):
             judge_lr: Learning rate of the judges.
             annotation_noise: In half of the updates positions have white noise of a standard deviation of up
                 to so many metres, as recordings have that were marked less exactly; 0 for never.
+            weight_decay: Of AdamW (Loshchilov and Hutter, ICLR 2019): draws the network towards the walker
+                that it is before training.
             options: Of the optimisation and of validation; see `ForecastModule`.
 
         Raises:
@@ -89,12 +92,14 @@ class CrowdModule(ForecastModule):
             )
         if not 0 <= annotation_noise < math.inf:
             raise UserError(f"annotation_noise {annotation_noise}: expected metres, at least 0")
+        if not 0 <= weight_decay < math.inf:
+            raise UserError(f"weight_decay {weight_decay}: expected at least 0")
         self.automatic_optimization = False
         self.likeness, self.walking = likeness, walking or LoopLosses()
         self.steps, self.before, self.scenes, self.walks = steps, before, scenes, samples_walked
         self.course_every, self.course_steps = course_every, course_steps
         self.max_segments, self.course_weight, self.judge_lr = max_segments, course_weight, judge_lr
-        self.annotation_noise = annotation_noise
+        self.annotation_noise, self.weight_decay = annotation_noise, weight_decay
         self._walker = (Walker(generator, safety=safety),)  # in a tuple: registered already
         self.courses = CourseSampler(courses, self.seed) if courses else None
         self._crowds: list[RecordedCrowd] = []
@@ -130,7 +135,9 @@ class CrowdModule(ForecastModule):
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
         """Return Adam for the generator and, if there are judges, for them."""
-        result: list[Optimizer] = [torch.optim.Adam(self.generator.parameters(), self.lr)]
+        result: list[Optimizer] = [
+            torch.optim.AdamW(self.generator.parameters(), self.lr, weight_decay=self.weight_decay)
+        ]
         if self.likeness.judges:
             result.append(torch.optim.Adam(self.likeness.parameters(), self.judge_lr, betas=(0.5, 0.9)))
         return cast("OptimizerLRScheduler", result)
