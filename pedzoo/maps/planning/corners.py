@@ -163,6 +163,6 @@ class CornerGraph:
         return self._seen_from(np.array([cell], dtype=np.int32))[1]
 
     def metres(self, some: NDArray[np.int64] | slice, place: NDArray[Any]) -> NDArray[np.float64]:
-        """Return how far corners (S,) are from a column and row (2,)."""
-        x, y = (self._place[some] - place).T
-        return np.hypot(x, y) * self.graph.grid.resolution
+        """Return how far corners (S,) are from columns and rows (..., 2): (S,), or (P, S) for (P, 1, 2)."""
+        away = self._place[some] - place
+        return np.hypot(away[..., 0], away[..., 1]) * self.graph.grid.resolution

@@ -117,9 +117,9 @@ class OnlinePlanner(Planner):
                 cells = graph.nearest[line * graph.shape[1] + column]
                 wanted |= set(zip(goals.tolist(), cells.tolist(), strict=True))
         # corners have paths around them already, but may see more themselves
-        for goal, cell in wanted - self._asked:
-            self._add_cell(goal, cell)
-        self._asked |= wanted
+        if fresh := sorted(wanted - self._asked):
+            self._add_cells(*np.array(fresh).T)
+            self._asked |= wanted
 
     def _at(self, goal: int, cell: Any) -> Any:
         return 1 + goal * self._entries + cell
@@ -141,30 +141,39 @@ class OnlinePlanner(Planner):
         self._write(number, corners.cells[known], onward[known], length[known])
         return length
 
-    def _add_cell(self, number: int, cell: int) -> None:
-        """Write the path from an open cell to a goal: straight, or by way of a corner in sight."""
-        graph, corners, goal = self.graph(0), self.corners(0), self._goals[number]
-        end = graph.to_place(np.array([goal.point]))[0]
-        if cell == goal.cell or graph.sight.clear(graph.place[[cell]], graph.place[[goal.cell]])[0]:
-            metres = float(np.hypot(*(graph.place[cell] - end))) * graph.grid.resolution
-            self._write(number, cell, self._entries - 1, metres)
-            return
-        total = corners.metres(slice(None), graph.place[cell]) + self._from_corners[number]
-        best = self._best_in_sight(cell, total)
-        if best is None:
-            self._write(number, cell, cell, np.inf)
-        else:
-            self._write(number, cell, corners.cells[best], total[best])
+    def _add_cells(self, numbers: NDArray[np.int64], cells: NDArray[np.int64]) -> None:
+        """Write the paths from open cells (P,) to goals (P,): straight, or by way of a corner in sight."""
+        graph, corners = self.graph(0), self.corners(0)
+        goal_cells = np.array([self._goals[number].cell for number in numbers])
+        straight = graph.sight.clear(graph.place[cells], graph.place[goal_cells]) | (cells == goal_cells)
+        end = graph.to_place(np.array([self._goals[number].point for number in numbers]))[straight]
+        metres = np.hypot(*(graph.place[cells[straight]] - end).T) * graph.grid.resolution
+        self._write(numbers[straight], cells[straight], self._entries - 1, metres)
+        numbers, cells = numbers[~straight], cells[~straight]
+        for tried in (_TRIED, len(corners.cells)):  # the best one is nearly always among the first
+            if not len(cells) or not tried:
+                break
+            total = corners.metres(slice(None), graph.place[cells, None])
+            total += np.stack([self._from_corners[number] for number in numbers])
+            best, length = self._best_in_sight(cells, total, min(tried, len(corners.cells)))
+            sees = np.isfinite(length)
+            self._write(numbers[sees], cells[sees], corners.cells[best[sees]], length[sees])
+            numbers, cells = numbers[~sees], cells[~sees]
+        self._write(numbers, cells, cells, np.inf)
 
-    def _best_in_sight(self, cell: int, total: NDArray[np.float64]) -> int | None:
-        """Return the corner in sight of an open cell with the least ``total`` (K,), None for none."""
-        graph, cells = self.graph(0), self.corners(0).cells
-        for tried in (_TRIED, len(cells)):  # the best one is nearly always among the first
-            tried = min(tried, len(cells))
-            some = np.argpartition(total, tried - 1)[:tried] if tried else np.empty(0, dtype=np.int64)
-            some = some[np.argsort(total[some])]
-            here = np.broadcast_to(graph.place[cell], (tried, 2))
-            seen = graph.sight.clear(here, graph.place[cells[some]]) & np.isfinite(total[some])
-            if seen.any():
-                return int(some[seen.argmax()])
-        return None
+    def _best_in_sight(
+        self, cells: NDArray[np.int64], total: NDArray[np.float64], tried: int
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Return the corner in sight of each open cell (P,) with the least ``total`` (P, K), and that total.
+
+        Only the ``tried`` least ones are looked at. The total is infinite where none of them is in sight.
+        """
+        graph, corners = self.graph(0), self.corners(0).cells
+        some = np.argpartition(total, tried - 1)[:, :tried]
+        some = np.take_along_axis(some, np.take_along_axis(total, some, 1).argsort(1), 1)
+        total = np.take_along_axis(total, some, 1)
+        here = graph.place[cells].repeat(tried, 0)
+        seen = graph.sight.clear(here, graph.place[corners[some.ravel()]]).reshape(total.shape)
+        first = (seen & np.isfinite(total)).argmax(1)[:, None]
+        length = np.where(np.take_along_axis(seen, first, 1), np.take_along_axis(total, first, 1), np.inf)
+        return np.take_along_axis(some, first, 1)[:, 0], length[:, 0]
