@@ -60,3 +60,20 @@ def test_without_a_floor_plan_paths_are_straight():
     online = OnlinePlanner(MapBank([]))
     ids = online.add_goals(-1, [(3.0, 4.0)])
     assert guided(online, np.zeros((1, 2)), ids).distance.item() == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize("plan", ["apartment.7", "office.7"])
+def test_paths_of_people_who_walk_on_are_those_of_people_who_just_came(plan):
+    bank = MapBank([load_plan(plan)])
+    walked = OnlinePlanner(bank)
+    graph, rng = walked.graph(0), np.random.default_rng(1)
+    main = np.flatnonzero(graph.component == np.bincount(graph.component).argmax())
+    places, goals = (graph.xy[rng.choice(main, 12)] for _ in range(2))
+    ids = walked.add_goals(0, goals)
+    for _ in range(12):
+        fresh = walked.without_goals()
+        fresh.add_goals(0, goals)
+        mine, theirs = guided(walked, places, ids), guided(fresh, places, ids)
+        torch.testing.assert_close(mine.distance, theirs.distance, rtol=0, atol=1e-4)
+        way = mine.waypoint[0].double().numpy() - places
+        places = places + way * np.minimum(1, 0.5 / np.linalg.norm(way, axis=1, keepdims=True).clip(1e-9))
