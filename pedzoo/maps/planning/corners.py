@@ -54,6 +54,7 @@ class CornerGraph:
         # leave falling (or rising), or straight along an axis
         self._falls, self._rises = rising.ravel()[at], falling.ravel()[at]
         self._place = graph.place[self.cells]
+        self._x, self._y = self._place.T.astype(np.float64)
 
     @cached_property
     def matrix(self) -> csr_array:
@@ -164,5 +165,5 @@ class CornerGraph:
 
     def metres(self, some: NDArray[np.int64] | slice, place: NDArray[Any]) -> NDArray[np.float64]:
         """Return how far corners (S,) are from columns and rows (..., 2): (S,), or (P, S) for (P, 1, 2)."""
-        away = self._place[some] - place
-        return np.hypot(away[..., 0], away[..., 1]) * self.graph.grid.resolution
+        x, y = self._x[some] - place[..., 0], self._y[some] - place[..., 1]
+        return np.sqrt(x * x + y * y) * self.graph.grid.resolution

@@ -17,7 +17,7 @@ from pedzoo.maps.planning.waypoint_table import WaypointTable
 _GOALS = 64
 """Goals that there is room for at first."""
 
-_TRIED = 3, 12, 48
+_TRIED = 4, 32
 """Corners whose sight is tried first: the best one in sight is nearly always among them."""
 
 _BORDER = 1e-3

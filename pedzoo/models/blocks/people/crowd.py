@@ -85,16 +85,16 @@ class Crowd:
     def most_of_others(self, seen: Callable[[Tensor, Tensor], Tensor], pooled: Tensor) -> Tensor:
         """Return the maxima (P, D), over all others in the scene, of a person's features of another.
 
-        ``seen`` takes observers (G, n, 1) and observed people (G, 1, n), long, of the G scenes of each size
+        ``seen`` takes observers (G, 1, n) and observed people (G, n, 1), long, of the G scenes of each size
         n, and returns features (G, n, n, D), never negative. ``pooled`` (P, D): zeros, the result for people
         alone.
         """
         for group in self.groups:
-            me, them = group.unsqueeze(2), group.unsqueeze(1)
+            me, them = group.unsqueeze(1), group.unsqueeze(2)  # torch is slow at a maximum over the other one
             excluded = me == them
             if self.absent is not None:
-                excluded = excluded | self.absent.unsqueeze(1)
-            most = seen(me, them).masked_fill(excluded.unsqueeze(-1), 0).amax(2)
+                excluded = excluded | self.absent.unsqueeze(2)
+            most = (seen(me, them) * ~excluded.unsqueeze(-1)).amax(1)
             pooled = pooled.index_copy(0, group.flatten(), most.flatten(0, 1))
         return pooled
 
