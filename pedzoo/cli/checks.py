@@ -6,6 +6,7 @@ The command checks all of it again. So a doubtful case passes here.
 import json
 import os
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -68,7 +69,7 @@ def check(command: str, argv: list[str]) -> None:
         elif command in ("rollout", "evaluate"):
             _check_policy(name, command)
         elif command == "score" and Path(name).suffix in (".csv", ".txt"):
-            _check_file("crowd", name)
+            _check_recording("crowd", name)
     for option, look in _VALUES.items():
         value = given(argv, option)
         if value in (None, "", "null") or value.startswith("["):  # lists of YAML are read later
@@ -198,6 +199,15 @@ def _check_file(what: str, text: str) -> None:
         raise UserError(f"{what}: no file {text!r}")
 
 
+def _check_recording(what: str, text: str) -> None:
+    """Refuse a recording that is not there, or whose first line names no or other columns."""
+    _check_file(what, text)
+    from pedzoo.data.text_format import TextFormat
+
+    with suppress(OSError, UnicodeDecodeError):  # the command has words for these
+        TextFormat.of(expanded(text))
+
+
 _VALUES: dict[str, Callable[[str, str], None]] = {
     "--scenario": _check_scenario,
     "--rollout.scenarios": _check_scenario,
@@ -205,7 +215,7 @@ _VALUES: dict[str, Callable[[str, str], None]] = {
     "--rollout.physics": _check_physics,
     "--suite": _check_suite,
     "--data.fold": _check_fold,
-    "--data.files": _check_file,
+    "--data.files": _check_recording,
     "--data.homography": _check_file,
     "--weights": _check_weights,
     "--ckpt_path": _check_checkpoint,

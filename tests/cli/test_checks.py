@@ -49,12 +49,17 @@ HEAVY = {
         ("fit --config closed_loop/sgan_goal_map --model.steeps 1", "did you mean --model.steps?"),
         ("fit --config sgan_goal --data.fold zara9", "unknown fold 'zara9': did you mean 'zara"),
         ("fit --config sgan_goal --data.files none.csv", "no file 'none.csv'"),
+        ("fit --config sgan_goal --data.files CSV --data.dt 0.4", "has no column 'agent'"),
+        ("score CSV --against zara1", "has no column 'agent'"),
         ("fit --resume nowhere", "cannot resume 'nowhere': it has no config.yaml"),
         ("score none.csv --against zara1", "no file 'none.csv'"),
         ("export none.ckpt --onnx x.onnx", "no checkpoint at 'none.ckpt'"),
     ],
 )
-def test_mistakes_are_refused_without_heavy_imports(line, message):
+def test_mistakes_are_refused_without_heavy_imports(line, message, tmp_path):
+    wrong = tmp_path / "wrong.csv"
+    wrong.write_text("frame,person,x,y\n0,1,2,3\n")
+    line = line.replace("CSV", str(wrong))
     code = (
         "import sys; from pedzoo.cli.main import main; code = main(sys.argv[1:]);"
         f"heavy = {HEAVY} & set(sys.modules); assert not heavy, heavy; sys.exit(code)"
