@@ -12,11 +12,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.limits import LARGEST_TABLE, check_limit
+
+if TYPE_CHECKING:
+    import numpy as np
 
 COLUMNS = ("frame", "agent", "x", "y")
 ALIASES = {"agent": ("agent", "ped", "id", "track_id"), "frame": ("frame", "frame_id")}
@@ -76,6 +78,8 @@ class TextFormat:
         Raises:
             UserError: Text in a number's place, or a value is missing.
         """
+        import numpy as np  # commands look at first lines before anything heavy is imported
+
         try:
             # numpy unpacks archives where it is given a path; callers have words for empty files
             with path.open(encoding=ENCODING) as file, warnings.catch_warnings(action="ignore"):
