@@ -164,7 +164,7 @@ class OnlinePlanner(Planner):
         self._write(numbers, cells, cells, np.inf)
 
     def _least(self, numbers: NDArray[np.int64], cells: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return metres that paths from open cells to goals (P,) have at least: shorter ones are not in sight.
+        """Return the least metres of paths from open cells to goals (P,): shorter ones are not in sight.
 
         By the triangle inequality, from the path of the cell that was filled last, if they see each other.
         """
