@@ -18,6 +18,7 @@ from torch.nn import functional
 from pedzoo.core.geometry import rotate, smooth_norm, unrotate
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS, GoalProtocol
 from pedzoo.models.base import Forecaster, Walking, known_displacements, true_displacements
+from pedzoo.models.blocks.people.evasion import evasion
 from pedzoo.models.blocks.people.nearest import FEATURES, nearest
 from pedzoo.models.blocks.people.situation import RAYS, WALLS, Situation
 from pedzoo.models.blocks.people.style import STYLE_DIM, held_of, jitter_of, kinks_of
@@ -32,7 +33,8 @@ class WalkerArchitecture:
     """The network's architecture, and which of its parts are used.
 
     Attributes:
-        hidden_dim: Width of the two hidden layers.
+        hidden_dim: Width of the two hidden layers; 0 for none: then all that is learned is a linear function
+            of a person's own state, some hundred numbers, which few recordings suffice for.
         near_dim: Width of a neighbour's features.
         walls: Whether it sees the floor plan.
         style: Whether it sees how people walked in their first steps.
@@ -44,6 +46,7 @@ class WalkerArchitecture:
         groups: Whether companions are those of ``agents/group``; else they are guessed from how people walk.
         style_prior: Whether velocities are held as often, and places jitter as much, as in people's first
             steps before training; else people differ in that only as far as the network has learned.
+        avoids: Whether people evade others on a collision course before training, too.
     """
 
     hidden_dim: int = 64
@@ -57,7 +60,14 @@ class WalkerArchitecture:
     lasting_halts: bool = False
     groups: bool = False
     style_prior: bool = False
+    avoids: bool = False
 
+
+OWN = 6
+"""Numbers of a person's own state."""
+
+OUTPUTS, AVOIDING = 17, 2
+"""Numbers that steer a person, and those of them that steer how others are avoided."""
 
 GATE_NOISE = 1.7
 """Spread of the chance by which velocities are held, in units of the gate."""
@@ -107,22 +117,27 @@ class SocialWalker(Forecaster):
         super().__init__()
         self.built_with(architecture, walking)
         self.architecture = a = architecture
-        self.needs = frozenset({"goal", "map"} if a.walls else {"goal"})
-        self.near = nn.Sequential(
-            nn.Linear(FEATURES, a.near_dim), nn.ReLU(), nn.Linear(a.near_dim, a.near_dim), nn.ReLU()
-        )
-        seen = 2 * (OBS_LEN - 1) + 6 + 2 * STYLE_DIM + self.noise_dim + 2 * a.near_dim + 5
-        seen += (1 + RAYS * len(WALLS)) * a.walls
-        self.body = nn.Sequential(
-            nn.Linear(seen, a.hidden_dim), nn.ReLU(), nn.Linear(a.hidden_dim, a.hidden_dim), nn.ReLU()
-        )
-        self.head = nn.Linear(a.hidden_dim, 17)
+        self.sees_walls = a.walls and a.hidden_dim > 0
+        self.needs = frozenset({"goal", "map"} if self.sees_walls else {"goal"})
+        if a.hidden_dim:
+            self._add_layers(a)
+        self.head = nn.Linear(a.hidden_dim or OWN, OUTPUTS + AVOIDING * a.avoids)
         self.patience = nn.Parameter(
             torch.tensor([1.1, 1.5, 0.3])
         )  # usual, of those who stood, and by chance
         with torch.no_grad():  # the untrained network walks to the waypoint
-            self.head.weight.mul_(0.2)
+            self.head.weight.mul_(0.2 if a.hidden_dim else 0.0)
             self.head.bias.zero_()
+
+    def _add_layers(self, a: WalkerArchitecture) -> None:
+        self.near = nn.Sequential(
+            nn.Linear(FEATURES, a.near_dim), nn.ReLU(), nn.Linear(a.near_dim, a.near_dim), nn.ReLU()
+        )
+        seen = 2 * (OBS_LEN - 1) + OWN + 2 * STYLE_DIM + self.noise_dim + 2 * a.near_dim + 5
+        seen += (1 + RAYS * len(WALLS)) * a.walls
+        self.body = nn.Sequential(
+            nn.Linear(seen, a.hidden_dim), nn.ReLU(), nn.Linear(a.hidden_dim, a.hidden_dim), nn.ReLU()
+        )
 
     def velocity(self, now: Situation, noise: Tensor) -> Tensor:
         """Return the velocities until the next decision (B, A, 2), m/s, for noise (B, A, Z)."""
@@ -131,7 +146,6 @@ class SocialWalker(Forecaster):
         past = unrotate(now.history.diff(dim=2), frame) / STEP_SECONDS
         known = now.companions if a.groups else None
         others = nearest(now.history, now.mask, now.radius, now.ahead, known)
-        pooled = self.near(others.features).masked_fill(others.absent.unsqueeze(-1), 0.0)
         company = others.company * float(a.companions)
         share = company.clamp_max(1) if a.groups else company  # known companions: their mean, not their sum
         with_me = others.place * share, others.velocity * share
@@ -149,10 +163,14 @@ class SocialWalker(Forecaster):
             ),
             -1,
         )
-        seen = [past.flatten(2), own, style, crowd, z, pooled.sum(2), pooled.amax(2), *with_me, company]
-        if a.walls:
-            seen.append(now.walls)
-        out = self.head(self.body(torch.cat(seen, -1)))
+        if a.hidden_dim:
+            pooled = self.near(others.features).masked_fill(others.absent.unsqueeze(-1), 0.0)
+            seen = [past.flatten(2), own, style, crowd, z, pooled.sum(2), pooled.amax(2), *with_me, company]
+            if a.walls:
+                seen.append(now.walls)
+            out = self.head(self.body(torch.cat(seen, -1)))
+        else:
+            out = self.head(own)
 
         # where they want to go: to the waypoint at their speed, and with their companions
         close = arriving.unsqueeze(-1)
@@ -161,11 +179,16 @@ class SocialWalker(Forecaster):
         want = torch.stack((speed * turn.cos(), speed * turn.sin()), -1)
         together = (out[..., 2:3] - 1).sigmoid() * company.clamp_max(1)
         want = torch.lerp(want, past[:, :, -1] + with_me[1], together)
+        if a.avoids:
+            evading, urgent = evasion(others, z[..., 1])
+            want = want + out[..., 17:18].exp() * evading * (1 - close)  # m/s
         # how fast they change to it, from a mean of the last steps that takes jitter out
         recent = (out[..., 3:7] + out.new_tensor([2.0, 0.0, 0.0, 0.0])).softmax(-1)
         base = (recent.unsqueeze(-1) * past.flip(2)[:, :, :4]).sum(2)
         rate = (out[..., 7:8] - 1).sigmoid()
         rate = rate + (1 - rate) * 0.8 * close
+        if a.avoids:
+            rate = rate + (1 - rate) * out[..., 18:19].sigmoid() * urgent
         push = 0.8 * (out[..., 8:10] / 2).tanh() * (1 - 0.7 * close)
         closer = 0.3 * out[..., 10:11].tanh() * with_me[0]
         change = base - past[:, :, -1] + rate * (want - base) + push + closer
@@ -202,7 +225,7 @@ class SocialWalker(Forecaster):
 
     def next_steps(self, batch: TensorDict, noise: Tensor | None, steps: int, horizon: int) -> Tensor:
         """Return the first steps of one future (B, A, steps, 2); others go on as they do."""
-        now = Situation.of(batch, self.architecture.walls)
+        now = Situation.of(batch, self.sees_walls)
         if noise is None:
             noise = now.history.new_zeros(*now.mask.shape, self.noise_dim)
         there = now.mask.unsqueeze(-1)
@@ -217,7 +240,7 @@ class SocialWalker(Forecaster):
         self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
     ) -> Tensor:
         """Return random futures (B, K, A, T, 2): each sample is one in which all people walk together."""
-        now = Situation.of(batch, self.architecture.walls)
+        now = Situation.of(batch, self.sees_walls)
         scenes = len(now.mask)
         now = Situation(*(value.repeat(samples, *[1] * (value.dim() - 1)) for value in now))
         key = torch.randint(2**62, (len(now.mask), 1), generator=generator).to(now.mask.device)
