@@ -13,6 +13,8 @@ from pedzoo.core.batch import agents_of
 from pedzoo.core.geometry import rotate
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.models.architectures.social_walker import BRAKING, HALT_PERIOD, SocialWalker
+from pedzoo.models.blocks.people.evasion import evasion
+from pedzoo.models.blocks.people.nearest import Neighbours, nearest
 from pedzoo.models.blocks.people.style import held_of, jitter_of, kinks_of, style_of
 from pedzoo.models.blocks.timed_noise import timed_noise
 from pedzoo.models.zoo.loading import load
@@ -300,3 +302,45 @@ def test_weights_from_before_walk_as_before() -> None:
         for name, value in SocialWalker.of(lasting_halts=True, groups=True).state_dict().items()
     }
     torch.testing.assert_close(steps[0, :, -1], torch.tensor(BEFORE), atol=1e-4, rtol=0)
+
+
+def met(x: float, y: float, vx: float, vy: float) -> Neighbours:
+    """Return what a person at the origin who walks along x at 1 m/s sees of another one."""
+    back = STEP_SECONDS * torch.arange(-7.0, 1.0).unsqueeze(1)
+    history = torch.stack(
+        (back * torch.tensor([1.0, 0.0]), torch.tensor([x, y]) + back * torch.tensor([vx, vy]))
+    )
+    shape = torch.ones(1, 2)
+    return nearest(
+        history.unsqueeze(0), shape.bool(), 0.15 * shape, torch.tensor([[[1.0, 0.0], [-1.0, 0.0]]])
+    )
+
+
+def test_people_evade_others_who_will_come_close() -> None:
+    right = torch.tensor([[-1.0, -1.0]])
+    evading, urgent = evasion(met(4.0, 0.3, -1.0, 0.0), right)  # in 2 s, 0.3 m beside
+    assert evading[0, 0].tolist() == pytest.approx([0.0, -math.exp(-1.6)], abs=1e-4)
+    assert float(urgent[0, 0]) == pytest.approx(math.exp(-1.6), abs=1e-4)
+    meets, _ = evasion(met(4.0, 0.0, -1.0, 0.0), right)  # each takes the other to be on its right
+    torch.testing.assert_close(meets[0], torch.tensor([[0.0, math.exp(-1)]] * 2), atol=1e-2, rtol=0)
+    behind, _ = evasion(met(-2.0, 0.0, 0.5, 0.0), right)  # gets left behind
+    beside, _ = evasion(met(0.0, 0.7, 1.0, 0.0), right)  # walks beside
+    assert not behind.any() and not beside.any()
+
+
+@torch.no_grad()
+def test_people_who_evade_pass_each_other() -> None:
+    apart = {}
+    for avoids in (True, False):
+        model = SocialWalker.of(hidden_dim=0, avoids=avoids, halts=False, step_noise=False).eval()
+        batch = make_batch((2,), padding=0.0)
+        back = 0.5 * torch.arange(-7.0, 1.0)
+        history = torch.zeros(1, 2, 8, 2)
+        history[0, 0, :, 0], history[0, 1, :, 0] = back, 6.0 - back
+        ways = torch.tensor([[[1.0, 0.0], [-1.0, 0.0]]])
+        seen = changed(batch, history=history, goal=20 * ways, desired_velocity=1.25 * ways)
+        noise = torch.zeros(1, 2, model.noise_dim)
+        noise[..., 1] = 1.0
+        path = history[:, :, -1:] + model.next_steps(seen, noise, 12, 12).cumsum(2)
+        apart[avoids] = float((path[:, 0] - path[:, 1]).norm(dim=-1).min())
+    assert apart[True] > 0.4 > apart[False] + 0.2

@@ -7,7 +7,7 @@ from pedzoo.core.geometry import smooth_norm
 from pedzoo.models.blocks.people.nearest import Neighbours
 
 MIDDLE = 0.1
-"""Metres: how far beside the middle a meeting counts as, so that both have a side to evade to."""
+"""Metres: by how much others count as farther to one side, so that two who meet have a way to evade."""
 
 _AT_ONCE = 0.05
 """Metres: a closest approach within which the way to evade gets shorter."""
@@ -22,7 +22,7 @@ def evasion(others: Neighbours, side: Tensor) -> tuple[Tensor, Tensor]:
 
     Args:
         others: The nearest others.
-        side: To which side people evade who meet in the middle: the sign of (B, A).
+        side: Whether others that are met in the middle count as on the left (positive) or right (B, A).
     """
     closest, (soon, miss) = 2 * others.features[..., 6:8], others.features[..., 10:12].unbind(-1)
     comes_closer = (soon < 1) & ~others.absent
