@@ -209,7 +209,9 @@ class SocialWalker(Forecaster):
             often: Tensor | float = 2.0
             if a.style_prior:
                 off = (smooth_norm(past[:, :, -1] - want) / now.pref_speed - ASTRAY).clamp_min(0)
-                often = GATE_NOISE * _normal_quantile(1 - held_of(usual)) + LOOKING_UP * off * (1 - stands)
+                often = GATE_NOISE * torch.special.ndtri(
+                    1 - held_of(usual).clamp(0.03, 0.97)
+                ) + LOOKING_UP * off * (1 - stands)
             gate = ((out[..., 15] + often + GATE_NOISE * step[..., 0] + late + setting_out) / 0.2).sigmoid()
             # held velocities are exactly those of before; the gradient is that of the soft gate
             moves = _hard(gate).unsqueeze(-1) * moves
@@ -274,10 +276,6 @@ def _braked(velocity: Tensor) -> Tensor:
     """Return velocities (..., 2), m/s, after a step of braking; 0 for people who can stand by then."""
     speed = smooth_norm(velocity).unsqueeze(-1)
     return velocity * (1 - BRAKING / speed.clamp_min(BRAKING))
-
-
-def _normal_quantile(share: Tensor) -> Tensor:
-    return math.sqrt(2) * torch.erfinv(2 * share.clamp(0.03, 0.97) - 1)
 
 
 def _hard(gate: Tensor) -> Tensor:
