@@ -85,7 +85,7 @@ def test_nothing_stays_open() -> None:
     list(finished(range(4), process_of, 2))
     before = set(os.listdir("/proc/self/fd"))
     processes = {process for _, (_, process) in finished(range(4), process_of, 2)}
-    assert set(os.listdir("/proc/self/fd")) == before
+    assert set(os.listdir("/proc/self/fd")) <= before  # what was open for another test may be closed by now
     shared = os.listdir("/dev/shm")  # torch puts a number of the process into the names of shared tensors
     assert not [name for name in shared if any(f"_{process}_" in name for process in processes)]
     results = finished(range(2), lock, 2)

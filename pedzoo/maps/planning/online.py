@@ -123,10 +123,10 @@ class OnlinePlanner(Planner):
             self._asked |= wanted
             self._last_cell |= fresh
 
-    def _at(self, goal: int, cell: Any) -> Any:
+    def _at(self, goal: Any, cell: Any) -> Any:
         return 1 + goal * self._entries + cell
 
-    def _write(self, goal: int, cell: Any, waypoint: Any, length: Any) -> None:
+    def _write(self, goal: Any, cell: Any, waypoint: Any, length: Any) -> None:
         at = self._at(goal, cell)
         self._waypoint[at], self._length[at] = waypoint, length
 
