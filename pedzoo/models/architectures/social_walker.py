@@ -209,9 +209,8 @@ class SocialWalker(Forecaster):
             often: Tensor | float = 2.0
             if a.style_prior:
                 off = (smooth_norm(past[:, :, -1] - want) / now.pref_speed - ASTRAY).clamp_min(0)
-                often = GATE_NOISE * torch.special.ndtri(
-                    1 - held_of(usual).clamp(0.03, 0.97)
-                ) + LOOKING_UP * off * (1 - stands)
+                changed = 1 - held_of(usual).clamp(0.03, 0.97)
+                often = GATE_NOISE * torch.special.ndtri(changed) + LOOKING_UP * off * (1 - stands)
             gate = ((out[..., 15] + often + GATE_NOISE * step[..., 0] + late + setting_out) / 0.2).sigmoid()
             # held velocities are exactly those of before; the gradient is that of the soft gate
             moves = _hard(gate).unsqueeze(-1) * moves

@@ -75,8 +75,8 @@ class CrowdModule(ForecastModule):
             judge_lr: Learning rate of the judges.
             annotation_noise: In half of the updates positions have white noise of a standard deviation of up
                 to so many metres, as recordings have that were marked less exactly; 0 for never.
-            weight_decay: Of AdamW (Loshchilov and Hutter, ICLR 2019): draws the network towards the walker
-                that it is before training.
+            weight_decay: Of AdamW (Loshchilov and Hutter, ICLR 2019): draws all that is learned towards 0.
+                That is the walker before training, but for its patience, which gets shorter.
             options: Of the optimisation and of validation; see `ForecastModule`.
 
         Raises:
@@ -134,7 +134,7 @@ class CrowdModule(ForecastModule):
             )
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
-        """Return Adam for the generator and, if there are judges, for them."""
+        """Return AdamW for the generator and, if there are judges, Adam for them."""
         result: list[Optimizer] = [
             torch.optim.AdamW(self.generator.parameters(), self.lr, weight_decay=self.weight_decay)
         ]
