@@ -16,7 +16,6 @@ from pedzoo.cli.output import check_outputs
 from pedzoo.cli.words import given, split_names, unknown_option
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError, need, unknown
-from pedzoo.core.limits import load_yaml, read_text
 from pedzoo.core.paths import expanded, find_config
 from pedzoo.core.registry import (
     MODELS,
@@ -29,6 +28,7 @@ from pedzoo.core.registry import (
     datasets_of_folds,
     names_code,
 )
+from pedzoo.core.size_limits import load_yaml, read_text
 from pedzoo.core.spec import name_of, parse, unquoted
 from pedzoo.models.zoo.store import ROBOTS, find, is_file, no_model
 from pedzoo.policies.crowd_names import members, parts

@@ -6,9 +6,9 @@ from types import MappingProxyType
 from typing import Any
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.limits import read_mapping
 from pedzoo.core.paths import find_config
 from pedzoo.core.renamed import new_config
+from pedzoo.core.size_limits import read_mapping
 from pedzoo.core.spec import spelled
 
 BASE = "base"

@@ -20,8 +20,10 @@ def shipped(folder: str) -> Path:
 
 
 def expanded(path: str | Path) -> Path:
-    """Return a path with ``~`` written out; that of an unknown user stays, and no file is there."""
-    return Path(os.path.expanduser(path))
+    """Return a path with ``~`` written out; what no file can be called stays, and no file is there."""
+    with suppress(ValueError):  # a zero byte
+        return Path(os.path.expanduser(path))
+    return Path(path)
 
 
 def weight_files() -> dict[str, Path]:

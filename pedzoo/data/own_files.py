@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.limits import LARGEST_CARD, read_text
+from pedzoo.core.size_limits import LARGEST_CARD, read_text
 from pedzoo.data.recordings import Recording, Split
 from pedzoo.data.tracks import Tracks
 

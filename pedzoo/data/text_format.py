@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.limits import LARGEST_TABLE, check_limit
+from pedzoo.core.size_limits import LARGEST_TABLE, check_limit
 
 if TYPE_CHECKING:
     import numpy as np

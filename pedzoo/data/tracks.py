@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.limits import LONGEST_RECORDING, MOST_POSITIONS, check_limit
+from pedzoo.core.size_limits import LONGEST_RECORDING, MOST_POSITIONS, check_limit
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.data.text_format import COLUMNS, TextFormat
 

@@ -7,8 +7,8 @@ from torch import Tensor
 
 from pedzoo.metrics import navigation
 from pedzoo.metrics.contacts import untouched
+from pedzoo.metrics.person_runs import Runs
 from pedzoo.metrics.ratios import Ratio, finite, mean, metric, of_sums, once, ratio, share
-from pedzoo.metrics.runs import Runs
 from pedzoo.sim.rollout import Rollout
 
 

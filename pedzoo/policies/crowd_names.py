@@ -15,6 +15,7 @@ import re
 from typing import NamedTuple
 
 from pedzoo.core.errors import UserError
+from pedzoo.core.paths import expanded
 from pedzoo.core.registry import MODELS, POLICIES, names_code
 from pedzoo.core.spec import name_of, parse, split
 from pedzoo.models.zoo.address import is_address
@@ -125,6 +126,6 @@ def is_policy(text: str) -> bool:
 
 def _exists(text: str) -> bool:
     """Return whether the name in a text is that of a file, or of a model in a folder."""
-    name = os.path.expanduser(name_of(text.strip()))
+    name = str(expanded(name_of(text.strip())))
     file = name.rpartition(":")[0] if names_code(name) else name
     return os.path.exists(file) or os.path.exists(f"{file}.yaml")

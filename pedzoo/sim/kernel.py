@@ -27,7 +27,7 @@ from pedzoo.sim.physics_parts.base import Physics
 from pedzoo.sim.physics_parts.compiled_step import step_compiled, step_compiles
 from pedzoo.sim.scenario_parts.scenario import PreparedScenario, Scenario
 from pedzoo.sim.state import State
-from pedzoo.sim.waiting import Waited, at_places, waited
+from pedzoo.sim.waiting import WaitingUpdate, at_places, waiting_update
 
 
 class Playback(Protocol):
@@ -148,7 +148,7 @@ def step(state: State, commands: Tensor, physics: Physics, rules: Rules) -> tupl
     motion = physics.advance(state, velocity, moving, rules.substeps, played, command.movedim(0, -1))
     hits, waits = motion.reached, None
     if rules.waits is not None:
-        waits = waited(rules.waits, state, hits, state.clock + rules.ticks * TRACE_SECONDS)
+        waits = waiting_update(rules.waits, state, hits, state.clock + rules.ticks * TRACE_SECONDS)
         hits = waits.hits
     hit = hits[..., -1]
     after, taken_over = _arrived(state, hits, motion.trace, failed, rules, waits)
@@ -200,7 +200,7 @@ def step(state: State, commands: Tensor, physics: Physics, rules: Rules) -> tupl
 
 
 def _arrived(
-    state: State, hits: Tensor, trace: Tensor, failed: Tensor, rules: Rules, waited: Waited | None
+    state: State, hits: Tensor, trace: Tensor, failed: Tensor, rules: Rules, waited: WaitingUpdate | None
 ) -> tuple[State, Tensor]:
     """Return the state at the end of a decision, and which agents set out or are taken over (B, A) bool.
 

@@ -60,7 +60,7 @@ class MotionInput(NamedTuple):
     played: Tensor | None
     wanted: Tensor
     command: Tensor | None = None
-    owned: Owned | None = None
+    owned: OwnedMotion | None = None
 
 
 class Motion(NamedTuple):
@@ -84,7 +84,7 @@ class Motion(NamedTuple):
     turn_rate: Tensor | None = None
 
 
-class Owned(NamedTuple):
+class OwnedMotion(NamedTuple):
     """How bodies that a physics backend owns move in a decision.
 
     Attributes:

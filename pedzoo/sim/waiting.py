@@ -15,7 +15,7 @@ from pedzoo.sim.scenario_parts.scenario import Scenario
 from pedzoo.sim.state import State
 
 
-class Waited(NamedTuple):
+class WaitingUpdate(NamedTuple):
     """Places and goals in a decision of S trace points.
 
     Attributes:
@@ -30,7 +30,7 @@ class Waited(NamedTuple):
     stands: Tensor
 
 
-def waited(scenario: Scenario, state: State, near: Tensor, clock: Tensor) -> Waited:
+def waiting_update(scenario: Scenario, state: State, near: Tensor, clock: Tensor) -> WaitingUpdate:
     """Return which people stop to wait and which move on.
 
     Args:
@@ -47,7 +47,7 @@ def waited(scenario: Scenario, state: State, near: Tensor, clock: Tensor) -> Wai
     called = state.controlled & pause.isinf() & (before > state.drawn)
     moves_on = over | called
     stands = torch.where(moves_on, 0.0, torch.where(stops, now + pause, state.stands))
-    return Waited(near & ~stops.unsqueeze(-1), moves_on, stands)
+    return WaitingUpdate(near & ~stops.unsqueeze(-1), moves_on, stands)
 
 
 def at_places(state: State, guidance: Guidance) -> Guidance:

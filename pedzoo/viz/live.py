@@ -146,7 +146,7 @@ class Live:
             ) from error
 
 
-class Window:
+class BulletWindow:
     """pybullet's window of one floor plan; call it after every decision."""
 
     def __init__(self, env: PedestrianEnv, speed: float) -> None:

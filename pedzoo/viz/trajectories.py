@@ -27,7 +27,7 @@ from pedzoo.metrics.safety import begins
 from pedzoo.sim.physics_parts.camera import person_color
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.state import TRACE_PER_STEP
-from pedzoo.viz.plots import draw_floor_plan
+from pedzoo.viz.forecast_plots import draw_floor_plan
 from pedzoo.viz.video import check_episode
 
 SUFFIXES = (".png", ".pdf", ".svg")

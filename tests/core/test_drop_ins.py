@@ -73,7 +73,7 @@ PHYSICS = '''
     import torch
 
     from pedzoo.core.batch import ROBOT
-    from pedzoo.sim.motion import Owned
+    from pedzoo.sim.motion import OwnedMotion
     from pedzoo.sim.physics.torch import Torch
 
 
@@ -94,7 +94,7 @@ PHYSICS = '''
             time = torch.arange(1, ticks * substeps + 1) * (0.1 / substeps)
             along = torch.stack((state.heading.cos(), state.heading.sin()), dim=-1)
             path = state.position[:, :, None] + self.speed * time[:, None] * along[:, :, None]
-            return Owned(path.unflatten(2, (ticks, substeps)), heading, torch.full_like(heading, 0.2))
+            return OwnedMotion(path.unflatten(2, (ticks, substeps)), heading, torch.full_like(heading, 0.2))
 '''
 
 LOSS = '''

@@ -110,7 +110,7 @@ class Recipe:
             options["rollout.scenarios"] = "null"
             if self.config.startswith(("anchor_mlp", "anchor_net")) and self.fold == "univ":
                 # a third of the others' windows: as many steps as they have
-                options["trainer.max_epochs"] = "56" if self.config == "anchor_net" else "36"
+                options["trainer.max_epochs"] = "56" if self.config == "anchor_net" else "120"
         if self.pred_len != PRED_LEN:
             options["data.pred_len"] = str(self.pred_len)
             if self.config in ANCHORED:

@@ -24,7 +24,7 @@ def run(argv: list[str]) -> int:
     from importlib.util import find_spec
 
     from pedzoo.core.errors import UserError
-    from pedzoo.viz.live import HOST, Live, Window, has_display
+    from pedzoo.viz.live import HOST, BulletWindow, Live, has_display
 
     if options.episodes is not None and options.episodes < 1:
         raise UserError(f"--episodes {options.episodes}: expected at least 1")
@@ -34,7 +34,7 @@ def run(argv: list[str]) -> int:
         print(f"no window: {why}; here is the page instead (--serve)")
     live = Live(options.policy, options.scenario, options.physics, options.seed, options.speed)
     if window:
-        live.walk(options.episodes, Window(live.env, options.speed))
+        live.walk(options.episodes, BulletWindow(live.env, options.speed))
         return 0
 
     from threading import Thread

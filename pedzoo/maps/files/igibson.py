@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pedzoo.core.errors import UserError, need
-from pedzoo.core.limits import LARGEST_PICTURE, check_limit
+from pedzoo.core.size_limits import LARGEST_PICTURE, check_limit
 from pedzoo.maps.files.images import read_pixels
 from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.limits import LARGEST_PICTURE, check_limit
+from pedzoo.core.size_limits import LARGEST_PICTURE, check_limit
 from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
 
 FORMATS = ("PNG", "PPM", "JPEG", "BMP", "TIFF")

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.limits import load_yaml, read_text
 from pedzoo.core.paths import write_whole
+from pedzoo.core.size_limits import load_yaml, read_text
 from pedzoo.maps.files.images import read_pixels
 from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.types import BODY_RADIUS
-from pedzoo.maps.planning.planar import Frame
+from pedzoo.maps.planning.planar import ScenePose
 from pedzoo.maps.planning.waypoint_table import WaypointLookup
 from pedzoo.maps.walls.local_walls import LocalWalls
 
@@ -57,7 +57,7 @@ def segments(home: Tensor, waypoints: WaypointLookup) -> tuple[Tensor, Tensor, T
 
 
 def heading(
-    points: Tensor, waypoint: Tensor, frame: Frame, length: Tensor, beyond: Tensor
+    points: Tensor, waypoint: Tensor, frame: ScenePose, length: Tensor, beyond: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Return where agents walk (..., 2), unit vectors, and how far it is to their waypoints (...,)."""
     way = waypoint - points

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 
-class Frame(NamedTuple):
+class ScenePose(NamedTuple):
     """How the scenes of P people lie on their floor plans: `pedzoo.core.geometry` for planar vectors."""
 
     cosine: Tensor
@@ -21,14 +21,14 @@ class Frame(NamedTuple):
     """Metres (2, P)."""
 
     @classmethod
-    def of(cls, pose: Tensor) -> Frame:
-        """Return the frames of scene poses (P, 4)."""
+    def of(cls, pose: Tensor) -> ScenePose:
+        """Return the poses as vectors, of scene poses (P, 4)."""
         angle, mirror, x, y = pose.float().unbind(1)
         return cls(angle.cos(), angle.sin(), mirror, torch.stack((x, y)))
 
-    def per_scene(self) -> Frame:
-        """Return the frames of B scenes for all of their agents (B, A)."""
-        return Frame(*(value.unsqueeze(-1) for value in self))
+    def per_scene(self) -> ScenePose:
+        """Return the poses of B scenes for all of their agents (B, A)."""
+        return ScenePose(*(value.unsqueeze(-1) for value in self))
 
     def to_map(self, points: Tensor) -> Tensor:
         """Move scene positions (*E, 2) to where they are on the map (2, *E)."""

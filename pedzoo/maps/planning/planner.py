@@ -14,7 +14,7 @@ from pedzoo.maps.planning.corners import CornerGraph
 from pedzoo.maps.planning.fields import Fields, build_fields
 from pedzoo.maps.planning.graph import OpenGraph, as_points, format_point
 from pedzoo.maps.planning.guidance import Guidance, NextWaypoints, heading, seen_beyond, segments
-from pedzoo.maps.planning.planar import Frame
+from pedzoo.maps.planning.planar import ScenePose
 from pedzoo.maps.planning.waypoint_table import Goal, WaypointLookup, WaypointTable
 
 
@@ -169,7 +169,7 @@ class Planner:
         """
         row = self.map_rows(map_id)
         self._on(points.device).check(goal_id, row)
-        frame = Frame.of(pose)
+        frame = ScenePose.of(pose)
         _, waypoints = self._find(points, goal_id, row, frame)
         with torch.no_grad():
             places = torch.stack((waypoints.waypoint, waypoints.after, waypoints.goal), dim=1)
@@ -195,7 +195,9 @@ class Planner:
         return self._copies[device][1]
 
     @torch.no_grad()
-    def _find(self, points: Tensor, goal: Tensor, row: Tensor, frame: Frame) -> tuple[Tensor, WaypointLookup]:
+    def _find(
+        self, points: Tensor, goal: Tensor, row: Tensor, frame: ScenePose
+    ) -> tuple[Tensor, WaypointLookup]:
         """Return agents' positions on the map (2, *E) and where they go, for points (*E, 2)."""
         home = frame.to_map(points.detach().float())
         waypoints = self._on(points.device).lookup(home.flatten(1), goal.flatten(), row.flatten())
@@ -244,7 +246,7 @@ class Planner:
             return guidance_compiled(
                 self.bank, table, points, goal_id, row, pose, pref_speed, look_ahead_seconds
             )
-        frame = Frame.of(pose).per_scene()
+        frame = ScenePose.of(pose).per_scene()
         home, waypoints = self._find(points, goal_id, row.unsqueeze(1).expand(goal_id.shape), frame)
         with torch.no_grad():
             ahead = pref_speed * look_ahead_seconds

@@ -1,6 +1,6 @@
 """Apartments: a hall, and four to seven rooms around it."""
 
-from pedzoo.maps.procedural.dice import Dice
+from pedzoo.maps.procedural.portable_random import PortableRandom
 from pedzoo.maps.procedural.shapes import WALL, Rect, Room, units
 
 SIDES = (7.0, 16.0)
@@ -16,13 +16,13 @@ _LONGEST = 2.6
 """Longer side of a room by its shorter one, at most."""
 
 
-def draw_size(dice: Dice) -> tuple[float, float]:
+def draw_size(dice: PortableRandom) -> tuple[float, float]:
     """Return the outer width and height in metres."""
     width = dice.uniform(8.0, 14.0)
     return width, dice.uniform(8.0, min(14.0, 150.0 / width))
 
 
-def draw_rooms(dice: Dice, inside: Rect) -> list[Room] | None:
+def draw_rooms(dice: PortableRandom, inside: Rect) -> list[Room] | None:
     """Return the hall and the rooms inside the outer walls, the longer side along x; None for a bad draw.
 
     The hall runs along the middle, and it may end at a room that is as deep as the apartment, or bend. What
@@ -42,7 +42,7 @@ def draw_rooms(dice: Dice, inside: Rect) -> list[Room] | None:
     return [Room("hall", hall), *_uses(dice, rooms)]
 
 
-def _hall(dice: Dice, inside: Rect) -> tuple[tuple[Rect, ...], list[Rect]]:
+def _hall(dice: PortableRandom, inside: Rect) -> tuple[tuple[Rect, ...], list[Rect]]:
     """Return the hall's parts and the remaining inside."""
     x0, _, x1, _ = inside
     width = dice.integer(units(1.2), units(1.7))
@@ -72,7 +72,7 @@ def _hall(dice: Dice, inside: Rect) -> tuple[tuple[Rect, ...], list[Rect]]:
     return (hall,), [below, above]
 
 
-def _split(dice: Dice, room: Rect) -> tuple[Rect, Rect] | None:
+def _split(dice: PortableRandom, room: Rect) -> tuple[Rect, Rect] | None:
     """Return two rooms of unequal size made of one, None where it is too small."""
     across = 0 if room.width >= room.height else 1
     if room.long < 1.25 * room.short and dice.chance(0.5):
@@ -85,7 +85,7 @@ def _split(dice: Dice, room: Rect) -> tuple[Rect, Rect] | None:
     return None
 
 
-def _uses(dice: Dice, rooms: list[Rect]) -> list[Room]:
+def _uses(dice: PortableRandom, rooms: list[Rect]) -> list[Room]:
     """Return the use of each room: the largest to live in, the smallest a bathroom."""
     rooms = sorted(rooms, key=lambda room: room.area)
     uses = ["bathroom", "kitchen", *["bedroom"] * (len(rooms) - 3), "living"]

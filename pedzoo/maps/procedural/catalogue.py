@@ -2,7 +2,7 @@
 
 from typing import Literal, NamedTuple
 
-from pedzoo.maps.procedural.dice import Dice
+from pedzoo.maps.procedural.portable_random import PortableRandom
 from pedzoo.maps.procedural.shapes import Rect, units
 
 Place = Literal["corner", "wall", "middle"]
@@ -31,7 +31,7 @@ class Kind(NamedTuple):
     front: tuple[float, float, float] | None = None
     chairs: bool = False
 
-    def draw(self, dice: Dice) -> list[tuple[str, Rect]]:
+    def draw(self, dice: PortableRandom) -> list[tuple[str, Rect]]:
         """Return the rectangles of one piece, x along the wall and y away from it, and their names."""
         length, depth = units(dice.uniform(*self.along)), units(dice.uniform(*self.deep))
         pieces = [(self.name, Rect(0, 0, length, depth))]

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from itertools import combinations
 from typing import NamedTuple
 
-from pedzoo.maps.procedural.dice import Dice
+from pedzoo.maps.procedural.portable_random import PortableRandom
 from pedzoo.maps.procedural.shapes import WALL, Door, Rect, Room, units
 
 JAMB = 2
@@ -54,7 +54,7 @@ class _Wall(NamedTuple):
         return (self.stretch.width, self.stretch.height)[self.axis]
 
 
-def draw_doors(dice: Dice, rooms: Sequence[Room], widths: tuple[int, int]) -> list[Door] | None:
+def draw_doors(dice: PortableRandom, rooms: Sequence[Room], widths: tuple[int, int]) -> list[Door] | None:
     """Return doors that join all rooms: a tree that prefers halls and corridors, and some more.
 
     Their ``widths`` are in units, least and largest. None where the rooms cannot be joined.
@@ -111,7 +111,7 @@ def _between(a: Rect, b: Rect, axis: int) -> Rect | None:
     return Rect(low, a.y1, high, b.y0) if b.y0 - a.y1 == WALL and low < high else None
 
 
-def _door(dice: Dice, rooms: Sequence[Room], wall: _Wall, widths: tuple[int, int]) -> Door:
+def _door(dice: PortableRandom, rooms: Sequence[Room], wall: _Wall, widths: tuple[int, int]) -> Door:
     """Return a door somewhere in a wall: half of the doors are close to one of its ends."""
     shares = [_HABITS[rooms[i].use].widths for i in wall.rooms]
     # the narrower habit counts: all doors of a bathroom are narrow

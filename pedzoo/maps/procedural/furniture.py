@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pedzoo.maps.procedural.catalogue import CATALOGUE, Kind, desks
-from pedzoo.maps.procedural.dice import Dice
+from pedzoo.maps.procedural.portable_random import PortableRandom
 from pedzoo.maps.procedural.shapes import Door, Rect, Room, units
 
 CLEARANCE = 0.25
@@ -89,7 +89,7 @@ class RoomFloor:
         )
 
 
-def furnish(dice: Dice, room: Room, doors: Sequence[Door], furnished: float) -> list[Piece] | None:
+def furnish(dice: PortableRandom, room: Room, doors: Sequence[Door], furnished: float) -> list[Piece] | None:
     """Return the furniture of a room; None where even the empty room is not one piece.
 
     ``furnished`` goes from 0, nothing, to 1, everything that belongs there and fits.
@@ -112,7 +112,7 @@ def furnish(dice: Dice, room: Room, doors: Sequence[Door], furnished: float) -> 
     return floor.pieces
 
 
-def _places(dice: Dice, room: Room, kind: Kind) -> Iterator[list[Piece]]:
+def _places(dice: PortableRandom, room: Room, kind: Kind) -> Iterator[list[Piece]]:
     """Yield some places for a piece."""
     pieces = kind.draw(dice)
     low = min(rect.y0 for _, rect in pieces)
@@ -152,7 +152,7 @@ def _moved(pieces: Sequence[tuple[str, Rect]], part: Rect, side: int, at: int, o
     return placed
 
 
-def _clusters(dice: Dice, box: Rect) -> list[list[Piece]]:
+def _clusters(dice: PortableRandom, box: Rect) -> list[list[Piece]]:
     """Return blocks of desks in rows, as they stand in an open-plan office: as many desks as fit."""
     aisle, gap = units(dice.uniform(1.7, 2.2)), units(dice.uniform(1.2, 1.6))
     deep, most, best = units(1.6), 0, []

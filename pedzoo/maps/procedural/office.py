@@ -2,7 +2,7 @@
 
 from itertools import pairwise
 
-from pedzoo.maps.procedural.dice import Dice
+from pedzoo.maps.procedural.portable_random import PortableRandom
 from pedzoo.maps.procedural.shapes import WALL, Rect, Room, units
 
 SIDES = (12.0, 60.0)
@@ -27,12 +27,12 @@ _SMALL, _SMALL_AREA = ("kitchen", "toilets", "storage"), 20.0
 """Square metres that such rooms have at most."""
 
 
-def draw_size(dice: Dice) -> tuple[float, float]:
+def draw_size(dice: PortableRandom) -> tuple[float, float]:
     """Return the outer width and height in metres."""
     return dice.uniform(20.0, 40.0), dice.uniform(12.0, 25.0)
 
 
-def draw_rooms(dice: Dice, inside: Rect) -> list[Room] | None:
+def draw_rooms(dice: PortableRandom, inside: Rect) -> list[Room] | None:
     """Return the corridor and the rooms inside the outer walls, the longer side along x; None for a bad draw.
 
     One corridor or more run along the whole length, rows of rooms on both of their sides. Rooms between two
@@ -83,7 +83,7 @@ def draw_rooms(dice: Dice, inside: Rect) -> list[Room] | None:
     return [Room("corridor", tuple(corridor)), *rooms]
 
 
-def _links(dice: Dice, band: Rect, inner: bool) -> tuple[list[Rect], list[Rect]]:
+def _links(dice: PortableRandom, band: Rect, inner: bool) -> tuple[list[Rect], list[Rect]]:
     """Return corridors across a row of rooms, and the blocks of rooms between them.
 
     Rows between two corridors have two or three, maybe at the ends; outer rows one at times, to a window.
@@ -108,7 +108,7 @@ def _links(dice: Dice, band: Rect, inner: bool) -> tuple[list[Rect], list[Rect]]
     return links, blocks
 
 
-def _row(dice: Dice, row: Rect, first: str | None) -> list[Room]:
+def _row(dice: PortableRandom, row: Rect, first: str | None) -> list[Room]:
     """Return rooms side by side that fill a row; ``first`` is one of them where it is given."""
     least = max(_NARROW, round(0.42 * row.height))
     uses: list[str] = []

@@ -9,9 +9,9 @@ import numpy as np
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
 from pedzoo.maps.procedural import apartment, office
-from pedzoo.maps.procedural.dice import Dice
 from pedzoo.maps.procedural.doors import draw_doors
 from pedzoo.maps.procedural.furniture import CLEARANCE, Piece, furnish
+from pedzoo.maps.procedural.portable_random import PortableRandom
 from pedzoo.maps.procedural.shapes import UNIT, Door, Rect, Room, placed, units
 
 KINDS: dict[str, ModuleType] = {"apartment": apartment, "office": office}
@@ -101,7 +101,9 @@ def generate(
         raise unknown("kind of floor plan", kind, KINDS)
     refine = _checked(kind, seed, size, resolution, furnished, doors)
     seed = int(seed)
-    width, height = (units(side) for side in size or KINDS[kind].draw_size(Dice(seed, kind, "size")))
+    width, height = (
+        units(side) for side in size or KINDS[kind].draw_size(PortableRandom(seed, kind, "size"))
+    )
     for attempt in range(_ATTEMPTS):
         result = _attempt(kind, (seed, kind, attempt), (width, height), furnished, doors)
         if result is None:
@@ -150,7 +152,7 @@ def _attempt(
     widths: tuple[float, float],
 ) -> tuple[list[Room], list[Door], list[Piece]] | None:
     """Return rooms, doors and furniture, or None where this draw gives no sound plan."""
-    dice = Dice(*key)
+    dice = PortableRandom(*key)
     wall = dice.integer(units(0.1), units(0.2))
     long, short = max(size), min(size)
     rooms = KINDS[kind].draw_rooms(dice, Rect(wall, wall, long - wall, short - wall))
@@ -163,7 +165,7 @@ def _attempt(
     pieces: list[Piece] = []
     for number, room in enumerate(rooms):
         mine = [door for door in doors if number in door.rooms]
-        result = furnish(Dice(*key, "furniture", number), room, mine, furnished)
+        result = furnish(PortableRandom(*key, "furniture", number), room, mine, furnished)
         if result is None:
             return None
         pieces += result

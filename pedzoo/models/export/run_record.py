@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
-from pedzoo.core.limits import read_mapping
+from pedzoo.core.size_limits import read_mapping
 
 RECORDS = ("config.yaml", "metrics.csv", "versions.json")
 """Files that `pedzoo fit` writes beside the folder of checkpoints."""

@@ -9,8 +9,8 @@ from urllib.parse import quote, unquote, urlsplit
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.fetch import fetch
-from pedzoo.core.limits import LARGEST_CARD, load_yaml
 from pedzoo.core.paths import CARD, WEIGHTS, cache_home
+from pedzoo.core.size_limits import LARGEST_CARD, load_yaml
 from pedzoo.models.zoo.card import ModelCard, check_name, is_name
 
 _WORD = "[A-Za-z0-9][A-Za-z0-9_.-]*"

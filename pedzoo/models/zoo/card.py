@@ -10,8 +10,8 @@ from typing_extensions import TypedDict
 
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
-from pedzoo.core.limits import LARGEST_CARD, LARGEST_WEIGHTS, check_limit, load_yaml, read_text
 from pedzoo.core.paths import write_whole
+from pedzoo.core.size_limits import LARGEST_CARD, LARGEST_WEIGHTS, check_limit, load_yaml, read_text
 from pedzoo.models.zoo.header import Config
 from pedzoo.models.zoo.keys import check, check_keys, check_plain
 

@@ -24,7 +24,7 @@ from pedzoo.policies.learned.same_spot import led_apart
 _DETERMINISTIC = (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN)
 
 
-class Plan(NamedTuple):
+class StoredPrediction(NamedTuple):
     """Predictions that are being walked.
 
     Attributes:
@@ -105,7 +105,7 @@ class Walker(NamedPolicy):
         self.noise_seed = noise_seed
         self.safety = model.walking_safety if safety is None else safety
         self.extend_goal = model.walking_extend_goal if extend_goal is None else extend_goal
-        self._plan: Plan | None = None
+        self._stored: StoredPrediction | None = None
         self._episode_noise: EpisodeNoise | None = None
         self._first_seen = FirstSeenMemory()
 
@@ -115,7 +115,7 @@ class Walker(NamedPolicy):
         if self.execute_steps == 1:
             step = self._predicted(tensordict, 1)[..., 0, :]
         else:
-            step = self._planned(tensordict)
+            step = self._of_stored(tensordict)
         step = step + led_apart(tensordict)
         if self.safety:
             tensordict["agents", "asked"] = step / STEP_SECONDS
@@ -123,21 +123,21 @@ class Walker(NamedPolicy):
         tensordict["agents", "action"] = step / STEP_SECONDS
         return tensordict
 
-    def _planned(self, tensordict: TensorDictBase) -> Tensor:
-        """Return the running plan's step (B, A, 2), of a new plan where one is over or an episode begins."""
+    def _of_stored(self, tensordict: TensorDictBase) -> Tensor:
+        """Return the step (B, A, 2) of the stored prediction, or of a new one where it is over."""
         key, now = tensordict["scene_key"][:, 0], (tensordict["time"][:, 0] / STEP_SECONDS).round().long()
-        stored = self._plan if self._plan is not None and self._plan.key.shape == key.shape else None
+        stored = self._stored if self._stored is not None and self._stored.key.shape == key.shape else None
         if stored is None:
             over = torch.ones_like(key, dtype=torch.bool)
         else:  # the same walker may have been asked about other scenes in between
             place = now - stored.begun
             over = (now == 0) | (stored.key != key) | (place < 0) | (place >= self.execute_steps)
         if stored is None or bool(over.any()):
-            fresh = Plan(key, now, self._predicted(tensordict, self.execute_steps))
+            fresh = StoredPrediction(key, now, self._predicted(tensordict, self.execute_steps))
             if stored is not None:
                 steps = torch.where(over.view(-1, 1, 1, 1), fresh.steps, stored.steps)
-                fresh = Plan(key, torch.where(over, now, stored.begun), steps)
-            stored = self._plan = fresh
+                fresh = StoredPrediction(key, torch.where(over, now, stored.begun), steps)
+            stored = self._stored = fresh
         return stored.steps[torch.arange(len(key), device=key.device), :, now - stored.begun]
 
     def _predicted(self, tensordict: TensorDictBase, steps: int) -> Tensor:

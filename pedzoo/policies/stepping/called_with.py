@@ -21,7 +21,7 @@ OTHER_RADIUS = 0.3
 
 
 @dataclass(frozen=True)
-class Disc:
+class DiscKey:
     """One disc of another agent, as the key of a row.
 
     Attributes:
@@ -66,13 +66,13 @@ def origin_of(point: Any) -> NDArray[np.float64]:
     return place if np.isfinite(place).all() else ZERO
 
 
-def as_discs(others: Mapping[Any, Any]) -> dict[Disc, Any]:
+def as_discs(others: Mapping[Any, Any]) -> dict[DiscKey, Any]:
     """Return the discs of other agents, each with its position (2,): given as (2,), or (k, 2) for several.
 
     Raises:
         UserError: A value has another shape.
     """
-    discs: dict[Disc, Any] = {}
+    discs: dict[DiscKey, Any] = {}
     for one, value in others.items():
         try:
             given = value.detach().cpu().numpy() if isinstance(value, Tensor) else value
@@ -84,7 +84,7 @@ def as_discs(others: Mapping[Any, Any]) -> dict[Disc, Any]:
                 f"others: position {value!r} of {one!r}: expected two numbers, (x, y), or a list of such "
                 "pairs for several discs"
             )
-        discs |= {Disc(one, index): points[index] for index in range(len(points))}
+        discs |= {DiscKey(one, index): points[index] for index in range(len(points))}
     return discs
 
 
@@ -152,7 +152,7 @@ def speed_of(one: Hashable, pref_speed: float | Mapping[Any, float]) -> float:
     Raises:
         UserError: It is not above 0.
     """
-    if isinstance(one, Disc):
+    if isinstance(one, DiscKey):
         return PREF_SPEED
     speed = float(pref_speed.get(one, PREF_SPEED) if isinstance(pref_speed, Mapping) else pref_speed)
     if not 0 < speed < float("inf"):

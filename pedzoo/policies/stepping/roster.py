@@ -10,7 +10,7 @@ from torch import Tensor
 
 from pedzoo.core.geometry import heading_of, passes
 from pedzoo.core.types import BODY_RADIUS
-from pedzoo.policies.stepping.called_with import OTHER_RADIUS, Disc, metres_of, number_of, speed_of
+from pedzoo.policies.stepping.called_with import OTHER_RADIUS, DiscKey, metres_of, number_of, speed_of
 
 
 class Roster(NamedTuple):
@@ -19,7 +19,7 @@ class Roster(NamedTuple):
     Never written in place: a call that fails leaves all agents as they were.
 
     Attributes:
-        row: Which row each person's id, and each `Disc` of another agent, has.
+        row: Which row each person's id, and each `DiscKey` of another agent, has.
         number: Numbers by which their noise is drawn (N,) long, see `number_of`.
         past: Latest positions (N, L, 2), oldest first; NaN for agents that have just come.
         pref_speed: The speed that they like (N,), m/s.
@@ -96,7 +96,7 @@ class Roster(NamedTuple):
         """Return the roster of exactly the agents of ``present``; newcomers have neither past nor goal.
 
         Args:
-            present: By id: the people, and the `Disc` of other agents.
+            present: By id: the people, and the `DiscKey` of other agents.
             pref_speed: The speed that newcomers like, m/s: one for all, or by id (1.3 for the others).
 
         Raises:
@@ -121,7 +121,7 @@ class Roster(NamedTuple):
             return torch.tensor(values, dtype=torch.bool)
 
         speeds = torch.tensor([speed_of(ids[i], pref_speed) for i in new])
-        others = [isinstance(ids[i], Disc) for i in new]
+        others = [isinstance(ids[i], DiscKey) for i in new]
         radius = torch.tensor([OTHER_RADIUS if other else BODY_RADIUS for other in others])
         return Roster(
             row={one: i for i, one in enumerate(ids)},
@@ -148,7 +148,7 @@ class Roster(NamedTuple):
         if not radius:
             return self
         metres = {one: metres_of(one, value) for one, value in radius.items()}
-        rows = [(row, key.of if isinstance(key, Disc) else key) for key, row in self.row.items()]
+        rows = [(row, key.of if isinstance(key, DiscKey) else key) for key, row in self.row.items()]
         changed = self.radius.clone()
         for row, one in rows:
             if one in metres:

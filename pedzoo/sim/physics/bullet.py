@@ -15,7 +15,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.bank import MapBank
 from pedzoo.sim.dynamics import SKIN
-from pedzoo.sim.motion import Contacts, Distances, MotionInput, Owned
+from pedzoo.sim.motion import Contacts, Distances, MotionInput, OwnedMotion
 from pedzoo.sim.physics_parts.base import REACH, Bodies, Physics
 from pedzoo.sim.physics_parts.bullet.client import load_pybullet
 from pedzoo.sim.physics_parts.bullet.pictures import from_above, from_robots
@@ -170,7 +170,9 @@ class Bullet(Physics):
         return (state.kind == ROBOT) & (state.drive != HOLONOMIC) if self.drive == "wheels" else None
 
     @torch.no_grad()
-    def move_owned(self, state: State, command: Tensor, moving: Tensor, ticks: int, substeps: int) -> Owned:
+    def move_owned(
+        self, state: State, command: Tensor, moving: Tensor, ticks: int, substeps: int
+    ) -> OwnedMotion:
         """See `Physics.move_owned`; pybullet limits friction and walls, and the robot its accelerations."""
         people = Bodies.of(state)
         placed = self._scenes.placed(people, self._present(people) & moving)

@@ -19,7 +19,7 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.sim.arrival import arrived
 from pedzoo.sim.dynamics import SKIN, integrate
-from pedzoo.sim.motion import Contacts, Distances, Motion, MotionInput, Owned
+from pedzoo.sim.motion import Contacts, Distances, Motion, MotionInput, OwnedMotion
 from pedzoo.sim.physics_parts.camera import Camera, Lens, free_corners
 from pedzoo.sim.physics_parts.compiled import advance_compiled
 from pedzoo.sim.physics_parts.stance import Stance
@@ -110,7 +110,9 @@ class Physics(ABC):
         """
         return None
 
-    def move_owned(self, state: State, command: Tensor, moving: Tensor, ticks: int, substeps: int) -> Owned:
+    def move_owned(
+        self, state: State, command: Tensor, moving: Tensor, ticks: int, substeps: int
+    ) -> OwnedMotion:
         """Return how agents of `owned` move in a decision; rows of all other agents do not matter.
 
         Begin from ``state``, which says position, heading, velocity and turning rate: an episode may have

@@ -16,9 +16,9 @@ from pedzoo.core.batch import ROBOT
 from pedzoo.core.bodies import HOLONOMIC, Fleet, RobotBody
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose
-from pedzoo.core.limits import load_yaml
 from pedzoo.core.randomness import Draws
 from pedzoo.core.registry import SCENARIOS
+from pedzoo.core.size_limits import load_yaml
 from pedzoo.core.spec import Spec, build, homes, setting_groups, setting_types
 from pedzoo.core.types import BODY_RADIUS, TOP_SPEED_RATIO
 from pedzoo.maps.grid import OccupancyGrid

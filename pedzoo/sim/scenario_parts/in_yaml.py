@@ -5,12 +5,13 @@ Imports nothing heavy.
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
 from pedzoo.core.errors import UserError, unknown
-from pedzoo.core.limits import load_yaml, read_mapping
 from pedzoo.core.paths import expanded
+from pedzoo.core.size_limits import load_yaml, read_mapping
 from pedzoo.core.spec import Spec, SpecText, parse, unquoted
 
 KEYS = ("people", "map", "speed", "speed_std")
@@ -46,7 +47,7 @@ def scenario_spec(scenario: str | Spec) -> Spec | SpecText:
         given = f"people: {people!r:.60}" if "people" in settings else "no people"
         raise UserError(f"{spec.name}: {given}: expected {EXPECTED}")
     plan = settings.get("map")
-    if isinstance(plan, str) and (file.parent / plan).is_file():
+    if isinstance(plan, str) and os.path.isfile(file.parent / plan):  # false, too, where a name is too long
         settings["map"] = str(file.parent / plan)
     return Spec("custom", settings)
 

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.limits import MOST_PEOPLE
 from pedzoo.core.randomness import Draws
+from pedzoo.core.size_limits import MOST_PEOPLE
 from pedzoo.core.types import STEP_SECONDS, TOP_SPEED_RATIO
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown

@@ -75,8 +75,8 @@ class CrowdModule(ForecastModule):
             judge_lr: Learning rate of the judges.
             annotation_noise: In half of the updates positions have white noise of a standard deviation of up
                 to so many metres, as recordings have that were marked less exactly; 0 for never.
-            weight_decay: Of AdamW (Loshchilov and Hutter, ICLR 2019): draws all that is learned towards 0.
-                That is the walker before training, but for its patience, which gets shorter.
+            weight_decay: Of AdamW (Loshchilov and Hutter, ICLR 2019): draws all layers towards 0.
+                That is the walker before training.
             options: Of the optimisation and of validation; see `ForecastModule`.
 
         Raises:
@@ -135,9 +135,14 @@ class CrowdModule(ForecastModule):
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
         """Return AdamW for the generator and, if there are judges, Adam for them."""
-        result: list[Optimizer] = [
-            torch.optim.AdamW(self.generator.parameters(), self.lr, weight_decay=self.weight_decay)
+        # what is no layer's is a quantity, such as seconds of patience: 0 is not its neutral value
+        quantities = dict(self.generator.named_parameters(recurse=False))
+        layers = [value for name, value in self.generator.named_parameters() if name not in quantities]
+        groups = [
+            {"params": layers, "weight_decay": self.weight_decay},
+            {"params": list(quantities.values()), "weight_decay": 0.0},
         ]
+        result: list[Optimizer] = [torch.optim.AdamW(groups, self.lr)]
         if self.likeness.judges:
             result.append(torch.optim.Adam(self.likeness.parameters(), self.judge_lr, betas=(0.5, 0.9)))
         return cast("OptimizerLRScheduler", result)

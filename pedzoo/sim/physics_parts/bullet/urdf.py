@@ -15,9 +15,9 @@ from pedzoo.core.bodies import HOLONOMIC, speed_and_turn
 from pedzoo.core.geometry import TURNS_FROM, direction_of, heading_of
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.sim.dynamics import driven
-from pedzoo.sim.motion import Contacts, MotionInput, Owned
+from pedzoo.sim.motion import Contacts, MotionInput, OwnedMotion
 from pedzoo.sim.physics_parts.bullet.scenes import PlacedScene, as_array, moved
-from pedzoo.sim.physics_parts.bullet.wheels import STEPS, Drive
+from pedzoo.sim.physics_parts.bullet.wheels import STEPS, WheelCommand
 from pedzoo.sim.state import State
 
 
@@ -51,7 +51,7 @@ def _short(angle: Tensor) -> Tensor:
 
 def drive_by_wheels(
     placed: Iterable[PlacedScene], state: State, command: Tensor, ticks: int, substeps: int
-) -> Owned:
+) -> OwnedMotion:
     """Return how the robots that are ``present`` drive by their wheels; see `Physics.move_owned`."""
     path = as_array(state.position)[:, :, None, None].repeat(ticks, 2).repeat(substeps, 3)
     heading, rate = as_array(state.heading).copy(), np.zeros(state.mask.shape)
@@ -70,7 +70,7 @@ def drive_by_wheels(
             x, y = (linear @ [math.cos(angle), math.sin(angle)]).tolist()
             turns = v, mirror * omega, wanted_v, mirror * wanted_omega
             place = asked.places[agent].tolist()
-            drives.append(Drive(agent, place, math.atan2(y, x), *turns, *limits))
+            drives.append(WheelCommand(agent, place, math.atan2(y, x), *turns, *limits))
         if not drives:
             continue
         moved_to = asked.bullet.driven.run(drives, ticks)
@@ -83,7 +83,7 @@ def drive_by_wheels(
         seconds = TRACE_SECONDS * (last.shape[1] - 1) / STEPS
         rate[asked.index, asked.present] = mirror * (last[:, -1] - last[:, 0]) / seconds
     tensors = (torch.from_numpy(values).to(state.velocity) for values in (path, heading, rate))
-    return Owned(*tensors)
+    return OwnedMotion(*tensors)
 
 
 def with_shapes(

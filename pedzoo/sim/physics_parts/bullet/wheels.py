@@ -25,7 +25,7 @@ _SETTLING = 120
 """Steps in which a robot that is put down comes to rest."""
 
 
-class Drive(NamedTuple):
+class WheelCommand(NamedTuple):
     """What one robot does in a decision.
 
     Attributes:
@@ -83,7 +83,7 @@ class DrivenRobots:
             self._p.stepSimulation(physicsClientId=self.client)
         self._robots.rest(0)
 
-    def run(self, drives: list[Drive], ticks: int) -> NDArray[np.float64]:
+    def run(self, drives: list[WheelCommand], ticks: int) -> NDArray[np.float64]:
         """Return x, y and angle of robots (R, S * STEPS, 3) after every step of S ``ticks`` of 0.1 s."""
         self._robots.clear()
         speeds = np.array([[drive.speed, drive.turn] for drive in drives], dtype=np.float64)
@@ -100,7 +100,7 @@ class DrivenRobots:
             result[:, step] = [self._robots.where(drive.agent) for drive in drives]
         return result
 
-    def _begin(self, drive: Drive) -> None:
+    def _begin(self, drive: WheelCommand) -> None:
         body = self._robots.put(drive.agent, drive.place, drive.angle)
         along = drive.speed * math.cos(drive.angle), drive.speed * math.sin(drive.angle), 0.0
         self._p.resetBaseVelocity(body, along, (0.0, 0.0, drive.turn), physicsClientId=self.client)

@@ -9,7 +9,7 @@ import numpy as np
 Item = TypeVar("Item")
 
 
-class Dice:
+class PortableRandom:
     """Draws from PCG64.
 
     numpy promises that the bits of PCG64 and SeedSequence stay what they are, but not what `Generator` makes
