@@ -257,6 +257,15 @@ def test_who_leaves_the_room_and_who_enters() -> None:
     assert (ends > 0).any() and (ends < 0).any()
 
 
+def test_a_room_of_200_people_is_no_deeper_than_one_of_70() -> None:
+    """Many people come from more directions, apart from each other, and not one behind a hundred others."""
+    room, crowd = begun("room_exit:people=70,entering=0", 2), begun("room_exit:people=200,entering=0", 2)
+    start = crowd.state.past[:, :, 0]
+    assert float(apart(start).min()) > 2 * BODY_RADIUS
+    assert float(start[..., 0].min()) > float(room.state.past[:, :, 0, 0].min()) - 1
+    assert (start[..., 0] < 0).all() and crowd.state.mask.all()
+
+
 def test_streams_side_by_side() -> None:
     same = begun("parallel:people=20,change=0,aside=0", 4).state
     assert (same.velocity[..., 0] > 0).all()
@@ -309,7 +318,7 @@ def test_on_the_circle_all_want_to_the_other_side(people: int) -> None:
         ("parallel:change=-1", r"change -1\.0: expected a share"),
         ("circle:radius=1", r"radius 1\.0 for 4 people: expected at least 2\.00 m"),
         ("circle:people=50,radius=5", r"expected at least 7\.96 m"),
-        ("blind_corner:people=40", r"people 40: expected 2 to 20; goals:people=N"),
+        ("blind_corner:people=400", r"people 400: expected 2 to 300; goals:people=N"),
         ("perpendicular:width=2", "known: .*people"),
     ],
 )

@@ -56,7 +56,7 @@ class EncounterSettings:
     """Settings of all encounters.
 
     Attributes:
-        people: How many; most encounters take 2 to 50.
+        people: How many; most encounters take 2 to 300.
         speed: Mean preferred speed, m/s.
         speed_std: Its standard deviation.
         jitter: Metres that starts are off their places at most, in x and in y, evenly distributed.
@@ -81,14 +81,14 @@ class Encounter(Scenario):
 
     Attributes:
         fewest: People, at least.
-        most: People, at most.
+        most: People, at most: lanes of more make floor plans of hundreds of metres.
         variants: Settings of which every scene draws a value.
         stray: Share of people with another goal of their lane than the first.
         together: People side by side walk together: equally fast, and equally late.
     """
 
     fewest: ClassVar[int] = 2
-    most: ClassVar[int] = 50
+    most: ClassVar[int] = 300
     stray: float = 0.0
     meet: float = MEET
     together: bool = False

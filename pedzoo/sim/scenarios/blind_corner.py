@@ -16,7 +16,6 @@ class BlindCorner(Encounter):
     in the diagonal if size and speed are equal and ``jitter``, ``aside`` and ``delay`` are 0.
     """
 
-    most = 20
 
     def __init__(
         self, width: Numbers = (1.2, 1.5, 2.0), common: EncounterSettings = EncounterSettings()
@@ -25,7 +24,7 @@ class BlindCorner(Encounter):
 
         Args:
             width: Of the corridor, metres, a multiple of 0.05; a list: one per scene.
-            common: At most 20 people, half of them from the left, the others from below.
+            common: Half of them from the left, the others from below.
 
         Raises:
             UserError: A setting that gives no scene.

@@ -25,7 +25,6 @@ class Overtaking(Encounter):
     ones where each person has a lane.
     """
 
-    most = 20
 
     def __init__(
         self,
@@ -40,7 +39,7 @@ class Overtaking(Encounter):
             width: Of the corridor, metres, a multiple of 0.05; a list: one per scene.
             speed_ratio: By how much each of the fast is faster than each of the slow, at least; above 1.2.
             slow: How many of the people are slow; None: half of them.
-            common: At most 20 people; speeds and delays are those of the fast.
+            common: Speeds and delays are those of the fast.
 
         Raises:
             UserError: A setting that gives no scene.

@@ -17,11 +17,14 @@ from pedzoo.sim.scenario_parts.variants import Numbers, Variant
 THICKNESS = 0.1
 """Metres of the wall with the door."""
 
-RAYS = 5
-"""Directions from which people of the room come to the door, at most."""
+RAYS, MANY_RAYS = 5, 17
+"""Directions from which people of the room come to the door, at most, and of more than `MANY` people."""
 
 BETWEEN = math.radians(18)
-"""Angle between two of them."""
+"""Angle between two of them; half of it between two of `MANY_RAYS`."""
+
+MANY = 150
+"""People of the room from whom on more directions keep their lanes short."""
 
 BESIDE_RAYS = 0.3
 """Metres on each side of a direction that belong to it."""
@@ -40,7 +43,7 @@ class RoomExit(Encounter):
     the door. They have the time that a slow queue takes.
     """
 
-    most = 150
+    most = 1000
 
     def __init__(
         self,
@@ -76,13 +79,19 @@ class RoomExit(Encounter):
         """Return lanes of those who leave and of those who enter."""
         return [*self._leaving(variant["corridor"]), *self._entering(variant["corridor"])]
 
+    @property
+    def _rays(self) -> tuple[int, float]:
+        """How many directions there are at most, and the angle between two of them."""
+        return (MANY_RAYS, BETWEEN / 2) if self.people > MANY else (RAYS, BETWEEN)
+
     def _leaving(self, corridor: float) -> list[Lane]:
         """Return lanes that all end at the door."""
         middle, people = (THICKNESS + corridor) / 2, self.people - self.entering
         lanes = []
-        count = min(RAYS, people)
+        rays, between = self._rays
+        count = min(rays, people)
         for number in range(count):
-            angle = (number - (count - 1) / 2) * BETWEEN
+            angle = (number - (count - 1) / 2) * between
             heading = (math.cos(angle), math.sin(angle))
             mine = people // count + (number < people % count)
             ray = Lane(mine, heading, (0.0, 0.0), ((middle, BEYOND), (middle, -BEYOND)))
@@ -97,7 +106,7 @@ class RoomExit(Encounter):
         for number, heading in enumerate(((0.0, -1.0), (0.0, 1.0))):
             people = (self.entering + 1 - number) // 2
             mine = abreast(people, heading, lanes_in(corridor))
-            for lane in self.varied(RAYS + number, mine, beside(mine, corridor)):
+            for lane in self.varied(self._rays[0] + number, mine, beside(mine, corridor)):
                 x, y = lane.middle
                 lanes.append(lane._replace(middle=(place + x, y), goals=inside))
         return lanes
@@ -107,7 +116,8 @@ class RoomExit(Encounter):
         half, width = THICKNESS / 2, variant["width"]
         length = max(reach, BEYOND) + BEHIND
         deep = half + whole_cells(length)
-        widest = math.sin((min(RAYS, self.people) - 1) / 2 * BETWEEN) * reach + self.aside
+        rays, between = self._rays
+        widest = math.sin((min(rays, self.people) - 1) / 2 * between) * reach + self.aside
         high = width / 2 + whole_cells(max(widest, 2.0) + BEHIND)
         ends = high + whole_cells(max(0.0, length - high))
         walls = room((-deep, -ends), (half + variant["corridor"], ends), WALL)
