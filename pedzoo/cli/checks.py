@@ -13,7 +13,7 @@ from typing import Any
 
 from pedzoo.cli.main import PAGES
 from pedzoo.cli.output import check_outputs
-from pedzoo.cli.words import given, split_names, unknown_option
+from pedzoo.cli.suggestions import given, split_names, unknown_option
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError, need, unknown
 from pedzoo.core.paths import expanded, find_config

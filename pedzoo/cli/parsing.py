@@ -15,7 +15,7 @@ from typing import Any, get_args, get_origin
 
 from jsonargparse import ArgumentParser, Namespace
 
-from pedzoo.cli.words import shipped_configs, split_names, unknown_option
+from pedzoo.cli.suggestions import shipped_configs, split_names, unknown_option
 from pedzoo.core import renamed
 from pedzoo.core.adapters import option_types
 from pedzoo.core.configs import load_config

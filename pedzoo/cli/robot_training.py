@@ -6,8 +6,8 @@ from typing import Any
 from lightning.pytorch.cli import LightningArgumentParser
 
 from pedzoo.cli.parsing import parse
+from pedzoo.cli.suggestions import given
 from pedzoo.cli.training_parser import ProgressBar, RunCLI, Signals, check_seed
-from pedzoo.cli.words import given
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.train.robots.ppo import RobotPPO

@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from pedzoo.cli.words import given
+from pedzoo.cli.suggestions import given
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import names_code
-from pedzoo.models.zoo.keys import refuse_code
+from pedzoo.models.zoo.typed_fields import refuse_code
 from pedzoo.train.fine_tuning import architecture_options, config_beside, options_of, options_to_continue
 from pedzoo.train.run import RunFolder
 

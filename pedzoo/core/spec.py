@@ -221,12 +221,18 @@ def grouped(cls: type, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return settings of a class, those of a group in a mapping under its name; others stay as they are.
 
     Mappings of groups may be among the given; a name without its group wins.
+
+    Raises:
+        UserError: A group is no mapping.
     """
     home = homes(cls)
     result = {key: value for key, value in given.items() if key not in home}
     for key in given:
         if key in home:
-            result[home[key]] = {**(result.get(home[key]) or {}), key: given[key]}
+            group = result.get(home[key]) or {}
+            if not isinstance(group, Mapping):
+                raise UserError(f"{home[key]}: expected settings by name, such as {key}, not {group!r:.60}")
+            result[home[key]] = {**group, key: given[key]}
     return result
 
 

@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
-from pedzoo.eval.episodes import packed_episodes
+from pedzoo.eval.packed_episodes import packed_episodes
 from pedzoo.eval.rollout import Progress, prepare, walk
+from pedzoo.metrics.arrival_functions import arrived_in_time, finish_seconds
 from pedzoo.metrics.closed_loop import closed_loop, named, time_ratio_median
-from pedzoo.metrics.navigation import arrived_in_time, finish_seconds
+from pedzoo.metrics.contact_functions import contact_events, least_distance, nearest
 from pedzoo.metrics.ratios import Ratio, summarised
-from pedzoo.metrics.safety import contact_events, least_distance, nearest
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import CLEARANCE, make_scenario, usual_physics
 from pedzoo.sim.rollout import Rollout, joined

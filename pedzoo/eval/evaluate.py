@@ -11,11 +11,11 @@ from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.core.machine import usable
 from pedzoo.core.registry import SUITES
-from pedzoo.eval.episodes import without_plans
+from pedzoo.eval.packed_episodes import without_plans
 from pedzoo.eval.results import SuiteColumns
 from pedzoo.eval.suite import EvaluationOptions, OwnRecordings, Suite, WorkUnit, check_names
 from pedzoo.eval.summary import summary
-from pedzoo.eval.units import digest, work
+from pedzoo.eval.work_units import digest, work
 from pedzoo.eval.workers.journal import Journal, Rows
 from pedzoo.eval.workers.pool import Backend, finished
 from pedzoo.eval.workers.progress_meter import Progress, ProgressMeter

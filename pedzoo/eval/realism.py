@@ -31,7 +31,7 @@ from pedzoo.metrics.realism.crowds import (
 from pedzoo.metrics.realism.distances import drawn_people, halves
 from pedzoo.metrics.realism.features import FEATURES, every_step
 from pedzoo.metrics.realism.walks import RecordedWalks, Walks, WalksByPerson, of_people, tracks_of, walks_of
-from pedzoo.metrics.sums.intervals import Interval, wilson
+from pedzoo.metrics.statistics.intervals import Interval, wilson
 from pedzoo.sim.replay.people import RecordedPeople
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.scenarios.replay import PreparedReplay

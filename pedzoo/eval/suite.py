@@ -7,7 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 from pedzoo.core.errors import UserError
 from pedzoo.core.spec import Spec
 from pedzoo.eval.comparison import row
-from pedzoo.eval.episodes import packed_episodes
+from pedzoo.eval.packed_episodes import packed_episodes
 from pedzoo.eval.rollout import joined, prepare, walk
 from pedzoo.eval.scenario_cache import prepared
 from pedzoo.metrics.ratios import Ratio

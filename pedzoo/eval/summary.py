@@ -6,7 +6,7 @@ from itertools import groupby
 from typing import Any
 
 from pedzoo.eval.results import SEEN
-from pedzoo.metrics.sums.intervals import Interval
+from pedzoo.metrics.statistics.intervals import Interval
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.data.scenes import SceneSet
-from pedzoo.metrics.sums.intervals import Interval, bootstrap
+from pedzoo.metrics.statistics.intervals import Interval, bootstrap
 
 FEW = 10
 """With fewer blocks a bootstrap interval of 95 % covers clearly less; tables mark it as rough."""

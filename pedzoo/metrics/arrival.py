@@ -5,10 +5,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from pedzoo.metrics import navigation
+from pedzoo.metrics import arrival_functions
 from pedzoo.metrics.contacts import untouched
-from pedzoo.metrics.person_runs import Runs
 from pedzoo.metrics.ratios import Ratio, finite, mean, metric, of_sums, once, ratio, share
+from pedzoo.metrics.slots_to_persons import Runs
 from pedzoo.sim.rollout import Rollout
 
 
@@ -42,10 +42,10 @@ def _walks(rollout: Rollout) -> _Walks:
         return _Walks(runs.there, arrived & ~rollout.failed[:, None, None], planned, walked, none, none)
     reached, goals = rollout.reached, rollout.goals
     mask = rollout.mask & ((reached[..., 0] < goals) | (rollout.planned[..., -1] > 0))
-    arrived = navigation.arrived_in_time(reached, goals, rollout.overdue, rollout.failed, mask)
-    planned = navigation.planned_metres(rollout.planned, reached, goals)
-    walked = navigation.walked_metres(rollout.path, rollout.scored, reached, goals)
-    seconds = navigation.finish_seconds(reached, goals)
+    arrived = arrival_functions.arrived_in_time(reached, goals, rollout.overdue, rollout.failed, mask)
+    planned = arrival_functions.planned_metres(rollout.planned, reached, goals)
+    walked = arrival_functions.walked_metres(rollout.path, rollout.scored, reached, goals)
+    seconds = arrival_functions.finish_seconds(reached, goals)
     return _Walks(mask, arrived, planned, walked, planned / rollout.pref_speed, seconds - rollout.stood)
 
 
@@ -86,8 +86,8 @@ def deadlock(rollout: Rollout) -> Ratio:
     """Share of people who once stayed within 0.1 m for 5 s, more than 0.5 m from their goal."""
     where = rollout.trace, rollout.goal, rollout.scored
     if rollout.replayed:
-        return share(Runs.of(rollout.scored).any(navigation.stuck(*where)), _walks(rollout).there)
-    return share(navigation.deadlocked(*where), rollout.mask)
+        return share(Runs.of(rollout.scored).any(arrival_functions.stuck(*where)), _walks(rollout).there)
+    return share(arrival_functions.deadlocked(*where), rollout.mask)
 
 
 @metric("ordinary")
@@ -99,26 +99,26 @@ def goals_per_person(rollout: Rollout) -> Ratio:
 @metric("ordinary")
 def goals_per_person_min(rollout: Rollout) -> Ratio:
     """Goals of an episode's person with the fewest."""
-    return ratio(navigation.fewest_goals(rollout.reached, rollout.mask))
+    return ratio(arrival_functions.fewest_goals(rollout.reached, rollout.mask))
 
 
 @metric("ordinary")
 def goals_per_person_max(rollout: Rollout) -> Ratio:
     """Goals of an episode's person with the most."""
-    return ratio(navigation.most_goals(rollout.reached, rollout.mask))
+    return ratio(arrival_functions.most_goals(rollout.reached, rollout.mask))
 
 
 @metric("ordinary")
 def goals_parity(rollout: Rollout) -> Ratio:
     """Fewest goals divided by most, mean over episodes in which a goal is reached."""
-    most = navigation.most_goals(rollout.reached, rollout.mask)
-    fewest = navigation.fewest_goals(rollout.reached, rollout.mask)
+    most = arrival_functions.most_goals(rollout.reached, rollout.mask)
+    fewest = arrival_functions.fewest_goals(rollout.reached, rollout.mask)
     return mean(fewest.double() / most.clamp_min(1), most > 0)
 
 
 def _episode_seconds(rollout: Rollout) -> Tensor:
-    seconds = navigation.finish_seconds(rollout.reached, rollout.goals)
-    return navigation.episode_seconds(seconds, _walks(rollout).arrived, _walks(rollout).there)
+    seconds = arrival_functions.finish_seconds(rollout.reached, rollout.goals)
+    return arrival_functions.episode_seconds(seconds, _walks(rollout).arrived, _walks(rollout).there)
 
 
 @metric("ordinary")
@@ -157,20 +157,20 @@ def path_ratio(rollout: Rollout) -> Ratio:
 def spl(rollout: Rollout) -> Ratio:
     """Success weighted by path length, mean over people.
 
-    See `pedzoo.metrics.navigation.weighted`.
+    See `pedzoo.metrics.arrival_functions.weighted`.
     """
     walks = _walks(rollout)
-    return ratio(navigation.weighted(walks.arrived, walks.planned, walks.walked), walks.there)
+    return ratio(arrival_functions.weighted(walks.arrived, walks.planned, walks.walked), walks.there)
 
 
 @metric("ordinary")
 def stl(rollout: Rollout) -> Ratio:
     """Success weighted by time, mean over people.
 
-    See `pedzoo.metrics.navigation.weighted`.
+    See `pedzoo.metrics.arrival_functions.weighted`.
     """
     walks = _walks(rollout)
-    return ratio(navigation.weighted(walks.arrived, walks.needed, walks.taken), walks.there)
+    return ratio(arrival_functions.weighted(walks.arrived, walks.needed, walks.taken), walks.there)
 
 
 def time_ratios(rollout: Rollout) -> tuple[Tensor, Tensor]:

@@ -2,7 +2,7 @@
 
 from torch import Tensor
 
-from pedzoo.metrics import safety
+from pedzoo.metrics import contact_functions
 from pedzoo.metrics.ratios import Ratio, finite, mean, metric, once, ratio, share
 from pedzoo.metrics.smoothness import WINDOW, velocities
 from pedzoo.sim.rollout import Rollout
@@ -15,12 +15,12 @@ def untouched(rollout: Rollout) -> Tensor:
 
 
 def _events(rollout: Rollout, contact: Tensor) -> Tensor:
-    return safety.contact_events(contact & rollout.scored)
+    return contact_functions.contact_events(contact & rollout.scored)
 
 
 @once
 def _nearest(rollout: Rollout) -> Tensor:
-    return safety.nearest(rollout.trace, rollout.present)
+    return contact_functions.nearest(rollout.trace, rollout.present)
 
 
 @metric()
@@ -32,7 +32,7 @@ def contact_free(rollout: Rollout) -> Ratio:
 @metric()
 def agent_contacts_per_min(rollout: Rollout) -> Ratio:
     """Contacts with other people per minute that a person walks; one that lasts counts once."""
-    return ratio(_events(rollout, rollout.agent_contact), safety.person_minutes(rollout.scored))
+    return ratio(_events(rollout, rollout.agent_contact), contact_functions.person_minutes(rollout.scored))
 
 
 @metric()
@@ -50,7 +50,7 @@ def agent_contact_episodes(rollout: Rollout) -> Ratio:
 @metric()
 def wall_contacts_per_min(rollout: Rollout) -> Ratio:
     """Contacts with walls per minute that a person walks; one that lasts counts once."""
-    return ratio(_events(rollout, rollout.wall_contact), safety.person_minutes(rollout.scored))
+    return ratio(_events(rollout, rollout.wall_contact), contact_functions.person_minutes(rollout.scored))
 
 
 @metric()
@@ -68,23 +68,23 @@ def wall_contact_episodes(rollout: Rollout) -> Ratio:
 @metric()
 def personal_space(rollout: Rollout) -> Ratio:
     """Share of people's 0.1 s points at which no other person is within 0.5 m."""
-    return ratio(safety.keeps_distance(_nearest(rollout), rollout.scored), rollout.scored)
+    return ratio(contact_functions.keeps_distance(_nearest(rollout), rollout.scored), rollout.scored)
 
 
 @metric("ordinary")
 def personal_space_igibson(rollout: Rollout) -> Ratio:
     """Personal space as iGibson counts it, mean over people.
 
-    See `pedzoo.metrics.safety.compliance_igibson`.
+    See `pedzoo.metrics.contact_functions.compliance_igibson`.
     """
-    stored = safety.compliance_igibson(_nearest(rollout), rollout.scored)
+    stored = contact_functions.compliance_igibson(_nearest(rollout), rollout.scored)
     return ratio(stored.where(rollout.mask, 0.0), rollout.mask)
 
 
 @metric()
 def least_distance_m(rollout: Rollout) -> Ratio:
     """Distance between centres of an episode's nearest two, mean over episodes in which people meet."""
-    return finite(safety.least_distance(_nearest(rollout), rollout.scored).amin(1))
+    return finite(contact_functions.least_distance(_nearest(rollout), rollout.scored).amin(1))
 
 
 @once
@@ -92,7 +92,7 @@ def _collisions(rollout: Rollout) -> tuple[Tensor, Tensor]:
     """Return seconds to collision at the ends of 0.4 s windows (E, A, S), and where people meet others."""
     velocity, there = velocities(rollout.path, rollout.met)
     ends = slice(WINDOW - 1, None, WINDOW)
-    seconds = safety.time_to_collision(rollout.trace[:, :, ends], velocity, there, rollout.radius)
+    seconds = contact_functions.time_to_collision(rollout.trace[:, :, ends], velocity, there, rollout.radius)
     return seconds, seconds.isfinite() & rollout.scored[:, :, ends]
 
 
@@ -106,4 +106,4 @@ def time_to_collision_s(rollout: Rollout) -> Ratio:
 def time_to_collision_capped(rollout: Rollout) -> Ratio:
     """Share of these times at the cap."""
     seconds, meets = _collisions(rollout)
-    return mean(seconds >= safety.HORIZON, meets)
+    return mean(seconds >= contact_functions.HORIZON, meets)

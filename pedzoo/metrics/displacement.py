@@ -8,7 +8,7 @@ sample for all people of a window together (Gupta et al., "Social GAN", CVPR 201
 import torch
 from torch import Tensor
 
-from pedzoo.metrics.sums.scene_mean import SceneMean
+from pedzoo.metrics.statistics.scene_mean import SceneMean
 
 MISS = 2.0
 """Metres: a forecast that ends farther off has missed."""

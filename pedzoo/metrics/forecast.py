@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from torchmetrics import Metric, MetricCollection
 
 from pedzoo.metrics import displacement as d
-from pedzoo.metrics.likelihood import CalibrationError, NegativeLogLikelihood
+from pedzoo.metrics.forecast_nll import CalibrationError, NegativeLogLikelihood
 from pedzoo.models.base import Forecaster, known_displacements
 
 

@@ -12,7 +12,7 @@ from weakref import WeakKeyDictionary
 import torch
 from torch import Tensor
 
-from pedzoo.metrics.sums.intervals import Interval, bootstrap, wilson
+from pedzoo.metrics.statistics.intervals import Interval, bootstrap, wilson
 from pedzoo.sim.rollout import Rollout
 
 T = TypeVar("T")

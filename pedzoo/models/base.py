@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
     from pedzoo.maps.grid import OccupancyGrid
     from pedzoo.models.zoo.card import ModelCard
+    from pedzoo.policies.controller.controller import Controller
     from pedzoo.policies.learned.walker import Walker
-    from pedzoo.policies.stepping.controller import Controller
 
 Noise = Literal["episode", "step", "scene", "mixed"]
 """How often noise is drawn for people who walk; see `pedzoo.policies.learned.walker.Walker`."""
@@ -35,7 +35,7 @@ class Walking:
     """How a model walks, unless its policy has other settings.
 
     Attributes:
-        safety: Keep clear of others and walls, see `pedzoo.policies.learned.safety`.
+        safety: Keep clear of others and walls, see `pedzoo.policies.safety_layer.layer`.
         extend_goal: Do not slow down round corners, see `pedzoo.policies.learned.walker.extend_goals`.
     """
 
@@ -57,7 +57,7 @@ class Forecaster(nn.Module):
         mode_at_zero: The most likely future is that of noise zero.
         walking_noise: How often its noise is drawn when it walks, by default.
         walking_safety: Whether its steps are kept clear of people and walls when it walks, by default;
-            see `pedzoo.policies.learned.safety`.
+            see `pedzoo.policies.safety_layer.layer`.
         walking_extend_goal: Whether nearer goals are moved out when it walks, likewise; see
             `pedzoo.policies.learned.walker.extend_goals`.
         goal_protocol: The goal protocol that it was trained on; None where it does not matter.
@@ -131,13 +131,13 @@ class Forecaster(nn.Module):
         Args:
             map: The floor plan that they walk on, its name (``apartment.7``) or file; None for open space.
             noise: As of `policy`.
-            settings: As of `pedzoo.policies.stepping.controller.Controller`: ``dt``, ``pref_speed``,
+            settings: As of `pedzoo.policies.controller.controller.Controller`: ``dt``, ``pref_speed``,
                 ``seed``, ...
 
         Raises:
             UserError: There is no such floor plan, or a setting is out of range.
         """
-        controller = _above("pedzoo.policies.stepping.controller").Controller
+        controller = _above("pedzoo.policies.controller.controller").Controller
         return controller(self.policy(noise), map, **settings)
 
     def prepare(self, batches: Iterable[TensorDict], seed: int = 0) -> None:

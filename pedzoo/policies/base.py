@@ -8,7 +8,7 @@ from typing import Any, Self
 from tensordict.nn import TensorDictModuleBase
 
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.policies.stepping.controller import Controller
+from pedzoo.policies.controller.controller import Controller
 
 
 class NamedPolicy(TensorDictModuleBase):

@@ -11,8 +11,8 @@ from pedzoo.core.bodies import Fleet, RobotBody
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import ROBOT_POLICIES, names_code
 from pedzoo.core.spec import name_of
-from pedzoo.models.zoo.fitting import check_settings, check_shapes, check_tensors
-from pedzoo.models.zoo.header import config_in, opened
+from pedzoo.models.zoo.compatibility import check_settings, check_shapes, check_tensors
+from pedzoo.models.zoo.file_header import config_in, opened
 from pedzoo.models.zoo.loading import read_checkpoint
 from pedzoo.models.zoo.store import find, weights_of
 from pedzoo.policies.local_planner import LocalPlanner, ObservedPeople, Robot, load_local_planner

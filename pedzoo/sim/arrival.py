@@ -10,8 +10,8 @@ from torch import Tensor
 from pedzoo.core.errors import UserError
 from pedzoo.core.randomness import Draws
 from pedzoo.core.types import GOAL_RADIUS
-from pedzoo.sim.motion import MotionInput
 from pedzoo.sim.scenario_parts.scenario import PreparedScenario
+from pedzoo.sim.step_result import MotionInput
 
 LEAST_TIME_LIMIT = 20.0
 """Least time limit for a goal, seconds."""

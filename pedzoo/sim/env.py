@@ -23,12 +23,12 @@ from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim import kernel
 from pedzoo.sim.dynamics import substeps
 from pedzoo.sim.episodes import Episodes
-from pedzoo.sim.motion import Events
 from pedzoo.sim.observation import action_spec, done_spec, observation_spec, observed, reward_spec
 from pedzoo.sim.physics_parts.base import Physics
 from pedzoo.sim.physics_parts.state_picture import picture_of
 from pedzoo.sim.scenario_parts.scenario import WARM_SECONDS, PreparedScenario, Scenario
 from pedzoo.sim.state import TRACE_PER_STEP, Scenes, State
+from pedzoo.sim.step_result import Events
 from pedzoo.sim.warm_start import WarmStart
 
 _MADE, _AGENTS_MADE, _DEEPEST = 512, 2560, 128
@@ -42,7 +42,7 @@ class PedestrianEnv(EnvBase):
     metrics read ``agents/info``. Its ``trace``, ``agent_contact``, ``wall_contact`` and ``reached`` are
     those of every 0.1 s since the last decision (`Events`), ``overdue`` and ``remaining_path`` of `State`.
 
-    The reward is the path that got shorter, in metres, less `pedzoo.sim.motion.CONTACT_COST` for a contact.
+    The reward is the path that got shorter, in metres, less `step_result.CONTACT_COST` for a contact.
     Noise is drawn by `scene_key`, which names the scene in any row.
 
     Attributes:

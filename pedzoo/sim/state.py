@@ -9,7 +9,7 @@ from torch import Tensor
 
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
 from pedzoo.maps.planning.guidance import Guidance
-from pedzoo.sim.motion import CLOCK_ROUNDING
+from pedzoo.sim.step_result import CLOCK_ROUNDING
 
 TRACE_PER_STEP = round(STEP_SECONDS / TRACE_SECONDS)
 """Trace points in one step of the networks' clock."""

@@ -10,9 +10,9 @@ from torch import Tensor
 from pedzoo.core.randomness import Draws
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.maps.planning.guidance import Guidance
-from pedzoo.sim.motion import CLOCK_ROUNDING
 from pedzoo.sim.scenario_parts.scenario import Scenario
 from pedzoo.sim.state import State
+from pedzoo.sim.step_result import CLOCK_ROUNDING
 
 
 class WaitingUpdate(NamedTuple):

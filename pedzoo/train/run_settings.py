@@ -11,7 +11,7 @@ from typing import Any, get_args, get_type_hints
 
 from pedzoo.core.errors import UserError
 from pedzoo.data.datamodule import TrajectoryDataModule
-from pedzoo.models.zoo.keys import refuse_code
+from pedzoo.models.zoo.typed_fields import refuse_code
 from pedzoo.train.modules.module import ForecastModule
 from pedzoo.train.validation.rollout_validation import ClosedLoopValidation
 

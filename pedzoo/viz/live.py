@@ -19,7 +19,7 @@ from torchrl.envs.utils import step_mdp
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import move_to_map
 from pedzoo.core.types import TRACE_SECONDS
-from pedzoo.eval.episodes import packed_episode, packed_plan
+from pedzoo.eval.packed_episodes import packed_episode, packed_plan
 from pedzoo.eval.rollout import Recorder, prepare
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.walls.boxes import boxes

@@ -23,7 +23,7 @@ from pedzoo.core.paths import write_whole
 from pedzoo.core.types import GOAL_RADIUS, TRACE_SECONDS
 from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.metrics.safety import begins
+from pedzoo.metrics.contact_functions import begins
 from pedzoo.sim.physics_parts.camera import person_color
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.state import TRACE_PER_STEP

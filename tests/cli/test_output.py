@@ -17,7 +17,7 @@ from pedzoo.cli.output import print_report, print_tables, write_and_print
 from pedzoo.eval.results import ResultTable
 from pedzoo.eval.workers.progress_meter import ProgressReport
 from pedzoo.maps.files.ros import write_ros
-from pedzoo.maps.library import flat
+from pedzoo.maps.named_plans import flat
 from tools.bench.tables import print_bench
 
 ODD = "[/a/b.yaml,[bold]c[/]]:door:"

@@ -20,9 +20,9 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose, move_to_scene, turn_to_scene
 from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.plain import rectangles, room
+from pedzoo.maps.from_rectangles import rectangles, room
+from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.load import load_policy
-from pedzoo.policies.stepping.controller import Controller
 from pedzoo.sim.make import make_env
 
 ROOM = rectangles(room((-6.0, -6.0), (6.0, 6.0), 0.1))

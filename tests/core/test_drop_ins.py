@@ -73,7 +73,7 @@ PHYSICS = '''
     import torch
 
     from pedzoo.core.batch import ROBOT
-    from pedzoo.sim.motion import OwnedMotion
+    from pedzoo.sim.step_result import OwnedMotion
     from pedzoo.sim.physics.torch import Torch
 
 

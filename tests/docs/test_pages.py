@@ -66,7 +66,7 @@ MADE = {
     "README.md": ("door.png", "door.webm"),
     "docs/simulate.md": ("door.png", "door.webm", "walk.json", "plans.png"),
     "docs/evaluate.md": ("out.json", "walked.json", "walked.md"),
-    "docs/own.md": ("rooms.yaml", "rooms.png"),
+    "docs/extending.md": ("rooms.yaml", "rooms.png"),
     "docs/zoo.md": ("zoo/sgan_goal.embedded/card.yaml", "my_model/README.md"),
 }
 """Files that the commands of a page have to write."""

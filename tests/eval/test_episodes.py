@@ -11,8 +11,8 @@ import torch
 from helpers.episodes import unpacked_plan, unpacked_tracks
 
 from pedzoo.core.geometry import move_to_map
-from pedzoo.eval.episodes import packed_episode, packed_episodes, packed_plan
 from pedzoo.eval.evaluate import evaluate
+from pedzoo.eval.packed_episodes import packed_episode, packed_episodes, packed_plan
 from pedzoo.eval.rollout import rollout
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid

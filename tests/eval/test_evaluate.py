@@ -27,11 +27,11 @@ from pedzoo.eval.results import SuiteColumns, cell, markdown, pages
 from pedzoo.eval.suite import EvaluationOptions
 from pedzoo.eval.suites.goals import CELLS, POOL
 from pedzoo.eval.summary import mean_interval, summary
-from pedzoo.eval.units import digest, work
+from pedzoo.eval.work_units import digest, work
 from pedzoo.eval.workers.journal import Journal
 from pedzoo.eval.workers.progress_meter import ProgressReport
 from pedzoo.maps.files.ros import write_ros
-from pedzoo.maps.library import flat
+from pedzoo.maps.named_plans import flat
 from pedzoo.models.zoo.card import write_card
 from pedzoo.viz.fundamental import plot_density_speed
 

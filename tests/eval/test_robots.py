@@ -19,8 +19,8 @@ from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.robots import robot_rollout, robot_row
 from pedzoo.eval.suite import EvaluationOptions
 from pedzoo.eval.suites import robots as suite
-from pedzoo.eval.units import digest, work
-from pedzoo.metrics.robots.legend import LEGEND
+from pedzoo.eval.work_units import digest, work
+from pedzoo.metrics.robots.descriptions import LEGEND
 from pedzoo.models.zoo.store import find
 from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.sim.robot_parts.rollout import RobotRollout

@@ -16,14 +16,15 @@ from pedzoo.data.tracks import Tracks
 from pedzoo.eval.evaluate import evaluate
 from pedzoo.eval.scoring.crowds import ScoredCrowd, recorded_crowd
 from pedzoo.eval.scoring.files import file_crowd
-from pedzoo.eval.scoring.likelihood import bins, likelihood, policy_windows, recorded_windows
 from pedzoo.eval.scoring.rows import row
 from pedzoo.eval.scoring.same_people import companions
 from pedzoo.eval.scoring.score import Reference
 from pedzoo.eval.scoring.windows import STEPS, JointWindows, windows_of
+from pedzoo.eval.scoring.wosac import bins, likelihood, policy_windows, recorded_windows
 from pedzoo.eval.suite import OwnRecordings
+from pedzoo.metrics.realism.bottlenecks import through
 from pedzoo.metrics.realism.crowdes import ScoredSteps, columns
-from pedzoo.metrics.realism.joint_likelihood import (
+from pedzoo.metrics.realism.wosac import (
     BINS,
     MEASURED,
     ROLLOUTS,
@@ -31,7 +32,6 @@ from pedzoo.metrics.realism.joint_likelihood import (
     displacement,
     measured_likelihood,
 )
-from pedzoo.metrics.realism.openings import through
 from pedzoo.sim.replay.people import without_goals
 from pedzoo.sim.scenarios.replay import PreparedReplay
 

@@ -12,7 +12,7 @@ from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.eval.forecast import forecast_row
 from pedzoo.eval.time_blocks import BlockSums, blocks
 from pedzoo.metrics.forecast import ForecastScore
-from pedzoo.metrics.likelihood import NegativeLogLikelihood
+from pedzoo.metrics.forecast_nll import NegativeLogLikelihood
 from pedzoo.models.base import known_displacements, true_displacements
 from pedzoo.models.zoo.loading import load
 from tools.paper.line_density import NATS, line_likelihood, log_density, strayed

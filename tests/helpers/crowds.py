@@ -9,8 +9,8 @@ from torch import Tensor
 
 from pedzoo.core.geometry import limit_speed
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
-from pedzoo.maps.plain import rectangles, room, wall
-from pedzoo.policies.learned.clearance import ProposedSteps
+from pedzoo.maps.from_rectangles import rectangles, room, wall
+from pedzoo.policies.safety_layer.clearance import ProposedSteps
 
 ROOM = rectangles(
     [*room((-3.0, -3.0), (3.0, 3.0), 0.1), *wall((0.0, -3.0), (0.0, 3.0), 0.1, doors=[(3.0, 0.8)])]

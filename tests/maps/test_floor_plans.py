@@ -18,8 +18,8 @@ from pedzoo.maps.files.images import read_image
 from pedzoo.maps.files.read import read_plan
 from pedzoo.maps.files.ros import read_ros, write_ros
 from pedzoo.maps.free_space import free_points, spread_points
+from pedzoo.maps.from_rectangles import rectangles, room, wall
 from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
-from pedzoo.maps.plain import rectangles, room, wall
 from pedzoo.maps.walls.boxes import boxes
 
 

@@ -8,7 +8,7 @@ import torch
 
 from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.library import load_plan
+from pedzoo.maps.named_plans import load_plan
 from pedzoo.maps.planning.online import OnlinePlanner
 from pedzoo.maps.planning.planner import Planner
 

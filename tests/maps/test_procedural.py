@@ -22,7 +22,7 @@ from pedzoo.eval.rollout import rollout
 from pedzoo.maps.files.read import read_plan
 from pedzoo.maps.files.ros import write_ros
 from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
-from pedzoo.maps.library import flat, load_plan
+from pedzoo.maps.named_plans import flat, load_plan
 from pedzoo.maps.planning.graph import OpenGraph
 from pedzoo.maps.procedural.plan import KINDS, FloorPlan, generate, is_connected
 from pedzoo.maps.procedural.shapes import UNIT, Rect

@@ -15,7 +15,7 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.files.read import read_plan
 from pedzoo.maps.files.ros import read_ros
 from pedzoo.maps.grid import OCCUPIED, UNKNOWN, OccupancyGrid
-from pedzoo.maps.library import load_plan
+from pedzoo.maps.named_plans import load_plan
 from pedzoo.maps.walls.boxes import boxes, merge_cells
 
 

@@ -13,10 +13,10 @@ from torch import Tensor
 from pedzoo.eval.comparison import row
 from pedzoo.metrics.arrival import time_ratios
 from pedzoo.metrics.closed_loop import NAMES, ClosedLoopScore, closed_loop
-from pedzoo.metrics.person_runs import Runs
+from pedzoo.metrics.contact_functions import least_distance, nearest
 from pedzoo.metrics.ratios import summarised
-from pedzoo.metrics.safety import least_distance, nearest
-from pedzoo.metrics.sums.intervals import wilson
+from pedzoo.metrics.slots_to_persons import Runs
+from pedzoo.metrics.statistics.intervals import wilson
 from pedzoo.sim.rollout import OVER_TIME, Rollout, joined
 
 INF = float("inf")

@@ -16,7 +16,7 @@ from pedzoo.core.geometry import rotate
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.metrics import displacement as d
 from pedzoo.metrics.forecast import ForecastScore
-from pedzoo.metrics.likelihood import CalibrationError
+from pedzoo.metrics.forecast_nll import CalibrationError
 from pedzoo.models.architectures.bent_line import BentLine
 from pedzoo.models.architectures.constant_velocity import ConstantVelocity
 from pedzoo.models.architectures.straight_line import StraightLine

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from pedzoo.metrics.navigation import (
+from pedzoo.metrics.arrival_functions import (
     arrived_in_time,
     deadlocked,
     episode_seconds,
@@ -17,7 +17,7 @@ from pedzoo.metrics.navigation import (
     walked_metres,
     weighted,
 )
-from pedzoo.metrics.sums.intervals import bootstrap, wilson
+from pedzoo.metrics.statistics.intervals import bootstrap, wilson
 
 INF = float("inf")
 

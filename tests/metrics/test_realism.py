@@ -16,6 +16,7 @@ from tensordict import TensorDictBase
 from pedzoo.core.geometry import identity_pose, rotate
 from pedzoo.eval.realism import reference_rows, replay_row
 from pedzoo.eval.rollout import prepare, walk
+from pedzoo.metrics.contact_functions import time_to_collision
 from pedzoo.metrics.realism.crowds import crowd, densities, density_speed, only, together
 from pedzoo.metrics.realism.distances import (
     Samples,
@@ -29,7 +30,6 @@ from pedzoo.metrics.realism.distances import (
 from pedzoo.metrics.realism.features import every_step, features, surroundings
 from pedzoo.metrics.realism.paths import closed_loop_error, dtw, padded
 from pedzoo.metrics.realism.walks import WalksByPerson, of_people, tracks_of, walks_of
-from pedzoo.metrics.safety import time_to_collision
 from pedzoo.policies.rule_based.go_to_goal import GoToGoal
 from pedzoo.sim.rollout import Rollout, joined
 from pedzoo.sim.scenarios.replay import PreparedReplay, Replay

@@ -14,8 +14,8 @@ from pedzoo.core.batch import ROBOT
 from pedzoo.core.bodies import Fleet, RobotBody
 from pedzoo.metrics.ratios import summarised
 from pedzoo.metrics.robots import driving, effect, proximity
-from pedzoo.metrics.robots.legend import LEGEND
-from pedzoo.metrics.robots.table import robot_metrics
+from pedzoo.metrics.robots.descriptions import LEGEND
+from pedzoo.metrics.robots.robot_metrics import robot_metrics
 from pedzoo.sim.robot_parts.rollout import RobotRollout, joined_robots
 from pedzoo.sim.rollout import Rollout
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from pedzoo.metrics import safety
-from pedzoo.metrics.safety import (
+from pedzoo.metrics import contact_functions
+from pedzoo.metrics.contact_functions import (
     compliance_igibson,
     contact_events,
     keeps_distance,
@@ -37,7 +37,7 @@ def test_minutes_are_those_in_which_a_person_is_there() -> None:
 def test_nearest_is_the_least_distance_to_anybody_else_who_is_there(
     at_once: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(safety, "_AT_ONCE", at_once)
+    monkeypatch.setattr(contact_functions, "_AT_ONCE", at_once)
     generator = torch.Generator().manual_seed(0)
     trace = 5 * torch.rand(3, 4, 50, 2, generator=generator)
     present = torch.rand(3, 4, 50, generator=generator) > 0.4
@@ -90,7 +90,7 @@ def test_time_to_collision_of_simple_encounters() -> None:
 def test_time_to_collision_is_when_discs_that_walk_on_first_touch(
     at_once: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(safety, "_AT_ONCE", at_once)
+    monkeypatch.setattr(contact_functions, "_AT_ONCE", at_once)
     generator = torch.Generator().manual_seed(0)
     position = 3 * torch.randn(2, 5, 20, 2, generator=generator)
     velocity = torch.randn(2, 5, 20, 2, generator=generator)

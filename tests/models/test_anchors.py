@@ -23,7 +23,7 @@ from pedzoo.models.architectures.anchor_net import AnchorNet
 from pedzoo.models.architectures.anchors import Anchors
 from pedzoo.models.blocks.anchored.clusters import clustered
 from pedzoo.models.blocks.anchored.forecaster import SPEEDS, AnchorForecaster
-from pedzoo.models.blocks.anchored.reversal import reversed_in_time
+from pedzoo.models.blocks.anchored.time_reversal import reversed_in_time
 from pedzoo.models.zoo.loading import load, save_weights
 
 NAMES = ("anchors", "anchor_mlp", "anchor_net")

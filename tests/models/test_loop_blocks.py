@@ -18,7 +18,7 @@ from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.blocks.floor_plan.map_rings import CLIP, RADII, RAYS, RingEncoder
 from pedzoo.models.blocks.mlp import ContextNoise
-from pedzoo.models.blocks.people import frame as frames
+from pedzoo.models.blocks.people import ego_frame
 from pedzoo.models.blocks.people.approach import ApproachPooling
 from pedzoo.models.blocks.people.crowd import Crowd
 
@@ -172,11 +172,11 @@ def test_the_way_hardly_turns_for_people_who_stop_and_the_heading_does() -> None
     goal = torch.tensor([[4.0, 0.0]]).expand(3, 2)
     moved = torch.zeros(3, 7, 2)
     moved[:, -1] = torch.tensor([[0.0, 0.02], [0.0, -0.02], [-0.02, 0.0]])
-    way, heading = frames.way(moved, goal), frames.heading(moved, goal)
+    way, heading = ego_frame.way(moved, goal), ego_frame.heading(moved, goal)
     assert torch.allclose(way.norm(dim=-1), torch.ones(3))
     assert bool((way[:, 0] > 0.999).all())
     assert bool((heading[:2, 0] < 0.95).all())
-    standing = frames.way(torch.zeros(1, 7, 2), torch.zeros(1, 2))  # nowhere to go: some direction
+    standing = ego_frame.way(torch.zeros(1, 7, 2), torch.zeros(1, 2))  # nowhere to go: some direction
     assert float(standing.norm()) == pytest.approx(1.0)
 
 

@@ -12,7 +12,7 @@ from pedzoo.core.batch import agents_of, goals_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import MODELS
 from pedzoo.models.base import Forecaster
-from pedzoo.models.blocks.people import lines
+from pedzoo.models.blocks.people import linear_extrapolation
 from pedzoo.models.zoo.loading import build, config_of, load
 
 
@@ -132,14 +132,14 @@ def test_lines_end_at_a_timed_goal_and_do_not_overshoot_others(name: str) -> Non
 def test_bent_line_starts_with_the_last_velocity() -> None:
     """The quadratic p8 + k v + (k / T)^2 (g - p8 - T v)."""
     last, goal = torch.tensor([0.3, -0.1]), torch.tensor([2.0, 2.0])
-    path = lines.bent_line(last, goal, 4, timed=True)
+    path = linear_extrapolation.bent_line(last, goal, 4, timed=True)
     by_hand = [k * last + (k / 4) ** 2 * (goal - 4 * last) for k in range(5)]
     torch.testing.assert_close(path, torch.stack(by_hand).diff(dim=0))
 
 
 def test_a_goal_at_ones_feet_divides_nothing_by_zero() -> None:
     nowhere = torch.zeros(3, 2)
-    for line in (lines.straight_line, lines.bent_line):
+    for line in (linear_extrapolation.straight_line, linear_extrapolation.bent_line):
         path = line(torch.tensor([0.4, 0.0]).expand(3, 2), nowhere, 8, timed=False)
         assert path.isfinite().all()
         torch.testing.assert_close(path.sum(-2), nowhere)

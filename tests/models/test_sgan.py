@@ -21,7 +21,7 @@ from pedzoo.core.types import GoalProtocol
 from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.maps.bank import MapBank
 from pedzoo.models.architectures.sgan import SGAN
-from pedzoo.models.blocks.people import lines
+from pedzoo.models.blocks.people import linear_extrapolation
 from pedzoo.models.blocks.people.crowd import Crowd
 
 SMALL: dict[str, Any] = {
@@ -70,7 +70,7 @@ def plain_path(model: SGAN, batch: TensorDict, scene: int, z: Tensor) -> Tensor:
     path = plain_decoder(model.decoder, hidden, torch.zeros_like(last), steps)
     if model.residual == "constant_velocity":
         return path + last.unsqueeze(1)
-    return path + lines.bent_line(last, agents["goal"][scene, there] - here, steps, timed=True)
+    return path + linear_extrapolation.bent_line(last, agents["goal"][scene, there] - here, steps, timed=True)
 
 
 def plain_error(model: SGAN, batch: TensorDict, scene: int, path: Tensor) -> Tensor:
@@ -324,9 +324,9 @@ def test_untrained_residual_is_the_line_itself(frame: str, protocol: GoalProtoco
         model = SGAN.of(frame=frame, residual=residual, goal_dim=4, goal_protocol=protocol, bottleneck_dim=8)  # type: ignore[arg-type]
         for steps in (1, 8, 12):
             to_goal = agents["goal"] - agents["history"][:, :, -1]
-            wanted = lines.constant_velocity(last, steps)
+            wanted = linear_extrapolation.constant_velocity(last, steps)
             if residual == "bent_line":
-                wanted = lines.bent_line(last, to_goal, steps, timed=protocol == "window_end")
+                wanted = linear_extrapolation.bent_line(last, to_goal, steps, timed=protocol == "window_end")
             for path in (model.mode(batch, steps)[:, 0], model.sample(batch, 2, steps)[:, 1]):
                 assert torch.equal(path[agents["mask"]], wanted[agents["mask"]])
             if residual == "bent_line" and protocol == "window_end":

@@ -17,12 +17,12 @@ from pedzoo.core.batch import PERSON, ROBOT, agents_of, companions_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import blended, limit_speed
 from pedzoo.core.types import GOAL_RADIUS, TOP_SPEED_RATIO
-from pedzoo.maps.plain import rectangles, room, wall
+from pedzoo.maps.from_rectangles import rectangles, room, wall
 from pedzoo.maps.planning.planner import Planner
+from pedzoo.policies.controller.arguments import number_of
+from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.policy import Policy
-from pedzoo.policies.stepping.called_with import number_of
-from pedzoo.policies.stepping.controller import Controller
 
 # two rooms of 5 x 6 m with a door of 1.2 m between, and a third behind a wall without one
 ROOMS = rectangles(

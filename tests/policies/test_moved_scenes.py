@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from pedzoo.core.registry import POLICIES
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.library import load_plan
+from pedzoo.maps.named_plans import load_plan
+from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.learned.same_spot import PUSH, led_apart
 from pedzoo.policies.load import load_policy
-from pedzoo.policies.stepping.controller import Controller
 
 WEIGHTS = ("sgan.zara1", "sgan_pool.zara1", "sgan_goal.indoor", "sgan_goal_map.indoor", "social_vrnn.zara1")
 BASELINES = ("constant_velocity", "straight_line", "bent_line", "go_to_goal:safety=true")

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
-from pedzoo.policies import neighbors
-from pedzoo.policies.neighbors import nearest
+from pedzoo.policies import nearest_agents
+from pedzoo.policies.nearest_agents import nearest
 from pedzoo.policies.orca.settings import OrcaSettings
 from pedzoo.policies.orca.velocity import orca_velocity
 from pedzoo.sim.physics.compiled import Compiled
@@ -24,7 +24,7 @@ WAYS = pytest.mark.parametrize("all_pairs", [10_000, 0], ids=["all pairs", "cell
 def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Search in the way of the parameter."""
     if "all_pairs" in request.fixturenames:
-        monkeypatch.setattr(neighbors, "ALL_PAIRS", request.getfixturevalue("all_pairs"))
+        monkeypatch.setattr(nearest_agents, "ALL_PAIRS", request.getfixturevalue("all_pairs"))
 
 
 def scene(kind: str, scenes: int = 3, agents: int = 24) -> tuple[Tensor, Tensor]:
@@ -119,11 +119,11 @@ def test_a_network_sorts_small_scenes_in_the_same_order(
     agents: int, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     position, mask = scene(kind, 150, agents)
-    assert agents <= neighbors.NETWORK
+    assert agents <= nearest_agents.NETWORK
     for rows in (None, mask.flatten().nonzero()[:, 0]):
         result = []
         for least in (1, 10**9):
-            monkeypatch.setattr(neighbors, "NETWORK_PEOPLE", least)
+            monkeypatch.setattr(nearest_agents, "NETWORK_PEOPLE", least)
             result.append(nearest(position, mask, 5.0, 4, rows))
         network, sort = result
         assert torch.equal(network.index, sort.index)
@@ -164,7 +164,7 @@ def test_a_crowd_of_500_walks_and_touches_the_same_in_both_ways(monkeypatch: pyt
     path = position[:, :, None, None] + velocity[:, :, None, None] * steps
     result = []
     for all_pairs in (10_000, 0):
-        monkeypatch.setattr(neighbors, "ALL_PAIRS", all_pairs)
+        monkeypatch.setattr(nearest_agents, "ALL_PAIRS", all_pairs)
         for most in (10, None):
             settings = OrcaSettings(max_neighbors=most or 500)
             result.append(orca_velocity(position, velocity, wish, speed, mask, settings))

@@ -13,11 +13,11 @@ from torch import Tensor
 from pedzoo.core.geometry import identity_pose
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.plain import rectangles, room, wall
-from pedzoo.policies.learned.clearance import MARGIN, ProposedSteps
-from pedzoo.policies.learned.precedence import LEAST_SHARE, precedence
-from pedzoo.policies.learned.safety import kept_clear, kept_clear_in_torch
+from pedzoo.maps.from_rectangles import rectangles, room, wall
 from pedzoo.policies.load import load_policy
+from pedzoo.policies.safety_layer.clearance import MARGIN, ProposedSteps
+from pedzoo.policies.safety_layer.layer import kept_clear, kept_clear_in_torch
+from pedzoo.policies.safety_layer.precedence import LEAST_SHARE, precedence
 from pedzoo.sim.make import make_env
 
 NARROW = rectangles(

@@ -14,16 +14,16 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.plain import rectangles, room, wall
+from pedzoo.maps.from_rectangles import rectangles, room, wall
 from pedzoo.maps.walls.local_walls import LocalWalls
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.loading import load
-from pedzoo.policies.learned.clearance import MARGIN, SHOULDERS, ProposedSteps
-from pedzoo.policies.learned.precedence import SPREAD
-from pedzoo.policies.learned.safety import kept_clear, safe
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.policy import Policy
+from pedzoo.policies.safety_layer.clearance import MARGIN, SHOULDERS, ProposedSteps
+from pedzoo.policies.safety_layer.layer import kept_clear, safe
+from pedzoo.policies.safety_layer.precedence import SPREAD
 from pedzoo.sim.make import make_env
 
 ROOM = rectangles(

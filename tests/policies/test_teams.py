@@ -20,12 +20,12 @@ from pedzoo.core.geometry import blended, identity_pose
 from pedzoo.eval.rollout import prepare, rollout, run
 from pedzoo.eval.suite import EvaluationCase, WorkUnit
 from pedzoo.eval.trained_on import for_fold, has_seen
-from pedzoo.eval.units import digest
+from pedzoo.eval.work_units import digest
 from pedzoo.maps.bank import MapBank
+from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.crowd_names import Member, is_crowd, members, parts
 from pedzoo.policies.load import load_policy, teams
 from pedzoo.policies.policy import Policy, has_noise, walkers
-from pedzoo.policies.stepping.controller import Controller
 from pedzoo.policies.teams import Teams
 from pedzoo.sim.make import make_env
 from pedzoo.sim.rollout import Rollout
@@ -510,5 +510,5 @@ def test_a_unit_of_a_mixed_crowd_knows_its_weights(monkeypatch: pytest.MonkeyPat
     ]
     before = [digest(unit) for unit in units]
     assert len(set(before)) == 3 and before == [digest(unit) for unit in units]
-    monkeypatch.setattr("pedzoo.eval.units.sha256_of", lambda path: "another file")
+    monkeypatch.setattr("pedzoo.eval.work_units.sha256_of", lambda path: "another file")
     assert digest(units[0]) == before[0] and digest(units[1]) != before[1]

@@ -15,11 +15,11 @@ from torch import Tensor
 from pedzoo.core.batch import PERSON, ROBOT
 from pedzoo.core.geometry import move_to_scene, turn_to_scene
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.plain import rectangles, room
-from pedzoo.policies.learned.clearance import ProposedSteps
-from pedzoo.policies.learned.yielding import yielding
+from pedzoo.maps.from_rectangles import rectangles, room
+from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.load import load_policy
-from pedzoo.policies.stepping.controller import Controller
+from pedzoo.policies.safety_layer.clearance import ProposedSteps
+from pedzoo.policies.safety_layer.yielding import yielding
 
 CORRIDOR = rectangles(room((-8.0, -1.2), (8.0, 1.2), 0.2), resolution=0.05)
 

@@ -16,7 +16,7 @@ from pedzoo.core.spec import Spec, setting_types
 from pedzoo.eval.comparison import Comparison
 from pedzoo.eval.rollout import rollout
 from pedzoo.maps.files.ros import write_ros
-from pedzoo.maps.plain import rectangles, room, wall
+from pedzoo.maps.from_rectangles import rectangles, room, wall
 from pedzoo.sim.make import make_env
 from pedzoo.sim.scenario_parts.in_yaml import KEYS
 from pedzoo.sim.scenarios.custom import SWAP, Custom

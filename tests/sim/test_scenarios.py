@@ -20,7 +20,7 @@ from pedzoo.eval.comparison import row
 from pedzoo.eval.rollout import rollout
 from pedzoo.maps.files.read import read_plan
 from pedzoo.maps.files.ros import write_ros
-from pedzoo.maps.library import flat
+from pedzoo.maps.named_plans import flat
 from pedzoo.models.zoo.loading import baselines, list_models, load, save_weights
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.load import load_policy

@@ -20,12 +20,12 @@ from pedzoo.metrics.realism import features as score_features
 from pedzoo.models.architectures.social_walker import SocialWalker
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.train.crowds.comparison import MANNER_DIM, coarse, compared, parted, summaries
+from pedzoo.train.crowds.crowd_walk import CrowdWalk, recorded, walked_on
+from pedzoo.train.crowds.discriminator import Judge, legible
 from pedzoo.train.crowds.excerpts import Excerpts, RecordedCrowd, excerpts
-from pedzoo.train.crowds.judge import Judge, legible
-from pedzoo.train.crowds.likeness import CrowdLikeness, largest
+from pedzoo.train.crowds.realism_loss import CrowdLikeness, largest
 from pedzoo.train.crowds.validation import whole_replays
-from pedzoo.train.crowds.walking_on import CrowdWalk, recorded, walked_on
-from pedzoo.train.loop.likeness import wasserstein
+from pedzoo.train.loop.distribution_distances import wasserstein
 
 EARLY, LATE, SHORT = 0, 1, 2
 PLANNER = Planner(MapBank())

@@ -215,7 +215,7 @@ def test_fit_twice_one_epoch_is_fit_two() -> None:
 
 
 def test_a_controller_of_your_own_recordings(capsys: pytest.CaptureFixture[str]) -> None:
-    """As docs/own.md has it: the files are named in both halves; without them the fold is none."""
+    """As docs/extending.md has it: the files are named in both halves; without them the fold is none."""
     folder = Path(pedzoo.__file__).parent / "data" / "embedded"
     tracks = np.loadtxt(folder / "plaza_test.csv", delimiter=",", skiprows=1)
     tracks[:, 0] *= 4  # recorded at 0.1 s

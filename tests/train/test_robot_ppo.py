@@ -31,8 +31,8 @@ from pedzoo.sim.crowdnav.cases import cases
 from pedzoo.sim.crowdnav.rules import COLLISION, SUCCESS, TIMEOUT
 from pedzoo.sim.crowdnav.settings import CROWDNAV, CROWDNAV_PP
 from pedzoo.sim.robot_parts.make import make_robot_env
-from pedzoo.train.robots.crossing import CrossingEnv
-from pedzoo.train.robots.crowds import Crowds
+from pedzoo.train.robots.crowdnav_crowds import Crowds
+from pedzoo.train.robots.crowdnav_env import CrossingEnv
 from pedzoo.train.robots.experience import act, walked_once
 from pedzoo.train.robots.ppo import RobotPPO
 from pedzoo.train.robots.teacher import taught, teacher_of

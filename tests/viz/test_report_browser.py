@@ -13,7 +13,7 @@ from urllib.parse import quote
 import numpy as np
 import pytest
 
-from pedzoo.eval.episodes import _differences, _text, packed_plan
+from pedzoo.eval.packed_episodes import _differences, _text, packed_plan
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.viz.report.content import content_of
 from pedzoo.viz.report.page import page

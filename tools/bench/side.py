@@ -16,6 +16,7 @@ import inspect
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +28,10 @@ from answering import Step, TimedCase, serve  # pyright: ignore[reportMissingImp
 
 import pedzoo
 from pedzoo.maps.free_space import free_points
-from pedzoo.maps.library import load_plan
 from pedzoo.sim.make import make_env
+
+NAMED_PLANS = "pedzoo.maps.named_plans" if find_spec("pedzoo.maps.named_plans") else "pedzoo.maps.library"
+load_plan = import_module(NAMED_PLANS).load_plan
 
 SCENARIO = "goals:map=apartment.7,people={people}"
 MODEL = "sgan_goal_map.indoor"

@@ -26,10 +26,10 @@ from numpy.typing import NDArray
 from pedzoo.core.machine import versions
 from pedzoo.core.types import BODY_RADIUS, GOAL_RADIUS, TRACE_SECONDS
 from pedzoo.eval.results import markdown_table
+from pedzoo.maps.from_rectangles import rectangles, room
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.plain import rectangles, room
+from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.load import load_policy
-from pedzoo.policies.stepping.controller import Controller
 
 POLICIES = ("sgan_goal_map.indoor", "sgan_goal.indoor", "orca", "social_force:preset=indoor")
 ROBOT_RADIUS = 0.5

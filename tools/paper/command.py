@@ -62,7 +62,7 @@ What was interrupted goes on."""
 
     from pedzoo.cli.output import check_outputs, print_tables, write_json, write_text
     from pedzoo.cli.progress import overall_bar
-    from pedzoo.cli.words import whole_numbers
+    from pedzoo.cli.suggestions import whole_numbers
     from pedzoo.core.machine import versions
     from tools.paper.base import markdown
 

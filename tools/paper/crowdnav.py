@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from pedzoo.core.errors import UserError
 from pedzoo.core.fetch import sha256_of
 from pedzoo.eval.results import ResultTable
-from pedzoo.eval.units import fingerprint
+from pedzoo.eval.work_units import fingerprint
 from pedzoo.metrics.ratios import Ratio, mean, of_sums, ratio, share, summarised
 from pedzoo.policies.robot_weights import load_planner
 from pedzoo.sim.crowdnav.cases import cases

@@ -17,7 +17,7 @@ from pedzoo.eval.forecast import BASELINES, FLOOR, forecast_row
 from pedzoo.eval.results import ResultTable
 from pedzoo.eval.suites.replay import digest_of
 from pedzoo.eval.time_blocks import BlockSums
-from pedzoo.eval.units import fingerprint
+from pedzoo.eval.work_units import fingerprint
 from pedzoo.models.zoo.loading import load
 from pedzoo.models.zoo.store import find
 from tools.paper.base import Jobs

@@ -15,7 +15,7 @@ def run(argv: list[str]) -> int:
     from pedzoo.cli.output import check_outputs, print_pages, write_and_print, write_text
     from pedzoo.cli.parsing import PARSER_SETTINGS, parse
     from pedzoo.cli.progress import overall_bar
-    from pedzoo.cli.words import whole_numbers
+    from pedzoo.cli.suggestions import whole_numbers
     from pedzoo.core.errors import UserError
     from pedzoo.core.machine import versions
     from pedzoo.core.registry import SUITES

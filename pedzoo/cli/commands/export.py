@@ -108,10 +108,10 @@ def _onnx(options: argparse.Namespace) -> dict[str, Any]:
     need("onnx", "--onnx")
     need("train", "--onnx")  # the check against torch reads recordings
     from pedzoo.core.types import AHEAD_SECONDS, PRED_LEN
-    from pedzoo.maps.library import load_plan
+    from pedzoo.maps.named_plans import load_plan
     from pedzoo.models.export.onnx_export import export_onnx, save_plan
     from pedzoo.models.zoo.loading import load
-    from pedzoo.models.zoo.saved import saved_config
+    from pedzoo.models.zoo.saved_config import saved_config
 
     model = load(options.model)
     plan = load_plan(options.plan) if options.plan else None

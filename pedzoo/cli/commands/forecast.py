@@ -16,7 +16,7 @@ def run(argv: list[str]) -> int:
     from pedzoo.cli.output import check_outputs, print_report, write_and_print
     from pedzoo.cli.parsing import PARSER_SETTINGS, parse
     from pedzoo.cli.progress import progress_bar
-    from pedzoo.cli.words import given
+    from pedzoo.cli.suggestions import given
     from pedzoo.core.machine import versions
     from pedzoo.data.datamodule import Loading, TrajectoryDataModule
     from pedzoo.eval.forecast import forecast

@@ -13,7 +13,7 @@ from pedzoo.data.recordings import find_fold
 from pedzoo.eval.cards.reports import Job, Progress, Report, about, only, report_of
 from pedzoo.models.zoo.card import ModelCard
 from pedzoo.models.zoo.loading import load
-from pedzoo.models.zoo.saved import saved_config
+from pedzoo.models.zoo.saved_config import saved_config
 
 WALKS = [{"suites": [suite], "quick": True} for suite in ("door", "goals", "encounters")]
 """Where a card's model has walked, with a tenth of the episodes: that needs no files and takes a minute."""

@@ -14,8 +14,8 @@ from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.forecast import STAGES, forecast_row
 from pedzoo.eval.suite import EvaluationOptions
 from pedzoo.eval.workers.progress_meter import ProgressReport
-from pedzoo.models.zoo.keys import check, refuse_code
 from pedzoo.models.zoo.loading import load
+from pedzoo.models.zoo.typed_fields import check, refuse_code
 
 Progress = Callable[[str, int, int], None]
 Report = dict[str, Any]

@@ -14,10 +14,10 @@ from torch import Tensor
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.eval.rollout import Progress, prepare, walk
 from pedzoo.metrics.realism.clips import Clips, clips
-from pedzoo.metrics.realism.company import PersonSums, added, main_axis, measured
 from pedzoo.metrics.realism.crowdes import ScoredSteps
 from pedzoo.metrics.realism.crowds import CrowdSums, crowd, together
 from pedzoo.metrics.realism.features import SampledRollout, coarse, every_step, to_millimetres
+from pedzoo.metrics.realism.groups import PersonSums, added, main_axis, measured
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.policy import has_noise
 from pedzoo.sim.replay.people import RecordedPeople
@@ -47,7 +47,7 @@ class ScoredCrowd(NamedTuple):
         name: Its row.
         fine: As it is.
         coarse: Over coarse positions.
-        sums: Of `pedzoo.metrics.realism.company`.
+        sums: Of `pedzoo.metrics.realism.groups`.
         walks: Their scored steps; frames count from the recording's first row, recordings one after another.
         people: Its people.
         twin: The recorded person that each of them is (P,) long, -1 for strangers.

@@ -19,7 +19,7 @@ from pedzoo.metrics.realism.crowdes import columns
 from pedzoo.metrics.realism.crowds import compared, distances, only, resampled_distances, spreads
 from pedzoo.metrics.realism.distances import drawn_people, halves
 from pedzoo.metrics.realism.two_sample import FOLDS, Verdict, auc, two_sample
-from pedzoo.metrics.sums.intervals import Interval
+from pedzoo.metrics.statistics.intervals import Interval
 
 HALVES = "real halves"
 """The row of one half of the recorded people against the other: what a perfect crowd would score."""

@@ -13,17 +13,17 @@ from pedzoo.eval.results import SEEN
 from pedzoo.eval.rollout import Progress
 from pedzoo.eval.scoring.crowds import policy_crowd, recorded_crowd
 from pedzoo.eval.scoring.files import file_crowd, is_recording
-from pedzoo.eval.scoring.likelihood import (
+from pedzoo.eval.scoring.rows import RESAMPLES, real_rows, row, values_row
+from pedzoo.eval.scoring.windows import windows_of
+from pedzoo.eval.scoring.wosac import (
     OTHERS,
     others_likelihood,
     policy_windows,
     recorded_windows,
 )
-from pedzoo.eval.scoring.likelihood import likelihood as likelihood_of
-from pedzoo.eval.scoring.rows import RESAMPLES, real_rows, row, values_row
-from pedzoo.eval.scoring.windows import windows_of
+from pedzoo.eval.scoring.wosac import likelihood as likelihood_of
 from pedzoo.eval.trained_on import for_fold, has_seen
-from pedzoo.metrics.realism.openings import through
+from pedzoo.metrics.realism.bottlenecks import through
 from pedzoo.policies.load import load_policy
 from pedzoo.sim.make import prepare_scenario
 from pedzoo.sim.scenarios.replay import PreparedReplay, Replay
@@ -85,7 +85,7 @@ def score(
         dt: Seconds between consecutive frame numbers in the files of ``crowds``; None for rows that are
             0.4 s apart.
         physics: In which policies walk.
-        likelihood: Also walk the joint rollouts of 8 s; see `pedzoo.eval.scoring.likelihood`.
+        likelihood: Also walk the joint rollouts of 8 s; see `pedzoo.eval.scoring.wosac`.
         opening: A door, whose flow and headways are measured: its centre x and y, the normal x and y of its
             wall, and its clear width; metres.
         progress: Called with a policy, its episodes that are over and episodes in all.

@@ -8,9 +8,9 @@ from typing import Any
 
 from pedzoo.eval.results import ResultTable, cell
 from pedzoo.eval.scoring.files import is_recording
+from pedzoo.metrics.realism.bottlenecks import HEADWAYS
 from pedzoo.metrics.realism.features import FEATURES
-from pedzoo.metrics.realism.joint_likelihood import WEIGHTS
-from pedzoo.metrics.realism.openings import HEADWAYS
+from pedzoo.metrics.realism.wosac import WEIGHTS
 
 CROWDES = ("density", "coverage", "population", "kinematics", "dtw", "diversity", "collision")
 

@@ -14,7 +14,7 @@ from torch import Tensor
 from pedzoo.core.types import GOAL_RADIUS, OBS_LEN
 from pedzoo.data.tracks import Tracks
 from pedzoo.metrics.realism.features import every_step
-from pedzoo.metrics.realism.joint_likelihood import CONTACTS, MEASURED, step_values
+from pedzoo.metrics.realism.wosac import CONTACTS, MEASURED, step_values
 from pedzoo.sim.replay.people import CONTROLLED, SHORT, STAYED, RecordedPeople, without_goals
 from pedzoo.sim.replay.script import Script, ScriptScenes
 from pedzoo.sim.replay.slots import slots, table

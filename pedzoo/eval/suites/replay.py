@@ -9,7 +9,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.registry import DATASETS
 from pedzoo.core.spec import Spec
 from pedzoo.data.recordings import Fold, find_fold, open_fold
-from pedzoo.eval.episodes import packed_episodes
+from pedzoo.eval.packed_episodes import packed_episodes
 from pedzoo.eval.realism import HALVES, REAL, SPLITS, reference_rows, replay_row
 from pedzoo.eval.results import SEEN
 from pedzoo.eval.scenario_cache import prepared
@@ -24,7 +24,7 @@ from pedzoo.eval.suite import (
     walked,
 )
 from pedzoo.eval.trained_on import for_fold, has_seen
-from pedzoo.maps.library import load_plan
+from pedzoo.maps.named_plans import load_plan
 from pedzoo.metrics.realism.crowds import TAIL
 from pedzoo.metrics.realism.features import FEATURES
 from pedzoo.policies.load import load_policy

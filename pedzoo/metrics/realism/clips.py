@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.types import STEP_SECONDS
+from pedzoo.metrics.contact_functions import HORIZON, collision_seconds
 from pedzoo.metrics.realism.features import LINE, SampledRollout
-from pedzoo.metrics.safety import HORIZON, collision_seconds
 
 LENGTH = 8
 """Steps of a clip: 3.2 s."""

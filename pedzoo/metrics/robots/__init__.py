@@ -1,7 +1,7 @@
 """How robots fare among people, and what they do to people.
 
 Pure functions over the 0.1 s trace: E episodes of N people and R robots, T trace points. Point t is the end
-of the t-th 0.1 s after the warm start. `pedzoo.metrics.robots.table.robot_metrics` has all of them.
+of the t-th 0.1 s after the warm start. `pedzoo.metrics.robots.robot_metrics.robot_metrics` has all of them.
 
 Numbers that count like others' are taken from where others define them:
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.types import TRACE_SECONDS
-from pedzoo.metrics.safety import collision_seconds
+from pedzoo.metrics.contact_functions import collision_seconds
 
 ENCOUNTER = 3.0
 """Seconds: a robot and a person with a shorter time to collision meet."""

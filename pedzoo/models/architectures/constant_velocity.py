@@ -5,7 +5,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from pedzoo.models.base import Forecaster, for_all_samples
-from pedzoo.models.blocks.people import lines
+from pedzoo.models.blocks.people import linear_extrapolation
 
 
 class ConstantVelocity(Forecaster):
@@ -23,5 +23,5 @@ class ConstantVelocity(Forecaster):
     ) -> Tensor:
         """Return the same future (B, K, A, T, 2) for every sample."""
         history = batch["agents", "history"]
-        path = lines.constant_velocity(history[..., -1, :] - history[..., -2, :], steps)
+        path = linear_extrapolation.constant_velocity(history[..., -1, :] - history[..., -2, :], steps)
         return for_all_samples(path, batch, samples)

@@ -22,8 +22,7 @@ from pedzoo.models.blocks.floor_plan.map_patch import PatchEncoder
 from pedzoo.models.blocks.floor_plan.map_rings import RingEncoder
 from pedzoo.models.blocks.mlp import ContextNoise, init_like_sgan, init_with_zeros, mlp
 from pedzoo.models.blocks.parameter_cache import NOTHING, FusedWeights, ParameterCache, fuse
-from pedzoo.models.blocks.people import frame as frames
-from pedzoo.models.blocks.people import lines
+from pedzoo.models.blocks.people import ego_frame, linear_extrapolation
 from pedzoo.models.blocks.people.approach import ApproachPooling
 from pedzoo.models.blocks.people.crowd import Crowd
 from pedzoo.models.blocks.people.pooling import SocialPooling
@@ -175,18 +174,20 @@ class SGAN(Forecaster):
         heading = None
         if turned:
             if self.frame == "way" and goal is not None:
-                heading = frames.way(moved, goal)
+                heading = ego_frame.way(moved, goal)
             else:
-                heading = frames.heading(moved, goal)
+                heading = ego_frame.heading(moved, goal)
         frame = None if self.frame == "world" else heading
-        moved = frames.into(frame, moved)
+        moved = ego_frame.into(frame, moved)
         hidden = self.encoder(moved, fused.encoder)
         features = [hidden]
         pooling = self.pooling
         if pooling is not None:
             features.append(pooling(hidden, position, crowd, fused.pooling))
         if self.goal is not None and goal is not None and wanted is not None:
-            features.append(self.goal(torch.cat((frames.into(frame, goal), frames.into(frame, wanted)), -1)))
+            features.append(
+                self.goal(torch.cat((ego_frame.into(frame, goal), ego_frame.into(frame, wanted)), -1))
+            )
         if self.map is not None:
             pose, map_id = batch["scene_pose"][crowd.scene], batch["map_id"][crowd.scene, 0]
             features.append(self.map_dropout(self.map(maps_of(batch), position, heading, map_id, pose)))
@@ -199,8 +200,8 @@ class SGAN(Forecaster):
         if self.residual == "none":
             return None
         if self.residual == "constant_velocity" or goal is None:
-            return lines.constant_velocity(last_step, steps)
-        return lines.bent_line(last_step, goal, steps, self.goal_protocol in TIMED)
+            return linear_extrapolation.constant_velocity(last_step, steps)
+        return linear_extrapolation.bent_line(last_step, goal, steps, self.goal_protocol in TIMED)
 
     def draw(self, encoded: Encoded, samples: int, generator: torch.Generator | None = None) -> Tensor:
         """Return noise (K, P, noise_dim), the same for all people of a scene or not, as ``noise`` says."""
@@ -229,7 +230,7 @@ class SGAN(Forecaster):
             context = self.trait(context, z)
         hidden = torch.cat((context, z), 1)
         path = self.decoder(hidden, first, steps, fused.first, fused.decoder)
-        path = frames.out_of(encoded.heading, path.view(samples, people, steps, 2))
+        path = ego_frame.out_of(encoded.heading, path.view(samples, people, steps, 2))
         return path if encoded.base is None else path + encoded.base[:, :steps]
 
     def sample(

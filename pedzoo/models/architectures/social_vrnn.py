@@ -27,8 +27,7 @@ from pedzoo.models.base import Forecaster, known_displacements, true_displacemen
 from pedzoo.models.blocks.floor_plan.map_patch import PatchEncoder
 from pedzoo.models.blocks.mixture import FutureMixture, MixtureDecoder
 from pedzoo.models.blocks.mlp import LatentHead
-from pedzoo.models.blocks.people import frame as frames
-from pedzoo.models.blocks.people import lines
+from pedzoo.models.blocks.people import ego_frame, linear_extrapolation
 from pedzoo.models.blocks.people.crowd import Crowd
 from pedzoo.models.blocks.people.neighbours import RelativePooling
 from pedzoo.models.blocks.recurrent import DisplacementEncoder
@@ -136,8 +135,8 @@ class SocialVRNN(Forecaster):
         crowd = Crowd.of(agents["mask"])
         history = crowd.pack(agents["history"])
         position, moved = history[:, -1], history.diff(dim=1)
-        heading = frames.heading(moved, None)
-        own = frames.into(heading, moved)
+        heading = ego_frame.heading(moved, None)
+        own = ego_frame.into(heading, moved)
         features = [self.state(own)]
         if self.others is not None:
             features.append(self.others(position, moved[:, -1], heading, crowd))
@@ -150,7 +149,7 @@ class SocialVRNN(Forecaster):
     def mixture(self, seen: EncodedPeople, latent: Tensor, steps: int) -> FutureMixture:
         """Return p(y | z, x) in each person's frame, of K x P people for latents (K, P, latent_dim)."""
         samples = latent.shape[0]
-        base = lines.constant_velocity(seen.last, steps).repeat(samples, 1, 1)
+        base = linear_extrapolation.constant_velocity(seen.last, steps).repeat(samples, 1, 1)
         written = self.decoder(seen.features.repeat(samples, 1), latent.flatten(0, 1), base)
         return FutureMixture(*(values.view(samples, -1, *values.shape[1:]) for values in written))
 
@@ -233,7 +232,7 @@ class SocialVRNN(Forecaster):
 
     def _truth(self, batch: TensorDict, seen: EncodedPeople) -> tuple[Tensor, Tensor]:
         """Return true displacements (P, T, 2) in each person's frame and which are known (P, T)."""
-        path = frames.into(seen.heading, seen.crowd.pack(true_displacements(batch)))
+        path = ego_frame.into(seen.heading, seen.crowd.pack(true_displacements(batch)))
         return path, seen.crowd.pack(known_displacements(batch))
 
     def _infer(self, seen: EncodedPeople, truth: Tensor, known: Tensor) -> Normal:
@@ -243,7 +242,7 @@ class SocialVRNN(Forecaster):
 
     def _world(self, seen: EncodedPeople, path: Tensor) -> Tensor:
         """Return paths (K, P, T, 2) of each person's frame as displacements in the world (B, K, A, T, 2)."""
-        turned = frames.out_of(seen.heading, path)
+        turned = ego_frame.out_of(seen.heading, path)
         return seen.crowd.unpack(turned.transpose(0, 1)).transpose(1, 2)
 
 

@@ -20,7 +20,7 @@ from pedzoo.core.types import OBS_LEN, STEP_SECONDS, GoalProtocol
 from pedzoo.models.base import Forecaster, Walking, known_displacements, true_displacements
 from pedzoo.models.blocks.people.evasion import evasion
 from pedzoo.models.blocks.people.nearest import FEATURES, nearest
-from pedzoo.models.blocks.people.situation import RAYS, WALLS, Situation
+from pedzoo.models.blocks.people.step_features import RAYS, WALLS, Situation
 from pedzoo.models.blocks.people.style import STYLE_DIM, held_of, jitter_of, kinks_of
 from pedzoo.models.blocks.timed_noise import timed_noise
 

@@ -8,7 +8,7 @@ from pedzoo.core.batch import goals_of
 from pedzoo.core.types import GoalProtocol
 from pedzoo.data.goals import TIMED
 from pedzoo.models.base import Forecaster, for_all_samples
-from pedzoo.models.blocks.people import lines
+from pedzoo.models.blocks.people import linear_extrapolation
 
 
 class StraightLine(Forecaster):
@@ -16,7 +16,7 @@ class StraightLine(Forecaster):
 
     needs = frozenset({"goal"})
     stochastic = False
-    path = staticmethod(lines.straight_line)
+    path = staticmethod(linear_extrapolation.straight_line)
 
     def __init__(self, goal_protocol: GoalProtocol = "window_end") -> None:
         """``window_end`` goals are reached at the last step; others are walked to at the last speed."""

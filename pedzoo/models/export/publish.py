@@ -15,7 +15,7 @@ from pedzoo.data.provenance import licence, provenance, together
 from pedzoo.data.recordings import find_fold
 from pedzoo.models.export.run_record import RunRecord, read_run
 from pedzoo.models.zoo.card import ModelCard, Training, check_name, read_card, write_card
-from pedzoo.models.zoo.header import read_config
+from pedzoo.models.zoo.file_header import read_config
 from pedzoo.models.zoo.layout import card_beside, name_of_files
 from pedzoo.models.zoo.loading import config_of, load, read_checkpoint, save_weights
 from pedzoo.models.zoo.store import find

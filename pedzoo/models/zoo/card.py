@@ -12,8 +12,8 @@ from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import write_whole
 from pedzoo.core.size_limits import LARGEST_CARD, LARGEST_WEIGHTS, check_limit, load_yaml, read_text
-from pedzoo.models.zoo.header import Config
-from pedzoo.models.zoo.keys import check, check_keys, check_plain
+from pedzoo.models.zoo.file_header import Config
+from pedzoo.models.zoo.typed_fields import check, check_keys, check_plain
 
 _FILE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*\.safetensors")
 

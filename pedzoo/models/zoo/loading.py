@@ -20,11 +20,11 @@ from pedzoo.core.spec import grouped, parse, setting_groups, setting_types, unqu
 from pedzoo.core.types import GoalProtocol
 from pedzoo.models.base import Forecaster, has_parameters
 from pedzoo.models.zoo.card import ModelCard
-from pedzoo.models.zoo.fitting import check_archive, check_settings, check_shapes, check_tensors
-from pedzoo.models.zoo.header import Config, config_in, opened
-from pedzoo.models.zoo.keys import check, check_plain, refuse_code
+from pedzoo.models.zoo.compatibility import check_archive, check_settings, check_shapes, check_tensors
+from pedzoo.models.zoo.file_header import Config, config_in, opened
 from pedzoo.models.zoo.store import ROBOTS, find, names, no_model, weights_of
 from pedzoo.models.zoo.store import obtain as obtain
+from pedzoo.models.zoo.typed_fields import check, check_plain, refuse_code
 
 
 def list_models(pattern: str = "*") -> list[str]:

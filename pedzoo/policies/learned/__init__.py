@@ -1,1 +1,1 @@
-"""Forecasters that walk, and the safety layer under them."""
+"""Forecasters that walk."""

@@ -10,7 +10,7 @@ from torch.nn import functional
 
 from pedzoo.core import randomness
 from pedzoo.core.batch import agents_of, ids_of
-from pedzoo.policies.learned.safety import scene_keys
+from pedzoo.policies.safety_layer.layer import scene_keys
 
 PUSH = 0.05
 """Metres that such people are led apart in a step, each in a direction of their own."""

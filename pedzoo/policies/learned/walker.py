@@ -18,8 +18,8 @@ from pedzoo.models.base import Forecaster, Noise
 from pedzoo.models.blocks.timed_noise import timed_noise
 from pedzoo.policies.base import NamedPolicy
 from pedzoo.policies.learned.first_seen import FirstSeenMemory
-from pedzoo.policies.learned.safety import safe
 from pedzoo.policies.learned.same_spot import led_apart
+from pedzoo.policies.safety_layer.layer import safe
 
 _DETERMINISTIC = (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN)
 
@@ -86,7 +86,7 @@ class Walker(NamedPolicy):
             execute_steps: How many steps of a prediction are walked before the next one is asked for.
             noise_seed: Other seeds give other noise for the same scenes.
             safety: Whether steps are led off others and walls where they would touch them, see
-                `pedzoo.policies.learned.safety`; what the model asked for is then written too, as ``asked``
+                `pedzoo.policies.safety_layer`; what the model asked for is then written too, as ``asked``
                 (B, A, 2) in m/s. None: as the model says.
             extend_goal: Whether goals are moved out to where people are 3.2 s later, also where the way bends
                 before, see `extend_goals`. None: as the model says.

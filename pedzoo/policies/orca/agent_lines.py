@@ -8,7 +8,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pedzoo.policies.neighbors import nearest
+from pedzoo.policies.nearest_agents import nearest
 from pedzoo.policies.orca.settings import OrcaSettings
 from pedzoo.policies.orca.vectors import at_most, cross, dot, left, right
 

@@ -4,9 +4,9 @@ from tensordict import TensorDictBase
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import STEP_SECONDS
-from pedzoo.policies.learned.safety import safe
 from pedzoo.policies.learned.same_spot import led_apart
 from pedzoo.policies.policy import Policy
+from pedzoo.policies.safety_layer.layer import safe
 
 
 class GoToGoal(Policy):
@@ -17,7 +17,7 @@ class GoToGoal(Policy):
 
         Args:
             dt: Seconds between decisions.
-            safety: Whether it has the safety layer of learned models, see `pedzoo.policies.learned.safety`.
+            safety: Whether it has the safety layer of learned models, `pedzoo.policies.safety_layer`.
                 That shows what the layer does alone. The velocity before the layer is then written, too, as
                 ``asked`` (B, A, 2) in m/s.
 

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from pedzoo.core import randomness
 from pedzoo.core.types import BODY_RADIUS
-from pedzoo.policies.neighbors import Neighbors, nearest
+from pedzoo.policies.nearest_agents import Neighbors, nearest
 from pedzoo.policies.social_force.forces import (
     CLOSEST,
     closer,

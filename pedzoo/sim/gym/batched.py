@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from tensordict import TensorDict, TensorDictBase
 
 from pedzoo.core.errors import UserError
-from pedzoo.sim.gym.journey import Info, Journeys
+from pedzoo.sim.gym.info import Info, Journeys
 from pedzoo.sim.gym.render import MODES, Pictures
 from pedzoo.sim.gym.spaces import Observation, Observations, action_space
 from pedzoo.sim.robot_parts.env import RobotEnv
@@ -25,7 +25,7 @@ class Step(NamedTuple):
         reward: Of the robots; 0 after a reset.
         terminated: They arrived, or touched something that ends their episode.
         truncated: Their time is up, or an action was no number.
-        info: See `pedzoo.sim.gym.journey`.
+        info: See `pedzoo.sim.gym.info`.
     """
 
     observation: Observation

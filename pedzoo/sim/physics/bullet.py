@@ -15,7 +15,6 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.bank import MapBank
 from pedzoo.sim.dynamics import SKIN
-from pedzoo.sim.motion import Contacts, Distances, MotionInput, OwnedMotion
 from pedzoo.sim.physics_parts.base import REACH, Bodies, Physics
 from pedzoo.sim.physics_parts.bullet.client import load_pybullet
 from pedzoo.sim.physics_parts.bullet.pictures import from_above, from_robots
@@ -25,6 +24,7 @@ from pedzoo.sim.physics_parts.bullet.scenes import BulletScenes, PlacedScene, as
 from pedzoo.sim.physics_parts.bullet.urdf import drive_by_wheels, headings, with_shapes
 from pedzoo.sim.physics_parts.camera import Camera, Lens
 from pedzoo.sim.state import State
+from pedzoo.sim.step_result import Contacts, Distances, MotionInput, OwnedMotion
 
 _SLACK = 1e-6
 """Metres by which the broad phase is generous: far above rounding."""

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.sim.arrival import arrived
-from pedzoo.sim.motion import Contacts, Distances, Motion, MotionInput
 from pedzoo.sim.physics_parts.base import REACH, Bodies, Physics
 from pedzoo.sim.physics_parts.camera import Camera
 from pedzoo.sim.physics_parts.top_view import draw_top_view
 from pedzoo.sim.state import State
+from pedzoo.sim.step_result import Contacts, Distances, Motion, MotionInput
 
 _CHUNK = 4_000_000
 """Ray-body pairs that are compared at once."""

@@ -19,11 +19,11 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.sim.arrival import arrived
 from pedzoo.sim.dynamics import SKIN, integrate
-from pedzoo.sim.motion import Contacts, Distances, Motion, MotionInput, OwnedMotion
 from pedzoo.sim.physics_parts.camera import Camera, Lens, free_corners
 from pedzoo.sim.physics_parts.compiled import advance_compiled
 from pedzoo.sim.physics_parts.stance import Stance
 from pedzoo.sim.state import State
+from pedzoo.sim.step_result import Contacts, Distances, Motion, MotionInput, OwnedMotion
 
 REACH = 5.0
 """Metres up to which distances and rays are asked for, where nothing else is said."""

@@ -11,8 +11,8 @@ from torch import Tensor
 from pedzoo.core.types import GOAL_RADIUS, TRACE_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.sim.dynamics import CREEP, ROUNDING, SKIN, STRIDE
-from pedzoo.sim.motion import Contacts, Motion, MotionInput
 from pedzoo.sim.state import State
+from pedzoo.sim.step_result import Contacts, Motion, MotionInput
 
 _NO_PATHS = np.zeros((0, 0, 0, 0, 2), np.float32)
 _NO_SLOPES = np.zeros((0, 0, 0, 8), np.float32)

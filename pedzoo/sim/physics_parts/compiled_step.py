@@ -13,9 +13,9 @@ from pedzoo.core.types import GOAL_RADIUS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim.arrival import limits
-from pedzoo.sim.motion import CLOCK_ROUNDING, CONTACT_COST, Events
 from pedzoo.sim.physics_parts.compiled import integration
 from pedzoo.sim.state import State
+from pedzoo.sim.step_result import CLOCK_ROUNDING, CONTACT_COST, Events
 
 if TYPE_CHECKING:
     from pedzoo.sim.kernel import Rules

@@ -22,7 +22,6 @@ from pedzoo.policies.teams import Crowd, Teams
 from pedzoo.sim import kernel
 from pedzoo.sim import observation as specs
 from pedzoo.sim.env import PedestrianEnv
-from pedzoo.sim.motion import Events
 from pedzoo.sim.observation import observed
 from pedzoo.sim.physics_parts.base import Physics
 from pedzoo.sim.robot_parts.outcome import EndsAt, Outcome, check_ends_at, outcome_of
@@ -33,6 +32,7 @@ from pedzoo.sim.robot_parts.sensor import Sensor
 from pedzoo.sim.robot_parts.view import RobotView
 from pedzoo.sim.scenario_parts.scenario import PreparedScenario
 from pedzoo.sim.state import State
+from pedzoo.sim.step_result import Events
 
 INFO = ("success", "person_contact", "robot_contact", "wall_contact", "timeout", "failed")
 """What ``robots/info`` says of a decision, beside ``active``; see `Outcome`."""

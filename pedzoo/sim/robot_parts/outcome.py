@@ -9,8 +9,8 @@ from torch import Tensor
 
 from pedzoo.core.batch import ROBOT, others_of
 from pedzoo.core.errors import unknown
-from pedzoo.sim.motion import Events
 from pedzoo.sim.state import State
+from pedzoo.sim.step_result import Events
 
 EndsAt = Literal["any", "agent", "none"]
 """Which contacts end a robot's episode: with anything, with people and other robots, or none."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pedzoo.maps.plain import Rectangle, room
+from pedzoo.maps.from_rectangles import Rectangle, room
 from pedzoo.sim.scenario_parts.encounter import BEHIND, CELL, WALL, Encounter, EncounterSettings, whole_cells
 from pedzoo.sim.scenario_parts.lanes import BEYOND, Lane, abreast, beside, lanes_in
 from pedzoo.sim.scenario_parts.variants import Numbers, Variant
@@ -15,7 +15,6 @@ class BlindCorner(Encounter):
     from the other end; the first ones are at the corner at the same time. The two groups mirror each other
     in the diagonal if size and speed are equal and ``jitter``, ``aside`` and ``delay`` are 0.
     """
-
 
     def __init__(
         self, width: Numbers = (1.2, 1.5, 2.0), common: EncounterSettings = EncounterSettings()

@@ -16,7 +16,7 @@ from pedzoo.core.randomness import Draws
 from pedzoo.core.types import BODY_RADIUS, OBS_LEN, STEP_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.library import load_plan
+from pedzoo.maps.named_plans import load_plan
 from pedzoo.maps.planning.graph import format_point
 from pedzoo.maps.planning.planner import Planner
 from pedzoo.sim.replay.script import SceneStarts

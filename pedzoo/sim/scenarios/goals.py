@@ -14,7 +14,7 @@ from pedzoo.core.randomness import Draws
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.free_space import spread_points
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.library import load_plan
+from pedzoo.maps.named_plans import load_plan
 from pedzoo.maps.planning.planner import Planner
 from pedzoo.sim.scenario_parts.scenario import LEAST_WAY, Layout, PreparedScenario, Scenario
 

@@ -6,7 +6,7 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.randomness import Draws
-from pedzoo.maps.plain import Rectangle, room
+from pedzoo.maps.from_rectangles import Rectangle, room
 from pedzoo.sim.scenario_parts.encounter import BEHIND, CELL, WALL, Encounter, EncounterSettings, whole_cells
 from pedzoo.sim.scenario_parts.lanes import SPACING, Lane, abreast, beside, lanes_in
 from pedzoo.sim.scenario_parts.variants import Numbers, Variant
@@ -24,7 +24,6 @@ class Overtaking(Encounter):
     *Pedestrian overtaking* of Francis et al. 2023 (Fig. 7, Table 3). Agents 0 to ``slow - 1`` are the slow
     ones where each person has a lane.
     """
-
 
     def __init__(
         self,

@@ -13,14 +13,14 @@ from torch.nn import functional
 from pedzoo.core.batch import in_company
 from pedzoo.core.geometry import smooth_norm, unrotate
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
+from pedzoo.metrics.contact_functions import HORIZON, collision_seconds
 from pedzoo.metrics.realism.clips import CHANNELS, FAR, LENGTH
 from pedzoo.metrics.realism.features import LINE
-from pedzoo.metrics.safety import HORIZON, collision_seconds
 from pedzoo.metrics.smoothness import STANDS
 from pedzoo.models.blocks.people.style import STYLE_DIM, style_of
+from pedzoo.train.crowds.crowd_walk import CrowdWalk
 from pedzoo.train.crowds.excerpts import Excerpts
-from pedzoo.train.crowds.walking_on import CrowdWalk
-from pedzoo.train.loop.likeness import turns, wasserstein
+from pedzoo.train.loop.distribution_distances import turns, wasserstein
 
 _GRAZING = 1e-3
 """m^4/s^2: below, when two people touch changes too fast for a gradient."""

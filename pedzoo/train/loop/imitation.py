@@ -13,7 +13,7 @@ from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.models.blocks.discriminator import Discriminator
 from pedzoo.models.blocks.people.crowd import Crowd
-from pedzoo.train.loop.likeness import SPREADS, features, tail, wasserstein
+from pedzoo.train.loop.distribution_distances import SPREADS, features, tail, wasserstein
 from pedzoo.train.loop.segments import Policy
 from pedzoo.train.loop.unroll import Unrolled, recorded, unroll
 
@@ -45,9 +45,9 @@ class Imitation(nn.Module):
             distribution: Weight of the distances of distributions, in standard deviations of recorded
                 people: the mean over features, like ``realism`` of the suite ``replay``.
             features: Weight of each feature within it, 1 if not named; see
-                `pedzoo.train.loop.likeness.SPREADS`.
+                `pedzoo.train.loop.distribution_distances.SPREADS`.
             tail: Weight of the difference of the upper tails of acceleration, a share (see
-                `pedzoo.train.loop.likeness.tail`); a mean distance hardly sees few large values.
+                `distribution_distances.tail`); a mean distance hardly sees few large values.
             samples: K walks of every window with noise of their own, at K times the cost.
             spread: Share of the distance between two walks of a person that is taken off the displacement,
                 with 2 or more samples. At 0.5 it is the energy score, least for the true distribution

@@ -21,12 +21,12 @@ from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim import kernel
 from pedzoo.sim.arrival import arrived
 from pedzoo.sim.dynamics import STRIDE
-from pedzoo.sim.motion import Motion, MotionInput
 from pedzoo.sim.observation import observed, state_of
 from pedzoo.sim.physics.torch import Torch
 from pedzoo.sim.replay.people import top_speed_of
 from pedzoo.sim.scenario_parts.scenario import SLOWEST
 from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
+from pedzoo.sim.step_result import Motion, MotionInput
 
 Walk = Callable[[TensorDict], Tensor]
 """Returns each person's next displacement (B, A, 2), metres, for an observation."""

@@ -12,7 +12,7 @@ from pedzoo.core import geometry
 from pedzoo.core.batch import agents_of, maps_of
 from pedzoo.core.geometry import direction_of
 from pedzoo.core.types import STEP_SECONDS
-from pedzoo.models.blocks.people import frame as frames
+from pedzoo.models.blocks.people import ego_frame
 from pedzoo.models.blocks.people.crowd import Crowd
 from pedzoo.models.blocks.people.neighbours import RelativePooling
 
@@ -67,7 +67,7 @@ class Critic(TensorDictModuleBase):
         position, moved = history[:, -1], history.diff(dim=1)
         goal = crowd.pack(agents["goal"]) - position
         way = crowd.pack(agents["info", "remaining_path"]).unsqueeze(-1)
-        frame = frames.heading(moved, goal)
+        frame = ego_frame.heading(moved, goal)
         vectors = torch.stack(
             (crowd.pack(agents["velocity"]), crowd.pack(agents["desired_velocity"]), goal / 4.0), 1
         )

@@ -9,14 +9,14 @@ from torch import Tensor
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import function_in_file
-from pedzoo.metrics.safety import nearest
+from pedzoo.metrics.contact_functions import nearest
 
 
 class Reward:
     """The environment's own reward, and more where weights say so; all weights 0 leave it as it is.
 
     The environment's is the way that got shorter, in metres, less
-    `pedzoo.sim.motion.CONTACT_COST` for a decision in which something was touched; every weight is in
+    `pedzoo.sim.step_result.CONTACT_COST` for a decision in which something was touched; every weight is in
     that unit, metres of progress. A reward of one's own is a function in ``terms``, or a subclass that
     overrides ``__call__``, named by its ``class_path`` in the config.
     """

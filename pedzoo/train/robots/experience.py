@@ -14,7 +14,7 @@ from torchrl.objectives.value import GAE
 from pedzoo.policies.robot_policy import bodies_of
 from pedzoo.policies.robots.attention import as_action, frame_of
 from pedzoo.sim.robot_parts.env import RobotEnv
-from pedzoo.train.robots.crossing import CrossingEnv
+from pedzoo.train.robots.crowdnav_env import CrossingEnv
 
 _KEPT: list[Any] = [("robots", "observation"), ("robots", "body")]
 

@@ -20,7 +20,7 @@ from pedzoo.sim.robot_parts.env import RobotEnv
 from pedzoo.sim.robot_parts.make import make_robot_env
 from pedzoo.train.rl.objective import advantages, clipped
 from pedzoo.train.robots.actor_critic import Mean, Value, actor
-from pedzoo.train.robots.crossing import SETTINGS, CrossingEnv
+from pedzoo.train.robots.crowdnav_env import SETTINGS, CrossingEnv
 from pedzoo.train.robots.experience import Gatherer, outcome_shares, walked_once, with_advantages
 from pedzoo.train.robots.teacher import CONSTANT_VELOCITY, teacher_of
 
@@ -78,7 +78,7 @@ class RobotPPO(L.LightningModule):
             policy: The network.
             scenarios: With settings, as of `pedzoo.make_robot_env`, or ``crowdnav:people=5`` or
                 ``crowdnav_pp``, whose people and decisions are CrowdNav's; see
-                `pedzoo.train.robots.crossing.CrossingEnv`.
+                `pedzoo.train.robots.crowdnav_env.CrossingEnv`.
             people: A policy or a mixed crowd.
             robot: A body with settings.
             decision_dt: Seconds between two decisions.

@@ -9,7 +9,7 @@ from typing import Any
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import write_whole
 from pedzoo.eval.comparison import PolicyRollout, row
-from pedzoo.eval.episodes import packed_episodes
+from pedzoo.eval.packed_episodes import packed_episodes
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.rollout import Rollout
 from pedzoo.viz.report.content import add_report, shorten

@@ -13,11 +13,11 @@ from tensordict import TensorDictBase
 from pedzoo.core.types import OBS_LEN, PRED_LEN, STEP_SECONDS
 from pedzoo.maps.free_space import free_points
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.library import load_plan
+from pedzoo.maps.named_plans import load_plan
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.loading import load
+from pedzoo.policies.controller import controller
 from pedzoo.policies.learned.walker import Walker
-from pedzoo.policies.stepping import controller
 from tools.bench.figures import Measured, Row
 from tools.bench.section import Section
 from tools.bench.turns import Clock, ratio, seconds_of

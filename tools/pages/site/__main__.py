@@ -25,7 +25,7 @@ API = {
     "pedzoo": "pedzoo: models.zoo.loading.load models.zoo.loading.list_models policies.load.list_policies "
     "eval.rollout.rollout metrics.closed_loop.measure eval.evaluate.evaluate sim.make.make_env "
     "sim.robot_parts.make.make_robot_env",
-    "policies": "Controllers and policies: policies.stepping.controller.Controller policies.policy.Policy "
+    "policies": "Controllers and policies: policies.controller.controller.Controller policies.policy.Policy "
     "policies.load.load_policy policies.learned.walker.Walker policies.teams.Teams "
     "policies.robot_policy.RobotPolicy",
     "sim": "Simulation: sim.scenario_parts.scenario sim.env.PedestrianEnv sim.rollout.Rollout sim.kernel "

@@ -16,12 +16,11 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.types import BODY_RADIUS, GoalProtocol
 from pedzoo.data.goals import TIMED
 from pedzoo.models.base import Forecaster, known_displacements
+from pedzoo.models.blocks.anchored.building_blocks import AnchorInputs, AnchorLosses, ModePredictions
 from pedzoo.models.blocks.anchored.clusters import FEW, clustered, fan
-from pedzoo.models.blocks.anchored.parts import AnchorInputs, AnchorLosses, ModePredictions
-from pedzoo.models.blocks.anchored.reversal import reversed_in_time
+from pedzoo.models.blocks.anchored.time_reversal import reversed_in_time
 from pedzoo.models.blocks.mixture import FutureMixture
-from pedzoo.models.blocks.people import frame as frames
-from pedzoo.models.blocks.people import lines
+from pedzoo.models.blocks.people import ego_frame, linear_extrapolation
 from pedzoo.models.blocks.people.crowd import Crowd
 
 SPEEDS = (0.1, 0.338, 0.6)
@@ -111,7 +110,7 @@ class AnchorForecaster(Forecaster):
             )
 
     def see(self, batch: TensorDict) -> AnchorInputs:
-        """Return the people of a batch in their own frames."""
+        """Return the people of a batch in their own ego_frame."""
         agents = agents_of(batch)
         crowd = Crowd.of(agents["mask"])
         history = crowd.pack(agents["history"])
@@ -120,13 +119,15 @@ class AnchorForecaster(Forecaster):
         if "goal" in self.needs:
             goal, wanted = (crowd.pack(value) for value in goals_of(batch, "this model"))
             goal = goal - history[:, -1]
-        heading = frames.heading(moved, goal)
-        own = frames.into(heading, history - history[:, -1:])
-        last = frames.into(heading, moved[:, -1])
+        heading = ego_frame.heading(moved, goal)
+        own = ego_frame.into(heading, history - history[:, -1:])
+        last = ego_frame.into(heading, moved[:, -1])
         base = own.new_zeros(len(own), self.steps, 2)
         if goal is not None and wanted is not None:
-            goal, wanted = frames.into(heading, goal), frames.into(heading, wanted)
-            base = lines.bent_line(last, goal, self.steps, self.goal_protocol in TIMED).cumsum(1)
+            goal, wanted = ego_frame.into(heading, goal), ego_frame.into(heading, wanted)
+            base = linear_extrapolation.bent_line(last, goal, self.steps, self.goal_protocol in TIMED).cumsum(
+                1
+            )
             goal = torch.cat((goal, wanted), -1)
         speed = (last.square().sum(-1) + 1e-12).sqrt()
         return AnchorInputs(own, goal, base, speed, speed.clamp_min(UNIT).unsqueeze(-1), heading, crowd)
@@ -134,7 +135,7 @@ class AnchorForecaster(Forecaster):
     def truth(self, batch: TensorDict, seen: AnchorInputs) -> Tensor:
         """Return true positions (P, T, 2) from the last observed one, in each person's frame."""
         agents = agents_of(batch)
-        return frames.into(seen.heading, seen.crowd.pack(agents["future"] - agents["history"][:, :, -1:]))
+        return ego_frame.into(seen.heading, seen.crowd.pack(agents["future"] - agents["history"][:, :, -1:]))
 
     def placed(self, written: ModePredictions, seen: AnchorInputs) -> Tensor:
         """Return positions (P, M + 1, T, 2), metres, of what was written in units of the anchors."""
@@ -246,7 +247,7 @@ class AnchorForecaster(Forecaster):
         Steps beyond those that the model was trained for repeat the last one.
         """
         more = path[:, :, -1:].expand(-1, -1, max(steps - self.steps, 0), -1)
-        path = frames.out_of(seen.heading, torch.cat((path, more), 2)[:, :, :steps])
+        path = ego_frame.out_of(seen.heading, torch.cat((path, more), 2)[:, :, :steps])
         return seen.crowd.unpack(path.transpose(0, 1)).transpose(1, 2)
 
 

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from pedzoo.maps.walls.compiled import compiled, jit
-from pedzoo.policies.learned.clearance_parts import (
+from pedzoo.policies.safety_layer.clearance_parts import (
     closest,
     correction,
     limited,

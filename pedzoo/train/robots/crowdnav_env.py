@@ -22,7 +22,7 @@ from pedzoo.core.spec import build
 from pedzoo.sim.crowdnav.settings import CROWDNAV, CROWDNAV_PP, RADIUS, TIME_STEP, Setting
 from pedzoo.sim.observation import done_spec, flag, real
 from pedzoo.sim.robot_parts.reward import USUAL
-from pedzoo.train.robots.crowds import walked
+from pedzoo.train.robots.crowdnav_crowds import walked
 
 SETTINGS = {"crowdnav": CROWDNAV, "crowdnav_pp": CROWDNAV_PP}
 """Crowds by name."""

@@ -5,7 +5,7 @@ from torch import Tensor
 from torchmetrics import Metric
 
 from pedzoo.core.geometry import unrotate
-from pedzoo.metrics.sums.scene_mean import SceneMean
+from pedzoo.metrics.statistics.scene_mean import SceneMean
 
 BINS = 20
 """Classes of the probability integral transform."""

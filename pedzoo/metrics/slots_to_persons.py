@@ -11,7 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from pedzoo.metrics.safety import begins
+from pedzoo.metrics.contact_functions import begins
 
 
 class Runs(NamedTuple):

@@ -9,7 +9,7 @@ from typing_extensions import TypedDict
 
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
-from pedzoo.models.zoo.keys import check, check_plain
+from pedzoo.models.zoo.typed_fields import check, check_plain
 
 
 class Config(TypedDict, closed=True):

@@ -13,7 +13,7 @@ from torch import Tensor
 from pedzoo.eval.rollout import Progress, prepare, walk
 from pedzoo.eval.scoring.windows import JointRollouts, JointWindows, walked
 from pedzoo.metrics.realism.distances import drawn_people
-from pedzoo.metrics.realism.joint_likelihood import (
+from pedzoo.metrics.realism.wosac import (
     MEASURED,
     ROLLOUTS,
     LogSums,

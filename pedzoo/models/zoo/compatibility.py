@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.spec import setting_types
-from pedzoo.models.zoo.keys import check
+from pedzoo.models.zoo.typed_fields import check
 
 
 def check_settings(cls: type, init: Mapping[str, Any]) -> None:

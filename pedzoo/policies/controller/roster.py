@@ -10,7 +10,7 @@ from torch import Tensor
 
 from pedzoo.core.geometry import heading_of, passes
 from pedzoo.core.types import BODY_RADIUS
-from pedzoo.policies.stepping.called_with import OTHER_RADIUS, DiscKey, metres_of, number_of, speed_of
+from pedzoo.policies.controller.arguments import OTHER_RADIUS, DiscKey, metres_of, number_of, speed_of
 
 
 class Roster(NamedTuple):

@@ -9,7 +9,7 @@ from torch import Tensor
 from pedzoo.core.machine import compiles
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.maps.walls.local_walls import LocalWalls
-from pedzoo.policies.learned.clearance import (
+from pedzoo.policies.safety_layer.clearance import (
     MARGIN,
     NARROW,
     ROUNDING,
@@ -18,7 +18,7 @@ from pedzoo.policies.learned.clearance import (
     SHOULDERS,
     ProposedSteps,
 )
-from pedzoo.policies.learned.precedence import AHEAD, LEAD_SECONDS, LEAST_ASKED, LEAST_SHARE, SPREAD, TIE
+from pedzoo.policies.safety_layer.precedence import AHEAD, LEAD_SECONDS, LEAST_ASKED, LEAST_SHARE, SPREAD, TIE
 
 _NONE: Any = np.zeros((0, 7), np.float32), np.zeros((0, 3), np.int32), np.zeros(1, np.int32)
 _NO_WALLS = *_NONE, np.zeros((1, 1), np.float32), np.zeros(1, np.float32), 0.0
@@ -33,7 +33,7 @@ def loops_take(steps: ProposedSteps) -> bool:
 
 
 def kept_clear_compiled(steps: ProposedSteps, walls: LocalWalls | None) -> Tensor:
-    """`pedzoo.policies.learned.safety.kept_clear`, compiled, with its gradients."""
+    """`pedzoo.policies.safety_layer.layer.kept_clear`, compiled, with its gradients."""
     return _KeptClear.apply(steps.position, steps.step, steps.velocity, steps, walls)
 
 
@@ -43,7 +43,7 @@ class _KeptClear(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *given: Any) -> Tensor:
         """Return the steps (B, A, 2); given are positions, steps and velocities, all steps and the walls."""
-        from pedzoo.policies.learned.clearance_loops import keep_clear
+        from pedzoo.policies.safety_layer.clearance_loops import keep_clear
 
         steps, walls = given[3:]
         people, stored = _people(steps), torch.empty_like(steps.step, memory_format=torch.contiguous_format)
@@ -67,7 +67,7 @@ class _KeptClear(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *gradients: Any) -> tuple[Tensor | None, ...]:
         """Return gradients (B, A, 2) of positions, steps and velocities."""
-        from pedzoo.policies.learned.clearance_slopes import keep_clear_slope
+        from pedzoo.policies.safety_layer.clearance_slopes import keep_clear_slope
 
         values = [torch.empty_like(gradients[0], memory_format=torch.contiguous_format) for _ in range(3)]
         keep_clear_slope(

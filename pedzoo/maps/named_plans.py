@@ -6,8 +6,8 @@ from pathlib import Path
 
 from pedzoo.core.errors import UserError
 from pedzoo.maps.files.read import read_plan
+from pedzoo.maps.from_rectangles import rectangles, room, wall
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.plain import rectangles, room, wall
 
 FILES = (".yaml", ".yml", ".png", ".pgm", ".jpg", ".jpeg")
 """Endings of map files."""

@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.types import TRACE_SECONDS
-from pedzoo.metrics import navigation, safety, smoothness
+from pedzoo.metrics import arrival_functions, contact_functions, smoothness
 from pedzoo.metrics.ratios import Ratio, finite, mean, of_sums, ratio, share
 from pedzoo.metrics.robots import driving, effect, proximity
-from pedzoo.metrics.robots.legend import LEGEND
+from pedzoo.metrics.robots.descriptions import LEGEND
 from pedzoo.sim.robot_parts.rollout import RobotRollout
 from pedzoo.sim.rollout import Rollout
 
@@ -68,9 +68,9 @@ def _ends(rollout: RobotRollout) -> dict[str, Ratio]:
     walked, there, last = rollout.walked, rollout.there, slice(-rollout.robots, None)
     reached, success, goals = walked.reached[:, last], rollout.success, rollout.goals
     every = torch.ones_like(success)
-    metres = navigation.walked_metres(walked.path[:, last], there, reached, goals)
-    planned = navigation.planned_metres(walked.planned[:, last], reached, goals)
-    seconds, needed = navigation.finish_seconds(reached, goals), planned / rollout.bodies.top_speed
+    metres = arrival_functions.walked_metres(walked.path[:, last], there, reached, goals)
+    planned = arrival_functions.planned_metres(walked.planned[:, last], reached, goals)
+    seconds, needed = arrival_functions.finish_seconds(reached, goals), planned / rollout.bodies.top_speed
     return {
         "success": share(success, every),
         "collision_person": share(rollout.person_contact.any(-1), every),
@@ -78,8 +78,8 @@ def _ends(rollout: RobotRollout) -> dict[str, Ratio]:
         "collision_wall": share(rollout.wall_contact.any(-1), every),
         "timeout": share(rollout.timeout, every),
         "failed": share(rollout.failed, every),
-        "spl": mean(navigation.weighted(success, planned, metres), every),
-        "stl": mean(navigation.weighted(success, needed, seconds), every),
+        "spl": mean(arrival_functions.weighted(success, planned, metres), every),
+        "stl": mean(arrival_functions.weighted(success, needed, seconds), every),
         "time_s": mean(seconds, success),
         "duration_s": mean(there.sum(-1) * TRACE_SECONDS, every),
         "path_m": mean(metres, every),
@@ -143,7 +143,7 @@ def _near(agents: _Agents) -> dict[str, Ratio]:
     force = proximity.social_force(people.unsqueeze(1) - robots.unsqueeze(2), closing)
     inside = {name: proximity.in_space(apart, agents.radius, name) for name in proximity.SPACES}
     return {f"space_{name}": share(when, there) for name, when in inside.items()} | {
-        "personal_space": share(safety.keeps_distance(apart.amin(2), there), there),
+        "personal_space": share(contact_functions.keeps_distance(apart.amin(2), there), there),
         "discomfort": share((gap < proximity.DISCOMFORT) & there, there),
         "intrusion_ratio": mean(intruded.sum(-1) / there.sum(-1).clamp_min(1), there.any(-1)),
         "intrusion_distance_m": mean(least, intruded),
@@ -159,7 +159,7 @@ def _encounters(agents: _Agents) -> dict[str, Ratio]:
     """Return how often the robot and the person yield."""
     met = effect.encounters(agents.robots, agents.people, agents.there, agents.moved, agents.reach)
     return {
-        "encounters_per_min": ratio(met.met.sum(2), safety.person_minutes(agents.there)),
+        "encounters_per_min": ratio(met.met.sum(2), contact_functions.person_minutes(agents.there)),
         "person_yields": share(met.person_yields, met.known),
     }
 
@@ -179,9 +179,11 @@ def _effect(rollout: RobotRollout) -> dict[str, Ratio]:
         "delay_total_s": ratio(later.where(known, 0.0), known.any(1)),
         "detour_m": mean(effect.detour(joined, alone), known),
     }
-    minutes = safety.person_minutes(both[0].scored[:, people])
+    minutes = contact_functions.person_minutes(both[0].scored[:, people])
     for name in ("agent_contact", "wall_contact"):
-        events = [safety.contact_events((getattr(one, name) & one.scored)[:, people]) for one in both]
+        events = [
+            contact_functions.contact_events((getattr(one, name) & one.scored)[:, people]) for one in both
+        ]
         key = {"agent_contact": "contacts_more_per_min", "wall_contact": "wall_contacts_more_per_min"}[name]
         result[key] = ratio(events[0] - events[1], minutes)
     return result
@@ -191,10 +193,12 @@ def _walk(rollout: Rollout, progress: Tensor, people: slice) -> effect.WalkProgr
     """Return how far people had come at the end."""
     reached, goals = rollout.reached[:, people], rollout.goals
     arrived = (reached[..., -1] >= goals) & rollout.mask[:, people]
-    planned = navigation.planned_metres(rollout.planned[:, people], reached, goals)
+    planned = arrival_functions.planned_metres(rollout.planned[:, people], reached, goals)
     return effect.WalkProgress(
         arrived=arrived,
-        seconds=navigation.finish_seconds(reached, goals),
+        seconds=arrival_functions.finish_seconds(reached, goals),
         covered=torch.where(arrived, planned, progress[:, people]),
-        walked=navigation.walked_metres(rollout.path[:, people], rollout.scored[:, people], reached, goals),
+        walked=arrival_functions.walked_metres(
+            rollout.path[:, people], rollout.scored[:, people], reached, goals
+        ),
     )

@@ -9,10 +9,10 @@ from torch import Tensor, nn
 
 from pedzoo.core.types import OBS_LEN
 from pedzoo.train.crowds.comparison import coarse, compared, parted, summaries
+from pedzoo.train.crowds.crowd_walk import CrowdWalk, recorded
+from pedzoo.train.crowds.discriminator import Judge, legible
 from pedzoo.train.crowds.excerpts import Excerpts
-from pedzoo.train.crowds.judge import Judge, legible
-from pedzoo.train.crowds.walking_on import CrowdWalk, recorded
-from pedzoo.train.loop.likeness import SPREADS, wasserstein
+from pedzoo.train.loop.distribution_distances import SPREADS, wasserstein
 
 COARSE = {"speed": 1.0, "acceleration": 2.0, "heading_rate": 1.5}
 """Weights of features of coarse positions: of changes less is left."""
@@ -87,7 +87,7 @@ class CrowdLikeness(nn.Module):
             walk: Walks of K x B excerpts, all first walks first.
             real: The B excerpts.
             samples: K.
-            before: Frames that are not scored, see `pedzoo.train.crowds.walking_on.walked_on`.
+            before: Frames that are not scored, see `pedzoo.train.crowds.crowd_walk.walked_on`.
             optimizer: Of the judges; None to leave them as they are.
             random: Draws earlier updates for the judges.
         """

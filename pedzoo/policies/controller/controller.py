@@ -20,13 +20,13 @@ from pedzoo.core.randomness import Draws
 from pedzoo.core.types import AHEAD_SECONDS, OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
-from pedzoo.maps.library import load_plan
+from pedzoo.maps.named_plans import load_plan
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.maps.planning.online import OnlinePlanner
-from pedzoo.policies.stepping.called_with import PREF_SPEED, ZERO, as_discs, as_places, as_points, origin_of
-from pedzoo.policies.stepping.caller_clock import CallerClock, times
-from pedzoo.policies.stepping.online_goals import OnlineGoals
-from pedzoo.policies.stepping.roster import Roster
+from pedzoo.policies.controller.arguments import PREF_SPEED, ZERO, as_discs, as_places, as_points, origin_of
+from pedzoo.policies.controller.clock import CallerClock, times
+from pedzoo.policies.controller.online_goals import OnlineGoals
+from pedzoo.policies.controller.roster import Roster
 
 Id = TypeVar("Id", bound=Hashable)
 

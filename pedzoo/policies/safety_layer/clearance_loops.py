@@ -1,7 +1,7 @@
 """The safety layer in loops that numba compiles: as `clearance` says, scene by scene.
 
-A scene is left as soon as nothing in it is to be corrected. `pedzoo.policies.learned.clearance_slopes` goes
-back over what is recorded here, for gradients.
+A scene is left as soon as nothing in it is to be corrected. `clearance_slopes` goes back over what is
+recorded here, for gradients.
 """
 
 import math
@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from pedzoo.maps.walls.compiled import compiled, quarter, wall_gap
-from pedzoo.policies.learned.clearance_parts import (
+from pedzoo.policies.safety_layer.clearance_parts import (
     closest,
     correction,
     limited,
@@ -30,7 +30,7 @@ def keep_clear(
     order, parts, rounds, margin, shoulders, narrow_gap, first, beyond, rounding, frames, places,
     choice, option, bound, limit, out, narrow, slope, shares, used, record, stands,
 ):  # fmt: skip
-    """Write steps (B, A, 2), metres, without contacts: see `pedzoo.policies.learned.safety.kept_clear`.
+    """Write steps (B, A, 2), metres, without contacts: see `pedzoo.policies.safety_layer.layer.kept_clear`.
 
     Args are those of `ProposedSteps`, with velocities in metres per quarter of a step; whether velocities
     blend; and constants, those of precedence in a tuple, and the parts of

@@ -6,7 +6,7 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from pedzoo.metrics.sums.quantiles import quantiles
+from pedzoo.metrics.statistics.quantiles import quantiles
 
 RESAMPLES = 2000
 

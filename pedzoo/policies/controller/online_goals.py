@@ -15,8 +15,8 @@ from pedzoo.core.geometry import identity_pose
 from pedzoo.core.types import AHEAD_SECONDS
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.maps.planning.online import OnlinePlanner
-from pedzoo.policies.stepping.called_with import as_places
-from pedzoo.policies.stepping.roster import Roster
+from pedzoo.policies.controller.arguments import as_places
+from pedzoo.policies.controller.roster import Roster
 
 _KEPT = 64
 """Unused goals are dropped when the planner holds more than this and more than 4 per agent."""

@@ -3,7 +3,7 @@
 In the spirit of the safety layer of Dalal et al., "Safe exploration in continuous action spaces", 2018. The
 network decides where to go, and its answer is projected on what can be walked without a contact. The layer
 looks one step ahead and no farther: it plans nothing, does not wait and finds no way around. Only robots,
-which leave all of the avoidance to people, are seen from afar: `pedzoo.policies.learned.yielding`.
+which leave all of the avoidance to people, are seen from afar: `pedzoo.policies.safety_layer.yielding`.
 """
 
 from typing import cast
@@ -17,7 +17,7 @@ from pedzoo.core.batch import ROBOT, agents_of, ids_of, maps_of
 from pedzoo.core.geometry import limit_speed
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.maps.walls.local_walls import LocalWalls
-from pedzoo.policies.learned.clearance import (
+from pedzoo.policies.safety_layer.clearance import (
     NARROW,
     ROUNDS,
     SHARES,
@@ -25,8 +25,8 @@ from pedzoo.policies.learned.clearance import (
     ProposedSteps,
     WallConstraints,
 )
-from pedzoo.policies.learned.compiled_clearance import kept_clear_compiled, loops_take
-from pedzoo.policies.learned.yielding import yielding
+from pedzoo.policies.safety_layer.compiled_clearance import kept_clear_compiled, loops_take
+from pedzoo.policies.safety_layer.yielding import yielding
 
 WAITED = 0.4
 """Metres within the observed steps, 2.8 s, below which a person waits.
@@ -39,10 +39,10 @@ otherwise they wait for ever.
 def kept_clear(steps: ProposedSteps, walls: LocalWalls | None = None) -> Tensor:
     """Return steps (B, A, 2), metres, near those that are asked for, without contacts of bodies or walls.
 
-    Two people share a correction, by who goes first: see `pedzoo.policies.learned.precedence`. Agents that
-    the policy does not move take no part in it, and robots leave it to people: the other one makes all of
-    it. Agents that touch already come no closer. Neither turning a scene nor the order of its people changes
-    anything. Differentiable. Walls are those of `MapBank.walls_around`.
+    Two people share a correction, by who goes first: see `precedence`. Agents that the policy does not move
+    take no part in it, and robots leave it to people: the other one makes all of it. Agents that touch
+    already come no closer. Neither turning a scene nor the order of its people changes anything.
+    Differentiable. Walls are those of `MapBank.walls_around`.
     """
     return kept_clear_compiled(steps, walls) if loops_take(steps) else kept_clear_in_torch(steps, walls)
 

@@ -1,8 +1,8 @@
 """Room kept between people and to walls: steps that lack it, ways out, and contacts.
 
 Coordinates come first and people last, (2, ..., B, A): on the CPU several times faster than pairs. Nothing
-is read back to the host. `pedzoo.policies.learned.clearance_loops` says the same in compiled loops, and
-`pedzoo.policies.learned.clearance_slopes` has their gradients.
+is read back to the host. `pedzoo.policies.safety_layer.clearance_loops` says the same in compiled loops, and
+`pedzoo.policies.safety_layer.clearance_slopes` has their gradients.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from torch import Tensor
 
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.maps.walls.local_walls import LocalWalls
-from pedzoo.policies.learned.precedence import LEAST_SHARE, SPREAD, passing, precedence
+from pedzoo.policies.safety_layer.precedence import LEAST_SHARE, SPREAD, passing, precedence
 
 ROUNDS = 8
 """Corrections at most: each may undo a part of another."""

@@ -13,7 +13,7 @@ from torch import Tensor
 from pedzoo.core.batch import usual_body
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.maps.walls.local_walls import LocalWalls
-from pedzoo.policies.learned.clearance import MARGIN, ProposedSteps
+from pedzoo.policies.safety_layer.clearance import MARGIN, ProposedSteps
 
 HORIZON = 4.0
 """Seconds within which a contact with a robot counts."""

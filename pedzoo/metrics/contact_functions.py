@@ -1,8 +1,8 @@
 """Contacts and distances between people: pure functions over the 0.1 s trace of closed-loop episodes.
 
-E episodes of A people (padded), T trace points, see `pedzoo.metrics.navigation`. Scored people (E, A, T) may
-come near all people who are present (E, A, T). ``nearest`` (E, A, T) are distances to the nearest other,
-metres.
+E episodes of A people (padded), T trace points, see `pedzoo.metrics.arrival_functions`. Scored people
+(E, A, T) may come near all people who are present (E, A, T). ``nearest`` (E, A, T) are distances to the
+nearest other, metres.
 """
 
 from collections.abc import Iterator

@@ -5,7 +5,7 @@ from typing import Any
 from pedzoo.core.registry import MODELS, names_code
 from pedzoo.core.spec import parse, unquoted
 from pedzoo.models.zoo.address import is_address
-from pedzoo.models.zoo.header import read_config
+from pedzoo.models.zoo.file_header import read_config
 from pedzoo.models.zoo.loading import read_checkpoint
 from pedzoo.models.zoo.store import find, no_model, weights_of
 

@@ -1,0 +1,1 @@
+"""The controller, which is called step by step: people in another simulator."""

@@ -1,1 +1,0 @@
-"""The stepping controller: people in another simulator."""
