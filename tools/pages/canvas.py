@@ -70,10 +70,10 @@ class Canvas:
         tip = np.asarray(place) + radius * np.array([np.cos(heading), np.sin(heading)])
         self.pen.line(self.pixels([place, tip]), LIDAR[:3], 3 * FINER)
 
-    def label(self, place: Any, text: str) -> None:
+    def label(self, place: Any, text: str, color: Any = INK) -> None:
         """Write beside a place."""
         (x, y), font = self.pixels(place)[0], ImageFont.load_default(15 * FINER)
-        self.pen.text((x + 14 * FINER, y - 24 * FINER), text, INK, font)
+        self.pen.text((x + 14 * FINER, y - 24 * FINER), text, color, font)
 
     def area(self, outline: Any) -> None:
         """Draw what a lidar sees."""

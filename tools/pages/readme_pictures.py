@@ -38,6 +38,9 @@ PICTURES = ROOT / "docs" / "pictures"
 APARTMENT, PEOPLE, WALKERS, ROBOT, DRIVER = 25, 7, "sgan_goal_map.indoor", "turtlebot4:radius=0.25", "orca"
 """Seed of the floor plan, number of people, their policy, the robot's body and its policy."""
 
+EVERY = 25
+"""Steps of 0.1 s between two figures of a person in `snippet`."""
+
 SECONDS, FRAME_SECONDS, WIDTH = 12.0, 0.08, 1200
 """Of the GIF: its length, time between frames and pixels."""
 
@@ -103,8 +106,10 @@ def liveliest(both: RobotRollout) -> int:
     pairs = torch.ones(gap.shape[1:3]).triu(1)[None, :, :, None]
     met = ((gap < 1.3) * pairs).sum((1, 2, 3)) + 2 * (gap[:, -1] < 1.5).sum((1, 2))
     moved = (path.diff(dim=2).norm(dim=-1) > 0.03).float().mean((1, 2))
-    lasts = both.seconds > SECONDS + TRACE_SECONDS
-    return int((met.float() * moved**4).where(lasts, torch.tensor(-1.0)).argmax())
+    # shoulders are drawn wider than the disc that touches are measured with: none may lie over the robot
+    clear = gap[:, -1, :-1].amin((1, 2)) > both.walked.radius[:, -1] + SHOULDERS[1]
+    fits = (both.seconds > SECONDS + TRACE_SECONDS) & clear
+    return int((met.float() * moved**4).where(fits, torch.tensor(-1.0)).argmax())
 
 
 def snippet(out: Path = PICTURES / "controller.png") -> None:
@@ -113,19 +118,20 @@ def snippet(out: Path = PICTURES / "controller.png") -> None:
     code = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)[0]
     walks, plan = recorded(code)
     canvas = canvas_of(*plan, width=1000)
-    for number, (person, way) in enumerate(walks.items()):
-        color = ROBOT_COLOR if person == "robot" else person_color(number)
-        if person == "robot":
-            canvas.robot(way[-1], 0.0, 0.3)
-            continue
-        canvas.trail(way, color)
-        shown = way[0] + 1.0
-        for moment in range(0, len(way), 20):
-            if np.linalg.norm(way[moment] - shown) > 2 * SHOULDERS[1]:
-                shown = way[moment]
-                canvas.person(shown, headings(np.array(way))[moment], color)
-                canvas.label(shown, f"{moment // 10} s")
-    canvas.finished("people every 2 s; the robot stands").quantize(COLORS).save(out, optimize=True)
+    robot = walks.pop("robot")
+    canvas.robot(robot[-1], 0.0, 0.3)
+    for number, way in enumerate(walks.values()):
+        canvas.trail(way, person_color(number))
+    drawn: list[Any] = []
+    for moment in range(0, len(robot), EVERY):
+        now = [way[moment] for way in walks.values()]
+        for number, (place, way) in enumerate(zip(now, walks.values(), strict=True)):
+            # a figure over that of another moment would look like a collision
+            if all(np.linalg.norm(place - other) > 2 * SHOULDERS[1] for other in drawn):
+                canvas.person(place, headings(np.array(way))[moment], person_color(number))
+                canvas.label(place, f"{moment / 10:g} s", person_color(number))
+        drawn += now
+    canvas.finished(f"Ann (red) and Ben (blue) every {EVERY / 10:g} s; the robot stands").quantize(COLORS).save(out, optimize=True)
     print(out)
 
 
