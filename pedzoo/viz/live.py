@@ -158,12 +158,8 @@ class BulletWindow:
         """Show the last decision in its own time."""
         state = self._env.state
         plan = int(state.map_id[0])
-        if plan != self._plan:
-            if self._looks is not None:
-                self._looks.close()
-            self._plan, self._grid = plan, next((g for g in self._env.bank.grids if g.map_id == plan), None)
-            walls = boxes(self._grid, self._env.scenario.unknown) if self._grid else np.zeros((0, 4))
-            self._looks = BulletLooks(walls, window=True)
+        if plan != self._plan or self._looks is None:
+            self._open(plan)
         assert self._looks is not None
         points = round(self._env.decision_dt / TRACE_SECONDS)
         path = move_to_map(state.past, state.pose)[0].double().cpu()
@@ -184,6 +180,19 @@ class BulletWindow:
             }
             self._looks.place(figures)
             time.sleep(max(TRACE_SECONDS / self._speed, 1 / FINEST) if point < points - 1 else 0)
+
+    def _open(self, plan: int) -> None:
+        """Open the window of another floor plan, and let it show all of it; or all people where there is none."""
+        if self._looks is not None:
+            self._looks.close()
+        self._plan, self._grid = plan, next((g for g in self._env.bank.grids if g.map_id == plan), None)
+        walls = boxes(self._grid, self._env.scenario.unknown) if self._grid else np.zeros((0, 4))
+        self._looks = BulletLooks(walls, window=True)
+        state = self._env.state
+        corners = (
+            walls.reshape(-1, 2) if len(walls) else state.past[0, state.mask[0]].flatten(0, 1).cpu().numpy()
+        )
+        self._looks.look_at(corners.min(0).tolist(), corners.max(0).tolist())
 
 
 def _local(grid: OccupancyGrid | None, places: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Trains `closed_loop/social_walker` with one part left out at a time, and scores each against real people.
+"""Trains `closed_loop/social_walker_styled` with one part left out at a time, and scores each against real people.
 
     python -m tools.zoo.ablations --runs runs/ablations
 
@@ -23,19 +23,24 @@ from pedzoo.train.run import RunFolder
 from tools.pages.score_page import cell
 from tools.pages.tables import table
 
-CONFIG = "closed_loop/social_walker"
+CONFIG = "closed_loop/social_walker_styled"
 MODEL = "model.generator.init_args"
 PARTS: dict[str, dict[str, str]] = {
     "the whole": {},
     "the whole, another seed": {"seed_everything": "1"},
-    "without style": {f"{MODEL}.architecture.style": "false"},
+    "without style": {
+        f"{MODEL}.architecture.style": "false",
+        f"{MODEL}.architecture.style_prior": "false",
+    },
     "without noise at every step": {f"{MODEL}.architecture.step_noise": "false"},
     "without held velocities": {f"{MODEL}.architecture.held": "false"},
     "without companions": {
         f"{MODEL}.architecture.companions": "false",
         f"{MODEL}.architecture.groups": "false",
     },
-    "without halts that last": {f"{MODEL}.architecture.lasting_halts": "false"},
+    "without evasion": {f"{MODEL}.architecture.avoids": "false"},
+    "with two layers of 64": {f"{MODEL}.architecture.hidden_dim": "64"},
+    "without weight decay": {"model.weight_decay": "0.0"},
     "without the layer in training": {f"{MODEL}.walking.safety": "false"},
 }
 """Settings of each training beside those of the config."""

@@ -42,7 +42,13 @@ def connect(owner: object, window: bool = False) -> tuple[Any, int, Callable[[],
     It is disconnected when ``owner`` is gone at the latest; doing it again does nothing.
     """
     pybullet = load_pybullet()
-    client: int = pybullet.connect(pybullet.GUI if window else pybullet.DIRECT)
+    if window:
+        with quiet(1):  # its threads say that they begin
+            client: int = pybullet.connect(pybullet.GUI)
+        for panel in (pybullet.COV_ENABLE_GUI, pybullet.COV_ENABLE_SHADOWS):
+            pybullet.configureDebugVisualizer(panel, 0, physicsClientId=client)
+    else:
+        client = pybullet.connect(pybullet.DIRECT)
     return pybullet, client, weakref.finalize(owner, _disconnect, pybullet, client)
 
 

@@ -61,6 +61,22 @@ class BulletLooks:
             pybullet.createMultiBody(0, -1, shape, physicsClientId=client)
         self._figures = Figures(pybullet, client, AWAY)
 
+    def look_at(self, low: Sequence[float], high: Sequence[float]) -> None:
+        """Let the window show a rectangle from above, from its south.
+
+        Args:
+            low: Its lower corner (x, y), metres.
+            high: Its upper corner (x, y), metres.
+        """
+        width, depth = high[0] - low[0], high[1] - low[1]
+        self._p.resetDebugVisualizerCamera(
+            cameraDistance=max(0.5 * width, 0.7 * depth) + 1,
+            cameraYaw=0,
+            cameraPitch=-65,
+            cameraTargetPosition=[(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, 0],
+            physicsClientId=self.client,
+        )
+
     def close(self) -> None:
         """Disconnect; a second time does nothing."""
         self._finalizer()
