@@ -182,7 +182,7 @@ class BulletWindow:
             time.sleep(max(TRACE_SECONDS / self._speed, 1 / FINEST) if point < points - 1 else 0)
 
     def _open(self, plan: int) -> None:
-        """Open the window of another floor plan, and let it show all of it; or all people where there is none."""
+        """Open the window of another floor plan: it shows all of it, or all people where there is none."""
         if self._looks is not None:
             self._looks.close()
         self._plan, self._grid = plan, next((g for g in self._env.bank.grids if g.map_id == plan), None)

@@ -47,14 +47,14 @@ def pages(report: Mapping[str, Any]) -> list[ResultTable]:
         if known:
             result.append(ResultTable(title, ["crowd", "n", *known], body, 2))
     telling = [
-        [_label(row), key, ", ".join(f"{name} {share:.0%}" for name, share in telling.items())]
+        [_label(row), test, feature, f"{share:.0%}"]
         for row in rows
-        for key, telling in row.get("telling", {}).items()
+        for test, features in row.get("telling", {}).items()
+        for feature, share in features.items()
     ]
     if telling:
-        result.append(
-            ResultTable("what the classifier goes by", ["crowd", "test", "by share of gain"], telling, 3)
-        )
+        head = ["crowd", "test", "feature", "share of gain"]
+        result.append(ResultTable("what the classifier goes by", head, telling, 3))
     return result
 
 
