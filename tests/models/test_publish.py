@@ -9,18 +9,19 @@ from typing import Any
 
 import pytest
 import torch
-from helpers.batches import make_batch
+from helpers.batches import make_batch, random_weights
 from helpers.model_cards import make_card
-from helpers.runs import PROTOCOL, make_run
+from helpers.runs import OPTIONS, PROTOCOL, make_run
 
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.data.datasets.eth_ucy import EthUcy
 from pedzoo.data.provenance import provenance
-from pedzoo.models.export.publish import publish, zoo_name
+from pedzoo.models.architectures.sgan import SGAN
+from pedzoo.models.export.publish import describe, publish, zoo_name
 from pedzoo.models.export.run_record import options_of
 from pedzoo.models.zoo.card import read_card
-from pedzoo.models.zoo.loading import load
+from pedzoo.models.zoo.loading import load, save_weights
 
 
 def test_the_card_says_what_the_run_recorded(tmp_path: Path) -> None:
@@ -185,6 +186,21 @@ def test_damaged_records_of_a_run_are_told(name: str, content: bytes, tmp_path: 
     with pytest.raises(UserError, match=r"records of the run .* are damaged|config\.yaml"):
         publish(checkpoint, tmp_path / "zoo")
     assert not (tmp_path / "zoo").exists()
+
+
+def test_weights_whose_run_is_gone_are_described_by_themselves(tmp_path: Path) -> None:
+    weights = tmp_path / "sgan_goal.zara1.safetensors"
+    known = {"config": "sgan_goal", "fold": "zara1", "seed": 2, "chosen_by": "val/ade"}
+    save_weights(random_weights(SGAN.of(**OPTIONS)), weights, protocol=PROTOCOL, training=known)
+    before = weights.read_bytes()
+    card = read_card(describe(weights, make_card().evaluations))
+    assert weights.read_bytes() == before and card.sha256 == hashlib.sha256(before).hexdigest()
+    assert card.training["seed"] == 2 and card.training["clock"] == "benchmark"
+    assert card.training["command"] is None and card.training["seeds"] is None
+    assert "biwi_eth" in card.data["recordings"] and card.evaluations == make_card().evaluations
+    weights.rename(tmp_path / "mine.safetensors")
+    with pytest.raises(UserError, match="'mine': expected ARCHITECTURE"):
+        describe(tmp_path / "mine.safetensors")
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from pedzoo.core.types import PRED_LEN
 from pedzoo.data.provenance import licence, provenance, together
 from pedzoo.data.recordings import find_fold
 from pedzoo.models.export.run_record import RunRecord, read_run
-from pedzoo.models.zoo.card import ModelCard, check_name, read_card, write_card
+from pedzoo.models.zoo.card import ModelCard, Training, check_name, read_card, write_card
 from pedzoo.models.zoo.file_header import read_config
 from pedzoo.models.zoo.layout import card_beside, name_of_files
 from pedzoo.models.zoo.loading import config_of, load, read_checkpoint, save_weights
@@ -65,6 +65,21 @@ def publish(
     if measured is None and (there := card_beside(weights)).is_file():
         read_card(there)  # a damaged card raises here, before the weights change
     save_weights(model, weights, protocol=protocol, training=said)
+    return _write(weights, record, data, measured)
+
+
+def describe(weights: str | Path, measured: list[dict[str, Any]] | None = None) -> Path:
+    """Write the card of ``ARCH.TAG/weights.safetensors`` whose run is gone, and return its path.
+
+    Raises:
+        UserError: There are none, they are damaged, or not named like weights of the zoo.
+    """
+    weights = Path(weights)
+    check_name(name_of_files(weights))
+    config = read_config(weights)
+    known = config.get("protocol", {}) | config.get("training", {})
+    record = RunRecord({key: known.get(key) for key in Training.__annotations__})
+    data = _trained_on(record, plans="map" in load(weights).needs)
     return _write(weights, record, data, measured)
 
 
