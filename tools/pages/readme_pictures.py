@@ -131,7 +131,9 @@ def snippet(out: Path = PICTURES / "controller.png") -> None:
                 canvas.person(place, headings(np.array(way))[moment], person_color(number))
                 canvas.label(place, f"{moment / 10:g} s", person_color(number))
         drawn += now
-    canvas.finished(f"Ann (red) and Ben (blue) every {EVERY / 10:g} s; the robot stands").quantize(COLORS).save(out, optimize=True)
+    canvas.finished(f"Ann (red) and Ben (blue) every {EVERY / 10:g} s; the robot stands").quantize(
+        COLORS
+    ).save(out, optimize=True)
     print(out)
 
 

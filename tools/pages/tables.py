@@ -122,7 +122,8 @@ def results() -> str:
     return (
         f"{text}\n- The first two policies are learned, the others are rules. "
         f"The second needs {slow:.2f} times the time of free walking in buildings, the first {quick:.2f}.\n"
-        "- All columns but realism are shares of episodes. Buildings are randomly generated, and in no training set.\n"
+        "- All columns but realism are shares of episodes. "
+        "Buildings are randomly generated, and in no training set.\n"
         f"- realism: as above. Differences of {CHANCE} are within chance.\n"
         "- `safety=true` is the safety layer that our weights use, too. "
         "Most of the freedom from contacts is its work. ORCA and social force walk without it.\n"

@@ -1,4 +1,4 @@
-"""Trains `closed_loop/social_walker_styled` with one part left out at a time, and scores each against real people.
+"""Trains `closed_loop/social_walker_styled` with one part left out at a time, and scores each walker.
 
     python -m tools.zoo.ablations --runs runs/ablations
 
