@@ -1,6 +1,5 @@
 """Config files with the values that they inherit (``base: sgan_goal``), and scenarios as texts."""
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -64,9 +63,11 @@ def _loaded(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
         raise UserError(f"config {str(path)!r}: expected the name of one config as base, not {base!r:.60}")
     beside = path.parent / base
     try:
-        file = beside if os.path.isfile(beside) else find_config(base)  # false for too long names, too
+        file = beside if beside.is_file() else find_config(base)
     except UserError as error:
         raise UserError(f"base of config {str(path)!r}: {error}") from error
+    except OSError as error:  # no file has so long a name
+        raise UserError(f"base of config {str(path)!r}: {base!r:.60}: {error.strerror}") from error
     return new_config(merged(_loaded(file, chain), settings), say_so=True)
 
 

@@ -44,7 +44,7 @@ def find_config(name: str) -> Path:
         UserError: Neither exists.
     """
     for path in (Path(name), shipped("configs") / f"{name}.yaml"):
-        if os.path.isfile(path):  # unlike Path's, for names that no system takes, too
+        if path.is_file():
             return path
     raise unknown("config", name, config_names())
 

@@ -10,6 +10,7 @@ import ast
 import importlib
 import importlib.util
 import inspect
+import os
 import sys
 from collections.abc import Callable
 from fnmatch import fnmatch
@@ -21,7 +22,6 @@ from typing import Any
 from zlib import crc32
 
 from pedzoo.core.errors import UserError, unknown
-from pedzoo.core.paths import expanded
 
 _OF_FILES = "pedzoo_user_"
 """The prefix of module names of users' files."""
@@ -246,7 +246,7 @@ def _in_file(spec: str, kind: str, wanted: Callable[[Any], bool]) -> Any:
 def _file(path: str | Path) -> Path | None:
     """Return where a file is, or None; systems refuse to look for names that are long or have a zero byte."""
     try:
-        file = expanded(path).resolve()
+        file = Path(os.path.expanduser(path)).resolve()
         return file if file.is_file() else None
     except (OSError, ValueError, RuntimeError):  # the last: a link to itself
         return None

@@ -115,13 +115,11 @@ class Physics(ABC):
     ) -> OwnedMotion:
         """Return how agents of `owned` move in a decision; rows of all other agents do not matter.
 
-        Begin from ``state``, which says position, heading, velocity and turning rate: an episode may have
-        begun since the last call. Contacts and goals are found on the returned paths.
+        Begin from ``state``: an episode may have begun since the last call. Paths show contacts and goals.
 
         Args:
             state: The scenes.
-            command: What policies want (B, A, 2), as the agent's drive has it, not limited; 0 for agents
-                without a goal.
+            command: What policies want (B, A, 2), as the agent's drive has it, not limited; 0 without a goal.
             moving: Which agents move (B, A) bool.
             ticks: S, trace points of 0.1 s.
             substeps: M, sub-steps of every 0.1 s.

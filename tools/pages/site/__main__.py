@@ -32,9 +32,10 @@ API = {
     "sim.robot_parts.rollout.RobotRollout sim.robot_parts.sensor sim.robot_parts.reward",
     "models": "Models and data: core.batch models.base.Forecaster models.architectures.sgan.SGAN "
     "data.datamodule.TrajectoryDataModule data.recordings data.tracks.Tracks",
-    "maps": "Maps: maps.library maps.grid.OccupancyGrid maps.plain maps.planning.planner.Planner",
+    "maps": "Maps: maps.named_plans maps.grid.OccupancyGrid maps.from_rectangles "
+    "maps.planning.planner.Planner",
     "eval": "Metrics and evaluation: metrics.arrival metrics.contacts metrics.door metrics.smoothness "
-    "metrics.displacement metrics.robots.table eval.suite eval.scoring.score",
+    "metrics.displacement metrics.robots.robot_metrics eval.suite eval.scoring.score",
 }
 """Pages of the API by their names: title, and modules, classes and functions of pedzoo."""
 
