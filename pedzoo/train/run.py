@@ -160,7 +160,11 @@ class RunFolder:
             need("wandb", "--wandb")
             result.append(
                 WandbLogger(
-                    project="pedzoo", name=f"{name}/{version}", save_dir=self.path, offline=wandb == "offline"
+                    project="pedzoo",
+                    name=f"{name}/{version}",
+                    # its process may have been started in another folder
+                    save_dir=self.path.absolute(),
+                    offline=wandb == "offline",
                 )
             )
         return result

@@ -76,8 +76,17 @@ def history(run: Path) -> Iterator[dict[str, Any]]:
                 yield {key: json.loads(item.value_json) for key, item in items}
 
 
-def test_one_row_and_one_offline_run_have_both_kinds_of_metrics(elsewhere: Path) -> None:
+def test_one_row_and_one_offline_run_have_both_kinds_of_metrics(
+    elsewhere: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """ADE, FDE and success of an epoch stand together; picture and video are really there."""
+    import wandb
+
+    wandb.teardown()
+    monkeypatch.setenv("WANDB_MODE", "offline")
+    monkeypatch.chdir(tmp_path_factory.mktemp("another"))
+    wandb.setup()  # its process stays in that folder
+    monkeypatch.chdir(elsewhere)
     assert main([*FIT, *QUICK, "--wandb", "offline", "--rollout.video", "true", *BEST]) == 0
     run = Path("runs/sgan_goal/embedded-seed0")
     (result,) = measured(run)
