@@ -12,10 +12,10 @@ The policies of a crowd are joined by ``+``. The setting ``share`` belongs to th
 import math
 import os
 import re
-from contextlib import suppress
 from typing import NamedTuple
 
 from pedzoo.core.errors import UserError
+from pedzoo.core.paths import expanded
 from pedzoo.core.registry import MODELS, POLICIES, names_code
 from pedzoo.core.spec import name_of, parse, split
 from pedzoo.models.zoo.address import is_address
@@ -126,8 +126,6 @@ def is_policy(text: str) -> bool:
 
 def _exists(text: str) -> bool:
     """Return whether the name in a text is that of a file, or of a model in a folder."""
-    name = name_of(text.strip())
-    with suppress(ValueError):  # a zero byte
-        name = os.path.expanduser(name)
+    name = str(expanded(name_of(text.strip())))
     file = name.rpartition(":")[0] if names_code(name) else name
     return os.path.exists(file) or os.path.exists(f"{file}.yaml")

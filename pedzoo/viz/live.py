@@ -158,7 +158,7 @@ class BulletWindow:
         """Show the last decision in its own time."""
         state = self._env.state
         plan = int(state.map_id[0])
-        if plan != self._plan or self._looks is None:
+        if plan != self._plan:
             self._open(plan)
         assert self._looks is not None
         points = round(self._env.decision_dt / TRACE_SECONDS)

@@ -120,20 +120,19 @@ def snippet(out: Path = PICTURES / "controller.png") -> None:
     canvas = canvas_of(*plan, width=1000)
     robot = walks.pop("robot")
     canvas.robot(robot[-1], 0.0, 0.3)
-    for number, way in enumerate(walks.values()):
-        canvas.trail(way, person_color(number))
+    people = [(way, headings(np.array(way)), person_color(i)) for i, way in enumerate(walks.values())]
+    for way, _, color in people:
+        canvas.trail(way, color)
     drawn: list[Any] = []
     for moment in range(0, len(robot), EVERY):
-        now = [way[moment] for way in walks.values()]
-        for number, (place, way) in enumerate(zip(now, walks.values(), strict=True)):
+        for way, facing, color in people:
             # a figure over that of another moment would look like a collision
-            if all(np.linalg.norm(place - other) > 2 * SHOULDERS[1] for other in drawn):
-                canvas.person(place, headings(np.array(way))[moment], person_color(number))
-                canvas.label(place, f"{moment / 10:g} s", person_color(number))
-        drawn += now
-    canvas.finished(f"Ann (red) and Ben (blue) every {EVERY / 10:g} s; the robot stands").quantize(
-        COLORS
-    ).save(out, optimize=True)
+            if all(np.linalg.norm(way[moment] - other) > 2 * SHOULDERS[1] for other in drawn):
+                canvas.person(way[moment], facing[moment], color)
+                canvas.label(way[moment], f"{moment / 10:g} s", color)
+        drawn += [way[moment] for way, _, _ in people]
+    picture = canvas.finished(f"Ann (red) and Ben (blue) every {EVERY / 10:g} s; the robot stands")
+    picture.quantize(COLORS).save(out, optimize=True)
     print(out)
 
 
