@@ -8,7 +8,7 @@ from torch import Tensor
 from pedzoo.metrics import arrival_functions
 from pedzoo.metrics.contacts import untouched
 from pedzoo.metrics.ratios import Ratio, finite, mean, metric, of_sums, once, ratio, share
-from pedzoo.metrics.slots_to_persons import Runs
+from pedzoo.metrics.slots_to_persons import ScoredSpans
 from pedzoo.sim.rollout import Rollout
 
 
@@ -35,7 +35,7 @@ class _Walks(NamedTuple):
 @once
 def _walks(rollout: Rollout) -> _Walks:
     if rollout.replayed:
-        runs = Runs.of(rollout.scored)
+        runs = ScoredSpans.of(rollout.scored)
         arrived = runs.there & (runs.last(rollout.reached) >= rollout.goals)
         steps = rollout.path.diff(dim=2).norm(dim=-1).where(rollout.underway, 0.0)
         planned, walked, none = runs.last(rollout.planned), runs.sums(steps), torch.empty(0)
@@ -86,7 +86,9 @@ def deadlock(rollout: Rollout) -> Ratio:
     """Share of people who once stayed within 0.1 m for 5 s, more than 0.5 m from their goal."""
     where = rollout.trace, rollout.goal, rollout.scored
     if rollout.replayed:
-        return share(Runs.of(rollout.scored).any(arrival_functions.stuck(*where)), _walks(rollout).there)
+        return share(
+            ScoredSpans.of(rollout.scored).any(arrival_functions.stuck(*where)), _walks(rollout).there
+        )
     return share(arrival_functions.deadlocked(*where), rollout.mask)
 
 

@@ -14,7 +14,7 @@ from torch import Tensor
 from pedzoo.metrics.contact_functions import begins
 
 
-class Runs(NamedTuple):
+class ScoredSpans(NamedTuple):
     """When people are scored.
 
     Attributes:
@@ -26,7 +26,7 @@ class Runs(NamedTuple):
     count: int
 
     @classmethod
-    def of(cls, scored: Tensor) -> Runs:
+    def of(cls, scored: Tensor) -> ScoredSpans:
         """Find the runs of people who are ``scored`` (E, A, T) bool."""
         number = begins(scored).cumsum(2)
         return cls(number.where(scored, 0), int(number.max()) if number.numel() else 0)

@@ -15,7 +15,7 @@ from pedzoo.metrics.arrival import time_ratios
 from pedzoo.metrics.closed_loop import NAMES, ClosedLoopScore, closed_loop
 from pedzoo.metrics.contact_functions import least_distance, nearest
 from pedzoo.metrics.ratios import summarised
-from pedzoo.metrics.slots_to_persons import Runs
+from pedzoo.metrics.slots_to_persons import ScoredSpans
 from pedzoo.metrics.statistics.intervals import wilson
 from pedzoo.sim.rollout import OVER_TIME, Rollout, joined
 
@@ -328,7 +328,7 @@ def test_a_replay_scores_whom_the_policy_moves_and_never_two_people_in_one_slot_
 
 
 def test_runs_are_told_apart_by_gaps() -> None:
-    runs = Runs.of(bits("0110111", "1000000", "0000000").unsqueeze(0))
+    runs = ScoredSpans.of(bits("0110111", "1000000", "0000000").unsqueeze(0))
     assert runs.there.tolist() == [[[True, True], [True, False], [False, False]]]
     number = torch.arange(7).expand(1, 3, 7)
     assert runs.sums(number).tolist() == [[[3, 15], [0, 0], [0, 0]]]

@@ -17,16 +17,16 @@ from pedzoo.sim.crowdnav.cases import TEST, Cases, cases
 from pedzoo.sim.crowdnav.draws import Draws
 from pedzoo.sim.crowdnav.rules import COLLISION, FAILED, GOES_ON, SUCCESS, TIMEOUT, State, begin, step
 from pedzoo.sim.crowdnav.settings import CROWDNAV, CROWDNAV_PP, TIME_STEP, Setting
-from tools.paper.crowdnav_runs import Runs, run
+from tools.paper.crowdnav_runs import CaseResults, run
 
 NAMES = {SUCCESS: "success", COLLISION: "collision", TIMEOUT: "timeout", FAILED: "failed"}
 
 
-def runs(name: str, setting: Setting, seeds: range) -> Runs:
+def runs(name: str, setting: Setting, seeds: range) -> CaseResults:
     return run(load_local_planner(name, TIME_STEP), setting, cases(setting, seeds))
 
 
-def ends(made: Runs) -> list[tuple[str, float]]:
+def ends(made: CaseResults) -> list[tuple[str, float]]:
     return [(NAMES[end], at) for end, at in zip(made.outcome.tolist(), made.seconds.tolist(), strict=True)]
 
 

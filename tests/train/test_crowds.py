@@ -19,13 +19,13 @@ from pedzoo.metrics.realism import clips as score_clips
 from pedzoo.metrics.realism import features as score_features
 from pedzoo.models.architectures.social_walker import SocialWalker
 from pedzoo.policies.learned.walker import Walker
+from pedzoo.train.closed_loop.distribution_distances import wasserstein
 from pedzoo.train.crowds.comparison import MANNER_DIM, coarse, compared, parted, summaries
 from pedzoo.train.crowds.crowd_walk import CrowdWalk, recorded, walked_on
-from pedzoo.train.crowds.discriminator import Judge, legible
+from pedzoo.train.crowds.discriminator import CrowdDiscriminator, legible
 from pedzoo.train.crowds.excerpts import Excerpts, RecordedCrowd, excerpts
 from pedzoo.train.crowds.realism_loss import CrowdLikeness, largest
 from pedzoo.train.crowds.validation import whole_replays
-from pedzoo.train.loop.distribution_distances import wasserstein
 
 EARLY, LATE, SHORT = 0, 1, 2
 PLANNER = Planner(MapBank())
@@ -302,7 +302,7 @@ def test_the_loss_sees_one_large_acceleration(crowd: RecordedCrowd) -> None:
 def test_a_judge_learns_to_distinguish_and_is_not_trained_by_those_it_judges() -> None:
     random = torch.Generator().manual_seed(0)
     torch.manual_seed(0)
-    judge = Judge(hidden_dim=16)
+    judge = CrowdDiscriminator(hidden_dim=16)
     clips = [torch.randn(200, 8, 14, generator=random) for _ in range(2)]
     clips[1][..., :2] += 1.0
     true, made = (legible(some, torch.zeros(200, MANNER_DIM)) for some in clips)

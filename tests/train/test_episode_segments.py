@@ -15,9 +15,15 @@ from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.from_rectangles import rectangles, room, wall
 from pedzoo.sim.make import make_env
-from pedzoo.train.loop.courses import Course, CourseSampler
-from pedzoo.train.loop.loop_losses import LoopLosses, least_gaps, lost_seconds, wall_distances, wrong_side
-from pedzoo.train.loop.segments import Segment, unrolled
+from pedzoo.train.closed_loop.courses import Course, CourseSampler
+from pedzoo.train.closed_loop.loop_losses import (
+    LoopLosses,
+    least_gaps,
+    lost_seconds,
+    wall_distances,
+    wrong_side,
+)
+from pedzoo.train.closed_loop.segments import Segment, unrolled
 
 HALL = room((-8.0, -8.0), (8.0, 8.0), 0.1)
 

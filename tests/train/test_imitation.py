@@ -29,9 +29,9 @@ from pedzoo.models.blocks.people.crowd import Crowd
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.sim.make import make_env
 from pedzoo.sim.scenarios.replay import Replay
-from pedzoo.train.loop.distribution_distances import SPREADS, features, tail, wasserstein
-from pedzoo.train.loop.imitation import Imitation, repeated
-from pedzoo.train.loop.unroll import Unrolled, recorded, unroll
+from pedzoo.train.closed_loop.distribution_distances import SPREADS, features, tail, wasserstein
+from pedzoo.train.closed_loop.imitation import Imitation, repeated
+from pedzoo.train.closed_loop.unroll import Unrolled, recorded, unroll
 from pedzoo.train.modules.plain import PlainModule
 
 FAST, SLOW, STANDS, LEAVES, TURNS = 1, 2, 3, 4, 5

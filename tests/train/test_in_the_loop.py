@@ -27,11 +27,11 @@ from pedzoo.core.spec import grouped
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.sim.make import make_env
-from pedzoo.train.loop.courses import Course
-from pedzoo.train.loop.imitation import Imitation
-from pedzoo.train.loop.in_the_loop import LoopModule
-from pedzoo.train.loop.loop_losses import LoopLosses
-from pedzoo.train.loop.segments import Segment, unrolled
+from pedzoo.train.closed_loop.courses import Course
+from pedzoo.train.closed_loop.imitation import Imitation
+from pedzoo.train.closed_loop.in_the_loop import LoopModule
+from pedzoo.train.closed_loop.loop_losses import LoopLosses
+from pedzoo.train.closed_loop.segments import Segment, unrolled
 
 CONFIG = "closed_loop/sgan_goal_map"
 COURSES = '[{"scenario": "door:width=0.9", "scenes": 3}, {"scenario": "circle:people=2", "scenes": 2}]'

@@ -32,7 +32,7 @@ from pedzoo.sim.crowdnav.rules import COLLISION, SUCCESS, TIMEOUT
 from pedzoo.sim.crowdnav.settings import CROWDNAV, CROWDNAV_PP
 from pedzoo.sim.robot_parts.make import make_robot_env
 from pedzoo.train.robots.crowdnav_crowds import Crowds
-from pedzoo.train.robots.crowdnav_env import CrossingEnv
+from pedzoo.train.robots.crowdnav_env import CrowdNavEnv
 from pedzoo.train.robots.experience import act, walked_once
 from pedzoo.train.robots.ppo import RobotPPO
 from pedzoo.train.robots.teacher import taught, teacher_of
@@ -147,10 +147,10 @@ def test_sensors_that_lack_are_told() -> None:
 @pytest.mark.parametrize("name", ["straight", "crowdnav_orca", "robot_ppo.circle"])
 def test_the_crossing_is_crowdnavs(name: str) -> None:
     """Cases end as those of the rules that are CrowdNav's to the digit, when they do."""
-    check_env_specs(CrossingEnv(3, crowds=8))
+    check_env_specs(CrowdNavEnv(3, crowds=8))
     planner, seeds = load_planner(name, 0.25), range(1000, 1030)
     expected = run(planner, CROWDNAV, cases(CROWDNAV, seeds))
-    env = CrossingEnv(30, crowds=30, first=1000)
+    env = CrowdNavEnv(30, crowds=30, first=1000)
     now, over, seconds = env.reset(), torch.zeros(30, dtype=torch.bool), torch.zeros(30)
     outcome = torch.zeros(30, dtype=torch.long)
     planner = load_planner(name, 0.25)
@@ -181,7 +181,7 @@ def test_wheels_reach_the_goal_as_their_limits_allow() -> None:
     """No person is there. At 1 m/s^2 top speed takes a second and half a metre: 0.5 s more than a disc."""
     seconds = {}
     for robot in ("disc", "diff_drive", "diff_drive:acceleration=1000"):
-        env = CrossingEnv(2, people=1, crowds=2, robot=robot)
+        env = CrowdNavEnv(2, people=1, crowds=2, robot=robot)
         env.crowds = env.crowds._replace(place=env.crowds.place + 100)
         ends = walked_once(env, Attention())
         assert ends["success"] == 1
@@ -192,7 +192,7 @@ def test_wheels_reach_the_goal_as_their_limits_allow() -> None:
 
 def test_standing_where_a_person_will_be_costs_intrusion() -> None:
     """A person comes up to a robot that stands at (0, -4): bodies of 0.3 m overlap within 0.6 m."""
-    env = CrossingEnv(1, CROWDNAV_PP, people=1, crowds=1, reward={"intrusion": 4.0})
+    env = CrowdNavEnv(1, CROWDNAV_PP, people=1, crowds=1, reward={"intrusion": 4.0})
     check_env_specs(env)
     steps = torch.arange(env.crowds.steps + 1)
     place = torch.stack((torch.zeros(len(steps)), -2.0 - 0.19 * steps.clamp_max(8)), -1)
@@ -208,7 +208,7 @@ def test_standing_where_a_person_will_be_costs_intrusion() -> None:
 
 
 def test_people_of_crowdnav_pp_are_replaced_and_seen_within_five_metres() -> None:
-    env = CrossingEnv(8, CROWDNAV_PP, crowds=8, first=1425)
+    env = CrowdNavEnv(8, CROWDNAV_PP, crowds=8, first=1425)
     seen = cast("Any", env.reset()["robots", "observation"])
     gap = seen["people"][..., :2].norm(dim=-1) - 0.6
     assert ((gap <= 5.0) | ~seen["people_mask"]).all() and seen["people_mask"].any()
@@ -219,7 +219,7 @@ def test_people_of_crowdnav_pp_are_replaced_and_seen_within_five_metres() -> Non
 
 def test_a_term_of_the_reward_that_is_not_there_is_refused() -> None:
     with pytest.raises(UserError, match="did you mean 'intrusion'"):
-        CrossingEnv(1, people=1, crowds=1, reward={"intrusoin": 1.0})
+        CrowdNavEnv(1, people=1, crowds=1, reward={"intrusoin": 1.0})
 
 
 @pytest.mark.parametrize("robot", ["disc", "unicycle", "diff_drive"])
@@ -248,7 +248,7 @@ def test_the_teacher_gets_most_robots_through() -> None:
         act(scenes, taught(scenes))
         return scenes
 
-    ends = walked_once(CrossingEnv(100, crowds=100), policy)
+    ends = walked_once(CrowdNavEnv(100, crowds=100), policy)
     assert ends["success"] > 0.85 and ends["seconds"] < 10.5
 
 
@@ -264,7 +264,7 @@ def trained(updates: int, policy: Attention, people: int = 1, **options: Any) ->
 
 
 def returned(policy: Attention) -> float:
-    return float(walked_once(CrossingEnv(50, people=1, crowds=50), policy)["return"])
+    return float(walked_once(CrowdNavEnv(50, people=1, crowds=50), policy)["return"])
 
 
 def test_rewards_make_a_robot_faster_that_hardly_moves() -> None:
@@ -278,7 +278,7 @@ def test_rewards_make_a_robot_faster_that_hardly_moves() -> None:
 
 def test_imitation_comes_near_the_teacher() -> None:
     """It misses less of what the teacher says, in what the teacher's own robot meets."""
-    env = CrossingEnv(64, crowds=64)
+    env = CrowdNavEnv(64, crowds=64)
     now, met = env.reset(), []
     for _ in range(16):
         met.append(now.select(("robots", "observation"), ("robots", "body")).clone())

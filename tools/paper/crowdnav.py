@@ -18,7 +18,7 @@ from pedzoo.sim.crowdnav.rules import COLLISION, FAILED, SUCCESS, TIMEOUT
 from pedzoo.sim.crowdnav.settings import TIME_STEP
 from tools.paper.base import Jobs
 from tools.paper.crowdnav_published import PUBLISHED
-from tools.paper.crowdnav_runs import Runs, run
+from tools.paper.crowdnav_runs import CaseResults, run
 from tools.paper.crowdnav_tables import LEGEND, NOTES, TABLES, agreement_page, table_page
 
 CASES = 500
@@ -110,7 +110,7 @@ def work(job: Job) -> list[dict[str, Any]]:
     return [row | {"outcomes": ends, "seconds": round(seconds, 2)}]
 
 
-def ratios(runs: Runs) -> dict[str, Ratio]:
+def ratios(runs: CaseResults) -> dict[str, Ratio]:
     """Return the metrics of `LEGEND` over cases."""
     won = runs.outcome == SUCCESS
     result = {

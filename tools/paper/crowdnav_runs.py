@@ -16,7 +16,7 @@ DISCOUNT = 0.9
 """Of rewards per second at 1 m/s: CrowdNav's."""
 
 
-class Runs(NamedTuple):
+class CaseResults(NamedTuple):
     """How B cases went.
 
     Attributes:
@@ -43,7 +43,7 @@ class Runs(NamedTuple):
 
 
 @torch.no_grad()
-def run(policy: LocalPlanner, setting: Setting, cases: Cases) -> Runs:
+def run(policy: LocalPlanner, setting: Setting, cases: Cases) -> CaseResults:
     """Return how cases go with a policy; they stay as they were.
 
     Args:
@@ -57,7 +57,7 @@ def run(policy: LocalPlanner, setting: Setting, cases: Cases) -> Runs:
     state = begin(setting, cases)
     scenes = len(cases.goal)
     outcome, seconds = torch.full((scenes,), GOES_ON), torch.zeros(scenes).double()
-    sums = {name: torch.zeros_like(seconds) for name in Runs._fields[2:]}
+    sums = {name: torch.zeros_like(seconds) for name in CaseResults._fields[2:]}
     while bool((going := state.going).any()):
         robot = Robot(*(part.float() for part in state.robot))
         place, moving, radius, mask = state.known
@@ -81,4 +81,4 @@ def run(policy: LocalPlanner, setting: Setting, cases: Cases) -> Runs:
         sums = {name: total + torch.where(going, added[name], 0) for name, total in sums.items()}
         seconds = torch.where(going, events.seconds, seconds)
         outcome = torch.where(going, events.outcome, outcome)
-    return Runs(outcome, seconds, **sums)
+    return CaseResults(outcome, seconds, **sums)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from tensordict import TensorDict, TensorDictBase
 
 from pedzoo.core.errors import UserError
-from pedzoo.sim.gym.info import Info, Journeys
+from pedzoo.sim.gym.info import Info, RobotTotals
 from pedzoo.sim.gym.render import MODES, Pictures
 from pedzoo.sim.gym.spaces import Observation, Observations, action_space
 from pedzoo.sim.robot_parts.env import RobotEnv
@@ -63,7 +63,7 @@ class Batched:
         self.observations = Observations(cast("Any", self.env.observation_spec["robots", "observation"]))
         self.actions = [action_space(body) for body in self.env.scenes.bodies]
         self._seed, self._begun = seed, False
-        self._journeys = Journeys(self.env)
+        self._totals = RobotTotals(self.env)
         self._pictures = Pictures(self.env, render_mode, size)
 
     def reset(self, seed: int | None, chance: np.random.Generator) -> Step:
@@ -95,7 +95,7 @@ class Batched:
         robots = TensorDict({"action": given.view(shape)}, shape[:2], device=self.env.device)
         asked = TensorDict({"robots": robots}, self.env.batch_size, device=self.env.device)
         seen = cast("TensorDictBase", self.env.step(asked)["next"])
-        self._journeys.add(seen)
+        self._totals.add(seen)
         self._pictures.show()
         return self._said(seen)
 
@@ -109,7 +109,7 @@ class Batched:
         self.env.physics.close()
 
     def _begun_with(self, seen: TensorDictBase, which: torch.Tensor) -> Step:
-        self._journeys.begin(seen, which.to(self.env.device))
+        self._totals.begin(seen, which.to(self.env.device))
         self._pictures.begin()
         return self._said(seen)
 
@@ -126,5 +126,5 @@ class Batched:
             np.zeros(shape) if reward is None else reward[..., 0].double().cpu().numpy(),
             terminated,
             truncated,
-            self._journeys.info(seen),
+            self._totals.info(seen),
         )

@@ -29,7 +29,7 @@ FLAGS = {
 Info = dict[str, NDArray[Any]]
 
 
-class Journeys:
+class RobotTotals:
     """Adds up what robots (B, R) have done since their episodes began."""
 
     def __init__(self, env: RobotEnv) -> None:

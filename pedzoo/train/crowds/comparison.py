@@ -18,9 +18,9 @@ from pedzoo.metrics.realism.clips import CHANNELS, FAR, LENGTH
 from pedzoo.metrics.realism.features import LINE
 from pedzoo.metrics.smoothness import STANDS
 from pedzoo.models.blocks.people.style import STYLE_DIM, style_of
+from pedzoo.train.closed_loop.distribution_distances import turns, wasserstein
 from pedzoo.train.crowds.crowd_walk import CrowdWalk
 from pedzoo.train.crowds.excerpts import Excerpts
-from pedzoo.train.loop.distribution_distances import turns, wasserstein
 
 _GRAZING = 1e-3
 """m^4/s^2: below, when two people touch changes too fast for a gradient."""

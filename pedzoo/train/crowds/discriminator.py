@@ -34,7 +34,7 @@ def legible(clips: Tensor, manner: Tensor) -> Tensor:
     return torch.cat([*(part.flatten(1) for part in parts), held.flatten(1), manner], 1)
 
 
-class Judge(nn.Module):
+class CrowdDiscriminator(nn.Module):
     """A network, and the clips of the last updates."""
 
     mean: Tensor

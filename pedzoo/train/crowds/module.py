@@ -17,13 +17,13 @@ from pedzoo.models.base import Forecaster
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.sim.make import CLEARANCE
 from pedzoo.sim.scenarios.replay import CELL, SHARE
+from pedzoo.train.closed_loop.courses import Course, CourseSampler
+from pedzoo.train.closed_loop.loop_losses import LoopLosses
+from pedzoo.train.closed_loop.segments import unrolled
 from pedzoo.train.crowds.crowd_walk import walked_on
 from pedzoo.train.crowds.excerpts import RecordedCrowd, excerpts
 from pedzoo.train.crowds.realism_loss import CrowdLikeness
 from pedzoo.train.crowds.validation import whole_replays
-from pedzoo.train.loop.courses import Course, CourseSampler
-from pedzoo.train.loop.loop_losses import LoopLosses
-from pedzoo.train.loop.segments import unrolled
 from pedzoo.train.modules.module import ForecastModule
 
 _PAIRS = 60.0

@@ -8,11 +8,11 @@ import torch
 from torch import Tensor, nn
 
 from pedzoo.core.types import OBS_LEN
+from pedzoo.train.closed_loop.distribution_distances import SPREADS, wasserstein
 from pedzoo.train.crowds.comparison import coarse, compared, parted, summaries
 from pedzoo.train.crowds.crowd_walk import CrowdWalk, recorded
-from pedzoo.train.crowds.discriminator import Judge, legible
+from pedzoo.train.crowds.discriminator import CrowdDiscriminator, legible
 from pedzoo.train.crowds.excerpts import Excerpts
-from pedzoo.train.loop.distribution_distances import SPREADS, wasserstein
 
 COARSE = {"speed": 1.0, "acceleration": 2.0, "heading_rate": 1.5}
 """Weights of features of coarse positions: of changes less is left."""
@@ -70,7 +70,9 @@ class CrowdLikeness(nn.Module):
             "company": company,
         }
         self.nearest, self.judge_steps = nearest, judge_steps
-        self.judges = nn.ModuleDict({"fine": Judge(), "coarse": Judge()} if judged else {})
+        self.judges = nn.ModuleDict(
+            {"fine": CrowdDiscriminator(), "coarse": CrowdDiscriminator()} if judged else {}
+        )
 
     def forward(
         self,
@@ -113,7 +115,7 @@ class CrowdLikeness(nn.Module):
             strong = (largest(side.features["acceleration"]) for side in (made, true))
             apart.append(weights["acceleration"] * wasserstein(*strong) / SPREADS["acceleration"])
             if self.judges and min(len(made.clips), len(true.clips)) >= _LEAST_CLIPS:
-                judge = cast("Judge", self.judges[name])
+                judge = cast("CrowdDiscriminator", self.judges[name])
                 looks = legible(made.clips, made.manner)
                 if optimizer is not None:
                     judge.remember(looks, legible(true.clips, true.manner))

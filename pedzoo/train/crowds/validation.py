@@ -10,10 +10,10 @@ from pedzoo.maps.planning.planner import Planner
 from pedzoo.metrics.realism.clips import Clips
 from pedzoo.metrics.realism.features import FEATURES
 from pedzoo.metrics.realism.two_sample import FOLDS, auc, two_sample
+from pedzoo.train.closed_loop.distribution_distances import wasserstein
 from pedzoo.train.crowds.comparison import CrowdFeatures, coarse, compared
 from pedzoo.train.crowds.crowd_walk import CrowdWalk, Policy, recorded, walked_on
 from pedzoo.train.crowds.excerpts import RecordedCrowd, excerpts
-from pedzoo.train.loop.distribution_distances import wasserstein
 
 _LEAST_SPREAD = 1e-3
 """Of recorded values, where all are equal."""

@@ -34,7 +34,7 @@ FIRST = 10_000
 """Seeds of crowds in training; those of CrowdNav's test begin at 1000."""
 
 
-class CrossingEnv(EnvBase):
+class CrowdNavEnv(EnvBase):
     """The crowds of `pedzoo.sim.crowdnav.settings`, and one robot in each that people do not see.
 
     So their ways are computed once, for ``crowds`` crowds. Keys, actions and rewards are those of

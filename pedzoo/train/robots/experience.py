@@ -14,7 +14,7 @@ from torchrl.objectives.value import GAE
 from pedzoo.policies.robot_policy import bodies_of
 from pedzoo.policies.robots.attention import as_action, frame_of
 from pedzoo.sim.robot_parts.env import RobotEnv
-from pedzoo.train.robots.crowdnav_env import CrossingEnv
+from pedzoo.train.robots.crowdnav_env import CrowdNavEnv
 
 _KEPT: list[Any] = [("robots", "observation"), ("robots", "body")]
 
@@ -25,7 +25,7 @@ class Gatherer:
     TorchRL's collectors store the whole scene batch of every decision. This stores the robots' observations.
     """
 
-    def __init__(self, env: RobotEnv | CrossingEnv, seed: int) -> None:
+    def __init__(self, env: RobotEnv | CrowdNavEnv, seed: int) -> None:
         """Take an environment whose scenes begin with a seed."""
         self.env, self._seed = env, seed
         self._now: TensorDictBase | None = None
@@ -110,7 +110,7 @@ def touched(info: TensorDictBase) -> Tensor:
 
 @torch.no_grad()
 def walked_once(
-    env: RobotEnv | CrossingEnv, policy: Callable[[TensorDictBase], TensorDictBase]
+    env: RobotEnv | CrowdNavEnv, policy: Callable[[TensorDictBase], TensorDictBase]
 ) -> dict[str, Tensor]:
     """Return how one episode in each scene went: shares, seconds of those that succeeded, and the return.
 

@@ -20,7 +20,7 @@ from pedzoo.sim.robot_parts.env import RobotEnv
 from pedzoo.sim.robot_parts.make import make_robot_env
 from pedzoo.train.rl.objective import advantages, clipped
 from pedzoo.train.robots.actor_critic import Mean, Value, actor
-from pedzoo.train.robots.crowdnav_env import SETTINGS, CrossingEnv
+from pedzoo.train.robots.crowdnav_env import SETTINGS, CrowdNavEnv
 from pedzoo.train.robots.experience import Gatherer, outcome_shares, walked_once, with_advantages
 from pedzoo.train.robots.teacher import CONSTANT_VELOCITY, teacher_of
 
@@ -78,7 +78,7 @@ class RobotPPO(L.LightningModule):
             policy: The network.
             scenarios: With settings, as of `pedzoo.make_robot_env`, or ``crowdnav:people=5`` or
                 ``crowdnav_pp``, whose people and decisions are CrowdNav's; see
-                `pedzoo.train.robots.crowdnav_env.CrossingEnv`.
+                `pedzoo.train.robots.crowdnav_env.CrowdNavEnv`.
             people: A policy or a mixed crowd.
             robot: A body with settings.
             decision_dt: Seconds between two decisions.
@@ -138,14 +138,14 @@ class RobotPPO(L.LightningModule):
         """The robot's policy."""
         return self.mean.policy
 
-    def environment(self, scenario: str, scenes: int, training: bool = False) -> RobotEnv | CrossingEnv:
+    def environment(self, scenario: str, scenes: int, training: bool = False) -> RobotEnv | CrowdNavEnv:
         """Return ``scenes`` scenes of one of the scenarios; those of a training are never validated on."""
         spec = parse(scenario)
         if setting := SETTINGS.get(spec.name):
             counts: dict[str, Any] = {key: int(value) for key, value in spec.settings.items()}
             # CrowdNav's validation cases are those of the seeds from 0 on
             counts |= {} if training else {"crowds": scenes, "first": 0}
-            return CrossingEnv(scenes, setting, robot=self.robot, reward=self.reward, **counts)
+            return CrowdNavEnv(scenes, setting, robot=self.robot, reward=self.reward, **counts)
         return make_robot_env(
             scenario,
             self.robot,

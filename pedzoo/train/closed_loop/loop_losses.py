@@ -14,7 +14,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import nearest_part, opposed
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.maps.bank import MapBank
-from pedzoo.train.loop.segments import Segment
+from pedzoo.train.closed_loop.segments import Segment
 
 _SOON = 6.0
 """Seconds of delay that count 1."""

@@ -13,17 +13,17 @@ from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.models.blocks.discriminator import Discriminator
 from pedzoo.models.blocks.people.crowd import Crowd
-from pedzoo.train.loop.distribution_distances import SPREADS, features, tail, wasserstein
-from pedzoo.train.loop.segments import Policy
-from pedzoo.train.loop.unroll import Unrolled, recorded, unroll
+from pedzoo.train.closed_loop.distribution_distances import SPREADS, features, tail, wasserstein
+from pedzoo.train.closed_loop.segments import Policy
+from pedzoo.train.closed_loop.unroll import Unrolled, recorded, unroll
 
 
 class Imitation(nn.Module):
     """Loss for walking unlike recorded people, each term in a unit of its own.
 
-    All people of recorded windows walk together (see `pedzoo.train.loop.unroll.unroll`), and are compared
-    with their recorded tracks. Each person is compared by positions at equal times, the crowd by speeds,
-    accelerations, turns and distances between people.
+    All people of recorded windows walk together (see `pedzoo.train.closed_loop.unroll.unroll`), and are
+    compared with their recorded tracks. Each person is compared by positions at equal times, the crowd by
+    speeds, accelerations, turns and distances between people.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class Imitation(nn.Module):
             distribution: Weight of the distances of distributions, in standard deviations of recorded
                 people: the mean over features, like ``realism`` of the suite ``replay``.
             features: Weight of each feature within it, 1 if not named; see
-                `pedzoo.train.loop.distribution_distances.SPREADS`.
+                `pedzoo.train.closed_loop.distribution_distances.SPREADS`.
             tail: Weight of the difference of the upper tails of acceleration, a share (see
                 `distribution_distances.tail`); a mean distance hardly sees few large values.
             samples: K walks of every window with noise of their own, at K times the cost.

@@ -17,10 +17,10 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.registry import function_in_file
 from pedzoo.models.base import Forecaster
 from pedzoo.policies.learned.walker import Walker
-from pedzoo.train.loop.courses import Course, CourseSampler
-from pedzoo.train.loop.imitation import Imitation
-from pedzoo.train.loop.loop_losses import LoopLosses, mean_cost
-from pedzoo.train.loop.segments import unrolled
+from pedzoo.train.closed_loop.courses import Course, CourseSampler
+from pedzoo.train.closed_loop.imitation import Imitation
+from pedzoo.train.closed_loop.loop_losses import LoopLosses, mean_cost
+from pedzoo.train.closed_loop.segments import unrolled
 from pedzoo.train.modules.module import ForecastModule, copied_keys
 
 

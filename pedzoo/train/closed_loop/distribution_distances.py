@@ -15,7 +15,7 @@ from pedzoo.core.types import STEP_SECONDS
 from pedzoo.metrics.contact_functions import HORIZON, collision_seconds
 from pedzoo.metrics.realism.features import LINE
 from pedzoo.metrics.smoothness import STANDS
-from pedzoo.train.loop.unroll import Unrolled
+from pedzoo.train.closed_loop.unroll import Unrolled
 
 SPREADS = {
     "speed": 0.52,
