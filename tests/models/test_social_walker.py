@@ -12,9 +12,11 @@ from torch import Tensor
 from pedzoo.core.batch import agents_of
 from pedzoo.core.geometry import rotate
 from pedzoo.core.types import STEP_SECONDS
-from pedzoo.models.architectures.social_walker import BRAKING, HALT_PERIOD, SocialWalker
+from pedzoo.models.architectures.social_walker import BRAKING, EVERY_STEP, HALT_PERIOD, JITTER, SocialWalker
 from pedzoo.models.blocks.people.evasion import evasion
+from pedzoo.models.blocks.people.narrow import narrowness, turned
 from pedzoo.models.blocks.people.nearest import Neighbours, nearest
+from pedzoo.models.blocks.people.step_features import Situation
 from pedzoo.models.blocks.people.style import held_of, jitter_of, kinks_of, style_of
 from pedzoo.models.blocks.timed_noise import timed_noise
 from pedzoo.models.zoo.loading import load
@@ -344,3 +346,31 @@ def test_people_who_evade_pass_each_other() -> None:
         path = history[:, :, -1:] + model.next_steps(seen, noise, 12, 12).cumsum(2)
         apart[avoids] = float((path[:, 0] - path[:, 1]).norm(dim=-1).min())
     assert apart[True] > 0.4 > apart[False] + 0.2
+
+
+def test_places_are_narrow_by_the_nearest_wall_and_turns_by_angle_and_speed() -> None:
+    walls = torch.tensor([[[1.5, 0.3], [0.175, 1.0], [0.05, 0.4], [-0.2, 1.5]]])
+    assert narrowness(walls)[0].tolist() == pytest.approx([0.0, 0.5, 1.0, 1.0], abs=1e-6)
+    velocity = torch.tensor([[[1.2, 0.0], [1.2, 0.0], [-1.2, 0.0], [0.6, 0.0], [0.0, 0.0]]])
+    want = torch.tensor([[[1.2, 0.0], [0.6, 0.6 * math.sqrt(3)], [1.2, 0.0], [0.0, 1.2], [1.2, 0.0]]])
+    off = turned(velocity, want, torch.full((1, 5), 1.2))
+    assert off[0].tolist() == pytest.approx([0.0, 0.5, 1.0, 0.25, 0.0], abs=1e-3)
+
+
+@torch.no_grad()
+def test_people_who_were_stopped_near_a_wall_set_out_again() -> None:
+    """They have walked straight until then, and would hold their last velocity: none."""
+    model = SocialWalker.of(hidden_dim=0, style_prior=True, avoids=True, halts=False).eval()
+    back = 0.5 * torch.arange(-7.0, 1.0).view(1, 1, 8, 1) * torch.tensor([1.0, 0.0])
+    batch = changed(make_batch((1,), padding=0.0), history=torch.zeros(1, 1, 8, 2))
+    agents_of(batch)["first_history"] = back
+    gone = {}
+    for wall in (0.0, 1.5):
+        now = Situation.of(batch, walls=False)._replace(
+            walls=torch.full((1, 1, 17), wall), late=torch.full((1, 1), 60.0)
+        )
+        noise = torch.zeros(100, 1, model.noise_dim)
+        noise[:, 0, -EVERY_STEP - JITTER] = torch.linspace(-2, 2, 100)
+        many = Situation(*(value.expand(100, *value.shape[1:]) for value in now))
+        gone[wall] = float((model.velocity(many, noise).norm(dim=-1) > 0.1).float().mean())
+    assert gone[1.5] < 0.02 and gone[0.0] > 0.3

@@ -19,6 +19,7 @@ from pedzoo.core.geometry import rotate, smooth_norm, unrotate
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS, GoalProtocol
 from pedzoo.models.base import Forecaster, Walking, known_displacements, true_displacements
 from pedzoo.models.blocks.people.evasion import evasion
+from pedzoo.models.blocks.people.narrow import narrowness, turned
 from pedzoo.models.blocks.people.nearest import FEATURES, nearest
 from pedzoo.models.blocks.people.step_features import RAYS, WALLS, Situation
 from pedzoo.models.blocks.people.style import STYLE_DIM, held_of, jitter_of, kinks_of
@@ -46,7 +47,8 @@ class WalkerArchitecture:
         groups: Whether companions are those of ``agents/group``; else they are guessed from how people walk.
         style_prior: Whether velocities are held as often, and places jitter as much, as in people's first
             steps before training; else people differ in that only as far as the network has learned.
-        avoids: Whether people evade others on a collision course before training, too.
+        avoids: Whether people evade others on a collision course before training, too. If they see walls,
+            they turn faster near them, and set out again where somebody stopped them.
     """
 
     hidden_dim: int = 64
@@ -74,6 +76,9 @@ GATE_NOISE = 1.7
 
 ASTRAY, LOOKING_UP = 0.3, 3.0
 """Velocities farther off what people want than a share of their speed open the gate by so much more."""
+
+USUAL_GATE = 2.0
+"""Of the gate: before training velocities change in 9 of 10 steps, but for what first steps show."""
 
 HELD_STANDING = 4.5
 """Of the gate, for people who stand: before training they set out in 7 % of steps."""
@@ -117,7 +122,7 @@ class SocialWalker(Forecaster):
         super().__init__()
         self.built_with(architecture, walking)
         self.architecture = a = architecture
-        self.sees_walls = a.walls and a.hidden_dim > 0
+        self.sees_walls = a.walls and (a.hidden_dim > 0 or a.avoids)
         self.needs = frozenset({"goal", "map"} if self.sees_walls else {"goal"})
         if a.hidden_dim:
             self._add_layers(a)
@@ -189,6 +194,9 @@ class SocialWalker(Forecaster):
         rate = rate + (1 - rate) * 0.8 * close
         if a.avoids:
             rate = rate + (1 - rate) * out[..., 18:19].sigmoid() * urgent
+            narrow = narrowness(now.walls) if a.walls else torch.zeros_like(stands)
+            corner = narrow * turned(past[:, :, -1], want, now.pref_speed)
+            rate = rate + (1 - rate) * 0.8 * corner.unsqueeze(-1)
         push = 0.8 * (out[..., 8:10] / 2).tanh() * (1 - 0.7 * close)
         closer = 0.3 * out[..., 10:11].tanh() * with_me[0]
         change = base - past[:, :, -1] + rate * (want - base) + push + closer
@@ -206,11 +214,14 @@ class SocialWalker(Forecaster):
             log_patience = self.patience[0] + self.patience[1] * now.stood + self.patience[2] * z[..., 0]
             late = 2 * (2 * (now.late - log_patience.exp())).sigmoid()
             setting_out = -HELD_STANDING * stands
-            often: Tensor | float = 2.0
+            often: Tensor | float = USUAL_GATE
             if a.style_prior:
                 off = (smooth_norm(past[:, :, -1] - want) / now.pref_speed - ASTRAY).clamp_min(0)
                 changed = 1 - held_of(usual).clamp(0.03, 0.97)
                 often = GATE_NOISE * torch.special.ndtri(changed) + LOOKING_UP * off * (1 - stands)
+            if a.avoids:
+                stopped = narrow * stands * (1 - now.stood)
+                often = often + stopped * (USUAL_GATE - often)
             gate = ((out[..., 15] + often + GATE_NOISE * step[..., 0] + late + setting_out) / 0.2).sigmoid()
             # held velocities are exactly those of before; the gradient is that of the soft gate
             moves = _hard(gate).unsqueeze(-1) * moves
