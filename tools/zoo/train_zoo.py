@@ -5,7 +5,7 @@
 ``train`` runs ``pedzoo fit`` for every recipe and seed, as a user would, skips what is finished and resumes
 what was interrupted; closed-loop recipes go on from the exported weights of the open-loop ones. ``export``
 publishes the seed that is best in validation, as ``pedzoo export --zoo`` does. ``measure`` puts the numbers
-on the cards that have none. ``table`` evaluates every seed on the test scenes and writes
+on the cards that have none, with ``--again`` on all. ``table`` evaluates every seed on the test scenes and writes
 checkpoints/results/FORECAST.md. The recordings are found by PEDZOO_DATA.
 """
 
@@ -75,12 +75,12 @@ def export(recipes: list[Recipe], root: Path) -> None:
                 )
 
 
-def numbers(recipes: list[Recipe]) -> None:
-    """Measure the shipped weights whose cards have no numbers yet."""
+def numbers(recipes: list[Recipe], again: bool) -> None:
+    """Measure the shipped weights whose cards have no numbers yet; ``again``: those of all recipes."""
     names = [name for recipe in recipes for name in recipe.names]
     for name in names:
         path = shipped("checkpoints") / name / CARD
-        if path.is_file() and not (card := read_card(path)).evaluations:
+        if path.is_file() and (not (card := read_card(path)).evaluations or again):
             write_card(dataclasses.replace(card, evaluations=measure(name)), path)
             print(path, flush=True)
 
@@ -93,6 +93,7 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=Path("runs/zoo"))
     parser.add_argument("--jobs", type=int, default=2, help="trainings at a time")
     parser.add_argument("--only", default="", help="only recipes whose name starts with this")
+    parser.add_argument("--again", action="store_true", help="measure cards that have numbers, too")
     options = parser.parse_args()
     recipes = [recipe for recipe in RECIPES if recipe.name.startswith(options.only)]
     if not recipes:
@@ -103,7 +104,7 @@ def main() -> None:
         case "export":
             export(recipes, options.runs)
         case "measure":
-            numbers(recipes)
+            numbers(recipes, options.again)
         case _:
             table(options.runs)
 
