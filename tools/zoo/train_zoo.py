@@ -5,8 +5,8 @@
 ``train`` runs ``pedzoo fit`` for every recipe and seed, as a user would, skips what is finished and resumes
 what was interrupted; closed-loop recipes go on from the exported weights of the open-loop ones. ``export``
 publishes the seed that is best in validation, as ``pedzoo export --zoo`` does. ``measure`` puts the numbers
-on the cards that have none, with ``--again`` on all. ``table`` evaluates every seed on the test scenes and writes
-checkpoints/results/FORECAST.md. The recordings are found by PEDZOO_DATA.
+on the cards that have none, with ``--again`` on all. ``table`` evaluates every seed on the test scenes and
+writes checkpoints/results/FORECAST.md. The recordings are found by PEDZOO_DATA.
 """
 
 from __future__ import annotations
