@@ -13,15 +13,17 @@ from typing import Any
 
 from pedzoo.cli.main import PAGES
 from pedzoo.cli.output import check_outputs
-from pedzoo.cli.suggestions import given, split_names, unknown_option
+from pedzoo.cli.suggestions import given, split_names, unknown_option, whole_numbers
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError, need, unknown
 from pedzoo.core.paths import expanded, find_config
 from pedzoo.core.registry import (
+    METRICS,
     MODELS,
     PHYSICS,
     POLICIES,
     ROBOT_POLICIES,
+    ROBOTS,
     SCENARIOS,
     SUITES,
     Registry,
@@ -30,7 +32,8 @@ from pedzoo.core.registry import (
 )
 from pedzoo.core.size_limits import load_yaml, read_text
 from pedzoo.core.spec import name_of, parse, unquoted
-from pedzoo.models.zoo.store import ROBOTS, find, is_file, no_model
+from pedzoo.models.zoo.store import ROBOTS as ROBOT_WEIGHTS
+from pedzoo.models.zoo.store import find, is_file, no_model
 from pedzoo.policies.crowd_names import members, parts
 from pedzoo.sim.scenario_parts.in_yaml import scenario_spec
 
@@ -38,6 +41,7 @@ ROBOT_MODULES = "pedzoo.train.robots."
 """Where the classes are that train robots."""
 
 _TRAININGS = ("fit", "validate", "test")
+_PLANS = (".yaml", ".yml", ".png", ".pgm", ".jpg", ".jpeg")
 _NEEDS = {"--plot": "video", "--video": "video"}  # extras
 
 
@@ -53,23 +57,33 @@ def check(command: str, argv: list[str]) -> None:
     Raises:
         UserError: An option, a name, a setting or a file that there is not.
     """
-    if command not in known()["options"] or {"-h", "--help"} & set(argv):
+    if {"-h", "--help"} & set(argv):
+        return
+    if command == "view":
+        words = _positional(argv)
+        for scenario in words[:1]:
+            _check_scenario("", scenario)
+        for policy in words[1:]:
+            _check_policy(policy)
+    if command not in known()["options"]:
         return
     argv = renamed.new_options(argv)
     _check_options(command, argv)
     for option, extra in _NEEDS.items():
         if given(argv, option) not in (None, "", "null"):
             need(extra, option)
-    check_outputs(**{name: given(argv, f"--{name}") for name in ("json", "markdown", "plot", "video")})
-    words = [*argv, "--"]
-    first = words[: next(i for i, word in enumerate(words) if word.startswith("-"))]
-    for name in first:
+    check_outputs(
+        **{name: given(argv, f"--{name}") for name in ("json", "markdown", "plot", "video", "html")}
+    )
+    for name in _positional(argv):
         if command == "forecast":
             check_model(name)
         elif command in ("rollout", "evaluate"):
             _check_policy(name, command)
         elif command == "score" and Path(name).suffix in (".csv", ".txt"):
             _check_recording("crowd", name)
+        elif command == "score":
+            _check_policy(name)
     for option, look in _VALUES.items():
         value = given(argv, option)
         if value in (None, "", "null") or value.startswith("["):  # lists of YAML are read later
@@ -80,6 +94,11 @@ def check(command: str, argv: list[str]) -> None:
         for one in [value] if option in _SINGLE else split_names(value):
             if one:
                 look(option, unquoted(one))
+
+
+def _positional(argv: list[str]) -> list[str]:
+    """Return the words before the first option."""
+    return argv[: next((i for i, word in enumerate(argv) if word.startswith("-")), len(argv))]
 
 
 def _model_class(command: str, argv: list[str]) -> str:
@@ -128,7 +147,9 @@ def _check_policy(text: str, command: str = "rollout") -> None:
             _check_file("policy", spec.name.rpartition(":")[0])
         elif spec.name in POLICIES.names():
             _check_settings(POLICIES, spec.name, settings)
-        elif command == "evaluate" and (spec.name in ROBOT_POLICIES.names() or spec.name.startswith(ROBOTS)):
+        elif command == "evaluate" and (
+            spec.name in ROBOT_POLICIES.names() or spec.name.startswith(ROBOT_WEIGHTS)
+        ):
             continue
         else:
             check_model(spec.name, "policy", POLICIES.names())
@@ -161,6 +182,16 @@ def _check_known(kind: str, name: str, said: str, settings: dict[str, str]) -> N
 def _check_scenario(option: str, text: str) -> None:
     spec = scenario_spec(text)
     _check_settings(SCENARIOS, spec.name, dict(spec.settings))
+    if (plan := spec.settings.get("map")) and not plan.startswith("["):
+        _check_plan(option, unquoted(plan))
+
+
+def _check_plan(option: str, text: str) -> None:
+    kinds, (kind, _, seed) = known()["plans"], text.partition(".")
+    if text != "flat" and kind not in kinds and not os.path.exists(expanded(text)):
+        if Path(text).suffix.lower() in _PLANS:
+            raise UserError(f"no map file {text!r}")
+        raise unknown("floor plan", text, ["flat", *(f"{kind}.{seed or 7}" for kind in kinds)])
 
 
 def _check_physics(option: str, text: str) -> None:
@@ -178,6 +209,35 @@ def _check_fold(option: str, text: str) -> None:
     folds = datasets_of_folds()
     if text not in folds and not names_code(text):
         raise unknown("fold", text, folds)
+
+
+def _check_metric(option: str, text: str) -> None:
+    if names_code(text):
+        _check_file("metric", text.rpartition(":")[0])
+    elif text not in METRICS.names():
+        raise unknown("metric", text, METRICS.names())
+
+
+def _check_robot(option: str, text: str) -> None:
+    name = name_of(text)
+    if name not in ROBOTS.names() and not names_code(name):
+        raise unknown("robot", name, ROBOTS.names())
+
+
+def _check_against(option: str, text: str) -> None:
+    if Path(text).suffix in (".csv", ".txt"):
+        _check_recording("recording", text)
+    else:
+        _check_fold(option, text)
+
+
+def _check_choice(option: str, text: str) -> None:
+    if text not in (expected := known()["choices"][option]):
+        raise unknown(option, text, expected)
+
+
+def _check_whole(option: str, text: str) -> None:
+    whole_numbers(option, text)
 
 
 def _check_weights(option: str, text: str) -> None:
@@ -214,6 +274,13 @@ _VALUES: dict[str, Callable[[str, str], None]] = {
     "--physics": _check_physics,
     "--rollout.physics": _check_physics,
     "--suite": _check_suite,
+    "--maps": _check_plan,
+    "--metrics": _check_metric,
+    "--robot": _check_robot,
+    "--against": _check_against,
+    "--episodes": _check_whole,
+    "--trainer.max_epochs": _check_whole,
+    "--data.goal": _check_choice,
     "--data.fold": _check_fold,
     "--data.files": _check_recording,
     "--data.homography": _check_file,

@@ -11,7 +11,7 @@ import re
 from importlib import import_module
 from pathlib import Path
 from pydoc import locate
-from typing import Any
+from typing import Any, get_args
 from unittest.mock import patch
 
 from pedzoo.cli import parsing
@@ -20,6 +20,8 @@ from pedzoo.core.configs import load_config
 from pedzoo.core.paths import config_names
 from pedzoo.core.registry import PHYSICS, POLICIES, ROBOT_POLICIES, SCENARIOS, Registry
 from pedzoo.core.spec import setting_types
+from pedzoo.core.types import GoalProtocol
+from pedzoo.maps.procedural.plan import KINDS
 from pedzoo.models.zoo.loading import baselines
 from pedzoo.policies.learned.walker import Walker
 
@@ -55,7 +57,14 @@ def known() -> dict[str, Any]:
     registries = (POLICIES, ROBOT_POLICIES, SCENARIOS, PHYSICS)
     settings = {registry.kind: _settings(registry) for registry in registries}
     settings["walker"] = {"": sorted(setting_types(Walker).keys() - _GIVEN)}
-    return {"options": options, "settings": settings, "baselines": baselines()}
+    choices = {"--data.goal": list(get_args(GoalProtocol))}
+    return {
+        "options": options,
+        "settings": settings,
+        "choices": choices,
+        "plans": list(KINDS),
+        "baselines": baselines(),
+    }
 
 
 def write() -> None:

@@ -39,6 +39,7 @@ COLUMNS = {
     "sgan_goal_map.indoor": [f"sgan_goal_map.indoor{seed}" for seed in SEEDS],
     "sgan_goal.indoor": [f"sgan_goal.indoor{seed}" for seed in SEEDS],
     "social_walker.eth_ucy": ["social_walker.eth_ucy"],
+    "social_walker.styled": ["social_walker.styled"],
     "sgan_goal_map.controller_open": ["sgan_goal_map.controller_open"],
     "go_to_goal:safety=true": ["go_to_goal:safety=true"],
     "orca:radius=0.2": ["orca:radius=0.2"],

@@ -32,14 +32,14 @@ STEP_MS = RESULTS / "STEP_MS.json"
 CHOICE = {
     "sgan_goal_map.indoor": "people walk around your robot: the default",
     "social_walker.indoor": "people walk in groups that you name, and brake nearly as recorded ones do",
-    "social_walker.eth_ucy": "people move most like recorded ones outdoors; slow in buildings and at doors",
+    "social_walker.styled": "people are hardest to tell from recorded ones; slow in buildings and at doors",
     "sgan_goal_map.zara1": "you forecast with goals and floor plans, as the iGibson paper; not for walking",
     "sgan.zara1": "you forecast without goals: Social GAN; not for walking",
     "robot_ppo.mix": "you want a robot with a lidar to compare with",
 }
 """The README's models, and when one takes them."""
 
-LEARNED = ("sgan_goal_map.indoor", "social_walker.eth_ucy")
+LEARNED = ("sgan_goal_map.indoor", "social_walker.styled")
 RULES = ("go_to_goal:safety=true", "orca:radius=0.2", "orca:radius=0.3", "social_force:preset=indoor")
 """Rows of the README's results; the first one is compared with all rules."""
 
