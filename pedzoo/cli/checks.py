@@ -13,7 +13,7 @@ from typing import Any
 
 from pedzoo.cli.main import PAGES
 from pedzoo.cli.output import check_outputs
-from pedzoo.cli.suggestions import given, split_names, unknown_option, whole_numbers
+from pedzoo.cli.suggestions import given, split_names, unknown_option
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError, need, unknown
 from pedzoo.core.paths import expanded, find_config
@@ -237,7 +237,10 @@ def _check_choice(option: str, text: str) -> None:
 
 
 def _check_whole(option: str, text: str) -> None:
-    whole_numbers(option, text)
+    try:
+        int(text)
+    except ValueError:
+        raise UserError(f"{option} {text}: expected a whole number") from None
 
 
 def _check_weights(option: str, text: str) -> None:
