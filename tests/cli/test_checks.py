@@ -53,6 +53,16 @@ HEAVY = {
         ("score CSV --against zara1", "has no column 'agent'"),
         ("fit --resume nowhere", "cannot resume 'nowhere': it has no config.yaml"),
         ("score none.csv --against zara1", "no file 'none.csv'"),
+        ("rollout orca --metrics sucess", "unknown metric 'sucess': did you mean 'success'?"),
+        ("rollout orca --scenario goals:map=apartmnt.7", "did you mean 'apartment.7'?"),
+        ("evaluate orca --maps nowhere.yaml", "no map file 'nowhere.yaml'"),
+        ("evaluate orca --suite robots --robot jackall", "unknown robot 'jackall': did you mean 'jackal'?"),
+        ("view dor orca", "unknown scenario 'dor': did you mean 'door'?"),
+        ("view door orcca", "unknown policy 'orcca': did you mean 'orca'?"),
+        ("score orca --against zarra1", "unknown fold 'zarra1': did you mean 'zara1'?"),
+        ("score ocra --against zara1", "unknown policy 'ocra': did you mean 'orca'?"),
+        ("rollout orca --episodes x", "--episodes x: expected a whole number"),
+        ("fit --config sgan --data.goal widnow_end", "did you mean 'window_end'?"),
         ("export none.ckpt --onnx x.onnx", "no checkpoint at 'none.ckpt'"),
     ],
 )
@@ -83,6 +93,9 @@ def test_mistakes_are_refused_without_heavy_imports(line, message, tmp_path):
         "fit --model file.py --model.anything 3 --data.batch_size 4 --data.loading.max-pairs 9",
         "fit --model.lr 3",
         "score sgan_goal_map.indoor --against zara1",
+        "rollout orca --scenario goals:map=flat --episodes=3",
+        "evaluate orca --suite goals --maps office.3 file.py --metrics [spl,file.py:f]",
+        "view goals:map=[apartment.1,office.2] orca+go_to_goal",
     ],
 )
 def test_what_may_be_right_passes(line, tmp_path, monkeypatch):
