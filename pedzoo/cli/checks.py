@@ -5,7 +5,7 @@ The command checks all of it again. So a doubtful case passes here.
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -32,6 +32,7 @@ from pedzoo.core.registry import (
 )
 from pedzoo.core.size_limits import load_yaml, read_text
 from pedzoo.core.spec import name_of, parse, unquoted
+from pedzoo.data.text_format import TextFormat, is_recording
 from pedzoo.models.zoo.store import ROBOTS as ROBOT_WEIGHTS
 from pedzoo.models.zoo.store import find, is_file, no_model
 from pedzoo.policies.crowd_names import members, parts
@@ -41,7 +42,6 @@ ROBOT_MODULES = "pedzoo.train.robots."
 """Where the classes are that train robots."""
 
 _TRAININGS = ("fit", "validate", "test")
-_PLANS = (".yaml", ".yml", ".png", ".pgm", ".jpg", ".jpeg")
 _NEEDS = {"--plot": "video", "--video": "video"}  # extras
 
 
@@ -60,11 +60,8 @@ def check(command: str, argv: list[str]) -> None:
     if {"-h", "--help"} & set(argv):
         return
     if command == "view":
-        words = _positional(argv)
-        for scenario in words[:1]:
-            _check_scenario("", scenario)
-        for policy in words[1:]:
-            _check_policy(policy)
+        for place, name in enumerate(_positional(argv)):
+            _check_policy(name) if place else _check_scenario("", name)
     if command not in known()["options"]:
         return
     argv = renamed.new_options(argv)
@@ -78,12 +75,10 @@ def check(command: str, argv: list[str]) -> None:
     for name in _positional(argv):
         if command == "forecast":
             check_model(name)
-        elif command in ("rollout", "evaluate"):
-            _check_policy(name, command)
-        elif command == "score" and Path(name).suffix in (".csv", ".txt"):
+        elif command == "score" and is_recording(name):
             _check_recording("crowd", name)
-        elif command == "score":
-            _check_policy(name)
+        elif command in ("rollout", "evaluate", "score"):
+            _check_policy(name, command)
     for option, look in _VALUES.items():
         value = given(argv, option)
         if value in (None, "", "null") or value.startswith("["):  # lists of YAML are read later
@@ -167,9 +162,14 @@ def check_model(name: str, kind: str = "model", others: Sequence[str] = ()) -> N
         raise no_model(name, [*others, *known()["baselines"]], kind)
 
 
+def _check_name(kind: str, text: str, names: Iterable[str]) -> None:
+    """Refuse a name that is none of ``names``, and no class or function in a file."""
+    if text not in names and not names_code(text):
+        raise unknown(kind, text, names)
+
+
 def _check_settings(registry: Registry, name: str, settings: dict[str, str]) -> None:
-    if name not in registry.names() and not names_code(name):
-        raise unknown(registry.kind, name, registry.names())
+    _check_name(registry.kind, name, registry.names())
     _check_known(registry.kind, name, name, settings)
 
 
@@ -182,14 +182,16 @@ def _check_known(kind: str, name: str, said: str, settings: dict[str, str]) -> N
 def _check_scenario(option: str, text: str) -> None:
     spec = scenario_spec(text)
     _check_settings(SCENARIOS, spec.name, dict(spec.settings))
-    if (plan := spec.settings.get("map")) and not plan.startswith("["):
+    plan = spec.settings.get("map")
+    shipped = spec.name in known()["settings"]["scenario"]  # what others call a map is their own
+    if shipped and isinstance(plan, str) and plan != "null" and not plan.startswith("["):
         _check_plan(option, unquoted(plan))
 
 
 def _check_plan(option: str, text: str) -> None:
     kinds, (kind, _, seed) = known()["plans"], text.partition(".")
     if text != "flat" and kind not in kinds and not os.path.exists(expanded(text)):
-        if Path(text).suffix.lower() in _PLANS:
+        if Path(text).suffix.lower() in known()["plan_files"]:
             raise UserError(f"no map file {text!r}")
         raise unknown("floor plan", text, ["flat", *(f"{kind}.{seed or 7}" for kind in kinds)])
 
@@ -200,35 +202,25 @@ def _check_physics(option: str, text: str) -> None:
 
 
 def _check_suite(option: str, text: str) -> None:
-    name = renamed.OLD_SUITES.get(text, text)
-    if name not in SUITES.names() and not names_code(name):
-        raise unknown("suite", text, SUITES.names())
+    _check_name("suite", renamed.OLD_SUITES.get(text, text), SUITES.names())
 
 
 def _check_fold(option: str, text: str) -> None:
-    folds = datasets_of_folds()
-    if text not in folds and not names_code(text):
-        raise unknown("fold", text, folds)
+    _check_name("fold", text, datasets_of_folds())
 
 
 def _check_metric(option: str, text: str) -> None:
+    _check_name("metric", text, METRICS.names())
     if names_code(text):
         _check_file("metric", text.rpartition(":")[0])
-    elif text not in METRICS.names():
-        raise unknown("metric", text, METRICS.names())
 
 
 def _check_robot(option: str, text: str) -> None:
-    name = name_of(text)
-    if name not in ROBOTS.names() and not names_code(name):
-        raise unknown("robot", name, ROBOTS.names())
+    _check_name("robot", name_of(text), ROBOTS.names())
 
 
 def _check_against(option: str, text: str) -> None:
-    if Path(text).suffix in (".csv", ".txt"):
-        _check_recording("recording", text)
-    else:
-        _check_fold(option, text)
+    _check_recording("recording", text) if is_recording(text) else _check_fold(option, text)
 
 
 def _check_choice(option: str, text: str) -> None:
@@ -265,8 +257,6 @@ def _check_file(what: str, text: str) -> None:
 def _check_recording(what: str, text: str) -> None:
     """Refuse a recording that is not there, or whose first line names no or other columns."""
     _check_file(what, text)
-    from pedzoo.data.text_format import TextFormat
-
     with suppress(OSError, UnicodeDecodeError):  # the command has words for these
         TextFormat.of(expanded(text))
 

@@ -26,6 +26,11 @@ ENCODING = "utf-8-sig"
 """UTF-8, with or without the mark that spreadsheets put in front."""
 
 
+def is_recording(text: str) -> bool:
+    """Return whether a text names a file of walks rather than a policy."""
+    return Path(text).suffix.lower() in (".csv", ".txt", ".tsv")
+
+
 @dataclass(frozen=True)
 class TextFormat:
     """How a text file holds its table.

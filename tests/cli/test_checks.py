@@ -61,6 +61,7 @@ HEAVY = {
         ("view door orcca", "unknown policy 'orcca': did you mean 'orca'?"),
         ("score orca --against zarra1", "unknown fold 'zarra1': did you mean 'zara1'?"),
         ("score ocra --against zara1", "unknown policy 'ocra': did you mean 'orca'?"),
+        ("evaluate orca --metrics none.py:f", "no file 'none.py'"),
         ("rollout orca --episodes x", "--episodes x: expected a whole number"),
         ("fit --config sgan --data.goal widnow_end", "did you mean 'window_end'?"),
         ("export none.ckpt --onnx x.onnx", "no checkpoint at 'none.ckpt'"),
@@ -95,6 +96,9 @@ def test_mistakes_are_refused_without_heavy_imports(line, message, tmp_path):
         "score sgan_goal_map.indoor --against zara1",
         "rollout orca --scenario goals:map=flat --episodes=3",
         "evaluate orca --suite goals --maps office.3 file.py --metrics [spl,file.py:f]",
+        "rollout orca --scenario custom:map=null",
+        "rollout orca --scenario file.py:Mine:map=of_my_own",
+        "score WALKS --against WALKS",
         "view goals:map=[apartment.1,office.2] orca+go_to_goal",
     ],
 )
@@ -103,7 +107,9 @@ def test_what_may_be_right_passes(line, tmp_path, monkeypatch):
 
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file.py").touch()
-    check(line.split()[0], line.split()[1:])
+    (tmp_path / "walks.TSV").write_text("frame\tagent\tx\ty\n0\t1\t2\t3\n")
+    words = line.replace("WALKS", "walks.TSV").split()
+    check(words[0], words[1:])
 
 
 @pytest.mark.parametrize("line", ["fit --config NAME", "fit --resume NAME", "report NAME"])

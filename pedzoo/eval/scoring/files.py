@@ -25,11 +25,6 @@ FASTEST = 12.0
 """m/s: no person is faster; a file in which one is has other units."""
 
 
-def is_recording(text: str) -> bool:
-    """Return whether a text names a file of walks rather than a policy."""
-    return Path(text).suffix.lower() in (".csv", ".txt", ".tsv")
-
-
 def file_crowd(path: str, real: PreparedReplay, dt: float | None = None) -> ScoredCrowd:
     """Return the people of a simulator's file.
 

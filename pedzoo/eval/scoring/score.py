@@ -9,10 +9,11 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.errors import UserError
+from pedzoo.data.text_format import is_recording
 from pedzoo.eval.results import SEEN
 from pedzoo.eval.rollout import Progress
 from pedzoo.eval.scoring.crowds import policy_crowd, recorded_crowd
-from pedzoo.eval.scoring.files import file_crowd, is_recording
+from pedzoo.eval.scoring.files import file_crowd
 from pedzoo.eval.scoring.rows import RESAMPLES, real_rows, row, values_row
 from pedzoo.eval.scoring.windows import windows_of
 from pedzoo.eval.scoring.wosac import (

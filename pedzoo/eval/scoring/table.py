@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from pedzoo.data.text_format import is_recording
 from pedzoo.eval.results import ResultTable, cell
-from pedzoo.eval.scoring.files import is_recording
 from pedzoo.metrics.realism.bottlenecks import HEADWAYS
 from pedzoo.metrics.realism.features import FEATURES
 from pedzoo.metrics.realism.wosac import WEIGHTS
