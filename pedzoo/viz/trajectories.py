@@ -7,7 +7,7 @@ steps of 0.4 s before, and the walls. Colours are people; all policies are shown
 from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -252,8 +252,9 @@ def _panel_size(extent: Tensor) -> tuple[float, float]:
 def legend() -> list[Line2D]:
     """Return the entries of a legend for what is drawn."""
 
-    def entry(label: str, **style: object) -> Line2D:
-        return Line2D([], [], label=label, **({"color": "0.3", "linestyle": "none"} | style))  # type: ignore[arg-type]
+    def entry(label: str, **style: Any) -> Line2D:
+        style = {"color": "0.3", "linestyle": "none"} | style
+        return Line2D([], [], label=label, **style)
 
     return [
         entry("latest step", marker="*", markersize=10),

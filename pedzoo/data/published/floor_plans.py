@@ -81,6 +81,6 @@ def _masks(scene: str, folder: Path) -> tuple[NDArray[np.bool_], NDArray[np.bool
     if scene == "eth":
         solid[_ENTRANCE_ROW:] = False
     else:  # the tram and the kerb, which reach the upper and the lower border of the image
-        pieces, _ = label(solid)  # type: ignore[misc]
+        pieces, _ = label(solid)  # type: ignore[misc]  # a count alone only with output=
         solid = np.isin(pieces, np.setdiff1d(pieces[[0, -1]], 0))
     return solid, read_pixels(folder / f"{scene}_ewap_obstacles.png") > 127

@@ -78,11 +78,11 @@ class RobotParallelEnv(OneScene, ParallelEnv[str, Any, Any]):
             for agent, said in split(step.info).items()
         }
         reward = {agent: float(step.reward[0, i]) for agent, i in mine.items()}
-        ends = [
+        terminated, truncated = (
             {agent: bool(value[0, i]) for agent, i in mine.items()}
             for value in (step.terminated, step.truncated)
-        ]
-        return split(step.observation), reward, *ends, info  # type: ignore[return-value]
+        )
+        return split(step.observation), reward, terminated, truncated, info
 
 
 def parallel_env(scenario: str | Spec = CROWD, **settings: Any) -> RobotParallelEnv:

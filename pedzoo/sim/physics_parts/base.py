@@ -55,7 +55,8 @@ class Bodies(NamedTuple):
     def scene(self, number: int) -> Bodies:
         """Return those of one scene."""
         own = [None if value is None else value[[number]] for value in self[:5]]
-        return Bodies(*own, self.stance and self.stance.scene(number))  # type: ignore[arg-type]
+        stance = self.stance and self.stance.scene(number)
+        return Bodies(*own, stance)  # type: ignore[arg-type]  # None only where it may be
 
 
 class Physics(ABC):

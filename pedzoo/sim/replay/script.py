@@ -59,7 +59,8 @@ class SceneStarts(NamedTuple):
 
     def to(self, device: torch.device) -> SceneStarts:
         """Return the opening on a device."""
-        return SceneStarts(*(None if value is None else value.to(device) for value in self))  # type: ignore[arg-type]
+        moved = (None if value is None else value.to(device) for value in self)
+        return SceneStarts(*moved)  # type: ignore[arg-type]  # None only where it may be
 
 
 __getattr__ = renamed.old_classes(globals(), {"Opening": "SceneStarts"})
