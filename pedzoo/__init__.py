@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pedzoo.eval.evaluate import evaluate
-    from pedzoo.eval.rollout import rollout
     from pedzoo.metrics.closed_loop import measure
     from pedzoo.models.zoo.loading import list_models
     from pedzoo.policies.load import list_policies, list_scenarios, load
     from pedzoo.sim.make import make_env
     from pedzoo.sim.robot_parts.make import make_robot_env
     from pedzoo.viz.plot import plot
+    from pedzoo.viz.shown_rollout import rollout
 
 __version__ = "0.1.0"
 
@@ -44,7 +44,7 @@ _HOME = {
     "make_robot_env": "pedzoo.sim.robot_parts.make",
     "measure": "pedzoo.metrics.closed_loop",
     "plot": "pedzoo.viz.plot",
-    "rollout": "pedzoo.eval.rollout",
+    "rollout": "pedzoo.viz.shown_rollout",
 }
 
 

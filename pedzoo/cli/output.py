@@ -26,12 +26,14 @@ def check_outputs(**files: str | None) -> None:
         files: Options and what was given; folders that are missing are made when the file is written.
 
     Raises:
-        UserError: One is a folder or lies where nothing can be written.
+        UserError: One is a folder, a page without .html, or lies where nothing can be written.
     """
     for option, file in files.items():
         if not file or file == "-":
             continue
         path = Path(file)
+        if option == "html" and path.suffix.lower() not in (".html", ".htm"):
+            raise UserError(f"--html {file}: expected a file that ends in .html, which browsers open")
         if path.is_dir():
             raise UserError(f"--{option} {file}: is a folder, expected a file")
         above = next(folder for folder in path.absolute().parents if folder.exists())

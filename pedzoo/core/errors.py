@@ -45,6 +45,27 @@ def installed(module: str) -> bool:
     return find_spec(module) is not None
 
 
+def install_command(extra: str) -> str:
+    """Return the command that adds an extra of `EXTRAS` to this installation, from where that came from."""
+    import json
+    from importlib.metadata import PackageNotFoundError, distribution
+    from urllib.parse import urlsplit
+    from urllib.request import url2pathname
+
+    try:
+        origin = json.loads(distribution("pedzoo").read_text("direct_url.json") or "{}")
+    except (PackageNotFoundError, ValueError):
+        origin = {}
+    url = str(origin.get("url", ""))
+    if not url:
+        return f"pip install 'pedzoo[{extra}]'"
+    if "dir_info" in origin:
+        editable = "-e " if origin["dir_info"].get("editable") else ""
+        return f"pip install {editable}'{url2pathname(urlsplit(url).path)}[{extra}]'"
+    version_control = origin.get("vcs_info", {}).get("vcs")
+    return f"pip install 'pedzoo[{extra}] @ {f'{version_control}+' if version_control else ''}{url}'"
+
+
 def need(extra: str, what: str) -> None:
     """Refuse to go on without the packages of an extra.
 
@@ -56,9 +77,7 @@ def need(extra: str, what: str) -> None:
         UserError: One is not installed; the message has the command that installs it.
     """
     if absent := [module for module in EXTRAS[extra] if find_spec(module) is None]:
-        raise UserError(
-            f"{what} needs {' and '.join(absent)}, not installed here: pip install 'pedzoo[{extra}]'"
-        )
+        raise UserError(f"{what} needs {' and '.join(absent)}, not installed here: {install_command(extra)}")
 
 
 def missing_extra(error: ModuleNotFoundError) -> UserError | None:
@@ -66,5 +85,5 @@ def missing_extra(error: ModuleNotFoundError) -> UserError | None:
     module = (error.name or "").partition(".")[0]
     for extra, modules in EXTRAS.items():
         if module in modules:
-            return UserError(f"this needs {module}, not installed here: pip install 'pedzoo[{extra}]'")
+            return UserError(f"this needs {module}, not installed here: {install_command(extra)}")
     return None

@@ -237,7 +237,19 @@ def grouped(cls: type, given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def make_ungrouped(cls: type, given: Mapping[str, Any]) -> Any:
-    """Return an instance of a class with settings that are named without their groups."""
+    """Return an instance of a class with settings that are named without their groups.
+
+    Raises:
+        UserError: The class lacks a method of its base class, or a group is no mapping.
+    """
+    if lacks := sorted(getattr(cls, "__abstractmethods__", ())):
+        base = next(one for one in cls.__mro__ if lacks[0] in vars(one))
+        method = getattr(base, lacks[0])
+        expected = f"{lacks[0]}{inspect.signature(method)}" if callable(method) else lacks[0]
+        raise UserError(
+            f"{cls.__name__} has no {' and no '.join(lacks)}: a {base.__name__} needs {expected}, "
+            f"see {base.__module__}"
+        )
     own, given = setting_groups(cls), grouped(cls, given)
     return cls(**{key: _changed(own[key], value) if key in own else value for key, value in given.items()})
 

@@ -48,7 +48,7 @@ class PedestrianEnv(EnvBase):
     Attributes:
         group: Key under which actions and rewards stand.
         policy_name: Name of the policy in warnings.
-        prepared: The scenario, with its floor plans and paths.
+        prepared: The scenario, with its floor plans and paths; ``seed`` is that of its scenes.
     """
 
     group = "agents"
@@ -216,7 +216,7 @@ class PedestrianEnv(EnvBase):
         return picture_of(self.state, self.physics, scene, size)
 
     def _set_seed(self, seed: int | None) -> None:
-        self._seed = seed or 0
+        self.seed = seed or 0
         self._number = self._first + torch.arange(self.batch_size[0])
         self._ahead: Scenes | None = None
         made = min(_MADE, _AGENTS_MADE // self.prepared.people)
@@ -257,7 +257,7 @@ class PedestrianEnv(EnvBase):
         """Return the next ``episodes`` of some rows, those of a row one after the other."""
         number = self._number[index].unsqueeze(1) + self._stride * torch.arange(episodes)
         self._number = self._number.index_add(0, index, torch.full_like(index, episodes * self._stride))
-        state = self._episodes.begin(Draws.for_episodes(self._seed, number.view(-1)))
+        state = self._episodes.begin(Draws.for_episodes(self.seed, number.view(-1)))
         return Scenes(state, self.rules.guidance(state))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:

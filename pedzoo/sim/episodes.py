@@ -164,13 +164,20 @@ class Episodes:
         )
 
     def _check(self, layout: Layout) -> None:
-        """Check that bodies are as the scenario says: sub-steps are as long as these allow.
+        """Check that floor plans and bodies are as the scenario says: sub-steps are as long as these allow.
 
         Raises:
             UserError: One is not.
         """
         scenario = self._prepared.scenario
-        name = type(scenario).__name__
+        name, bank = type(scenario).__name__, self._prepared.bank
+        known = torch.tensor([-1, *(bank.id_of(plan) for plan in bank.names)], device=layout.map_id.device)
+        if (foreign := ~torch.isin(layout.map_id, known)).any():
+            plans = ", ".join(f"prepared.bank.id_of({plan!r})" for plan in bank.names[:3])
+            raise UserError(
+                f"map_id {int(layout.map_id[foreign][0])} in the layout of {name}: expected -1 for open floor"
+                + (f", or one of {name}.plans, {plans}" if plans else f": {name}.plans() returns no plans")
+            )
         if layout.radius is not None and layout.mask.any():
             least = float(layout.radius[layout.mask].min())
             most = scenario.smallest_radius or self._physics.body_radius

@@ -11,14 +11,15 @@ from torch import Tensor
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import direction_of, move_to_scene
 from pedzoo.core.paths import whole
-from pedzoo.core.types import GOAL_RADIUS, TRACE_SECONDS
-from pedzoo.sim.physics_parts.base import Bodies
+from pedzoo.core.types import TRACE_SECONDS
+from pedzoo.sim.physics_parts.bodies import Bodies
 from pedzoo.sim.physics_parts.camera import ROBOT_BODY, ROBOT_FRONT, Camera, free_corners, person_color
+from pedzoo.sim.physics_parts.floor_marks import draw_goal, draw_way
 from pedzoo.sim.physics_parts.stance import Stance
 from pedzoo.sim.physics_parts.top_view import draw_disc, draw_floor, draw_person
 from pedzoo.sim.robot_parts.env import RobotEnv
 from pedzoo.sim.robot_parts.rollout import RobotRollout
-from pedzoo.viz.video import Image, check_video_path, labelled, trail, write_video
+from pedzoo.viz.video import Image, check_video_path, labelled, write_video
 
 FINER = 2
 """Pictures are drawn so many times larger, and made smaller: lines are smooth then."""
@@ -111,13 +112,13 @@ class _Scene:
         self.present = present[0, :, : self.points + 1]
         self.heading = rollout.heading[0, :, : self.points + 1]
         self.facing = Stance.along(self.path, walked.kind[0]).heading
-        large = size[0] * FINER, size[1] * FINER
+        self.large = large = size[0] * FINER, size[1] * FINER
         grid = next((grid for grid in env.bank.grids if grid.map_id == int(walked.map_id[0])), None)
         seen = torch.cat((self.path[self.present], self.goal[self.present[:, 1:]]))
         if grid is not None and max(grid.cells.shape) * grid.resolution <= WHOLE:
             corners = torch.from_numpy(free_corners(grid, env.scenario.unknown)).float()
             seen = torch.cat((seen, move_to_scene(corners.unsqueeze(0), walked.pose)[0]))
-        camera = Camera("top").around(seen, large, MARGIN)
+        self.camera = camera = Camera("top").around(seen, large, MARGIN)
         self.to_pixel = camera.to_pixel(large)
         self.floor = draw_floor(grid, env.scenario.unknown, walked.pose[0], large, camera)
         self.ends = self._rays(walked.map_id, walked.pose, env, beams, reach)
@@ -154,11 +155,9 @@ class _Scene:
         for agent in here:
             color = ROBOT_BODY if agent in robots else person_color(agent)
             way = self.path[agent, max(0, frame - RECENT) : frame + 1]
-            trail(image, way, self.to_pixel, color, FINER)
+            draw_way(image, way, self.camera, self.large, color, FINER)
             goal = self.goal[agent, min(frame, self.goal.shape[1] - 1)]
-            x, y = self._pixels(goal.unsqueeze(0))[0]
-            across = round(GOAL_RADIUS * self.to_pixel[0, 0] * 16)
-            cv2.circle(image, (int(x), int(y)), across, color, FINER, cv2.LINE_AA, 4)
+            draw_goal(image, goal, self.camera, self.large, color, FINER)
         for agent in here:
             place, wide = self.path[agent, frame], float(self.radius[agent])
             if agent in robots:

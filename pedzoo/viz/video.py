@@ -5,20 +5,21 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from pedzoo.core.errors import UserError, need
 from pedzoo.core.paths import whole
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.eval.comparison import PolicyRollout
-from pedzoo.sim.physics_parts.base import Bodies
+from pedzoo.sim.physics_parts.bodies import Bodies
 from pedzoo.sim.physics_parts.camera import Camera, person_color
+from pedzoo.sim.physics_parts.floor_marks import draw_goal, draw_way
 from pedzoo.sim.physics_parts.stance import Stance
 
 CODECS = {".webm": "VP90", ".mp4": "vp09"}
@@ -164,36 +165,44 @@ class _Panel:
         self.present = torch.cat((rollout.mask.unsqueeze(2), present), dim=2)
         self.stance = Stance.along(self.trace[0], rollout.kind[0])
         self.seen = torch.cat((self.trace[self.present], goal[present]))
+        self.goal = goal[0]
         self.stays = walked.rollout.stays(episode)
+        self._empty: Image | None = None
         self._last: Image | None = None
 
     def draw(self, i: int, camera: Camera) -> Image:
         """Return frame i, the last one where the episode is over."""
         if self._last is not None and i > self.length:
             return self._last
-        present, rollout = self.present[:, :, i], self.rollout
-        where = rollout.map_id.unsqueeze(1), rollout.pose
-        stance = self.stance.scene(i)
-        people = Bodies(self.trace[:, :, i], present, *where, rollout.radius, stance)
-        image = self.physics.image(people, 0, self.size, camera)
-        if camera.view == "top" or camera.view not in self.physics.views:
-            for person, first, last in self.stays:
-                if first <= i <= last:
-                    color = person_color(person)
-                    trail(image, self.trace[0, person, first : i + 1], camera.to_pixel(self.size), color)
-        self._last = labelled(image, self.name, i * TRACE_SECONDS)
+        if camera.view not in self.physics.views:
+            camera = replace(camera, view="top")
+        if self._empty is None:
+            self._empty = self._seen(0, camera, people=False)
+        bodies = self._seen(i, camera)
+        image = self._empty.copy()
+        for person, first, last in self.stays:
+            if first <= i <= last:
+                color, way = person_color(person), self.trace[0, person, first : i + 1]
+                draw_way(image, way, camera, self.size, color)
+                goal = self.goal[person, min(i, self.length - 1)]
+                draw_goal(image, goal, camera, self.size, color)
+        # bodies stand on the marks of the floor
+        there = (bodies != self._empty).any(axis=-1, keepdims=True)
+        self._last = labelled(np.where(there, bodies, image), self.name, i * TRACE_SECONDS)
         return self._last
 
-
-def trail(
-    image: Image, way: Tensor, to_pixel: NDArray[np.float64], color: tuple[int, int, int], width: int = 1
-) -> None:
-    """Draw an agent's way (T, 2), metres, as a line on the floor, so many pixels broad."""
-    import cv2
-
-    pixels = way.double().numpy() @ to_pixel[:, :2].T + to_pixel[:, 2]
-    points = np.round(pixels * 16).astype(np.int32)
-    cv2.polylines(image, [points.reshape(-1, 1, 2)], False, color, width, cv2.LINE_AA, 4)
+    def _seen(self, i: int, camera: Camera, people: bool = True) -> Image:
+        """Return what the physics' camera sees in frame i, with or without people."""
+        rollout, present = self.rollout, self.present[:, :, i]
+        bodies = Bodies(
+            self.trace[:, :, i],
+            present & people,
+            rollout.map_id.unsqueeze(1),
+            rollout.pose,
+            rollout.radius,
+            self.stance.scene(i),
+        )
+        return self.physics.image(bodies, 0, self.size, camera)
 
 
 def labelled(image: Image, name: str, seconds: float) -> Image:

@@ -13,7 +13,8 @@ from rich.console import Console
 from pedzoo.cli import output, progress
 from pedzoo.cli.console import plain_console
 from pedzoo.cli.main import main
-from pedzoo.cli.output import print_report, print_tables, write_and_print
+from pedzoo.cli.output import check_outputs, print_report, print_tables, write_and_print
+from pedzoo.core.errors import UserError
 from pedzoo.eval.results import ResultTable
 from pedzoo.eval.workers.progress_meter import ProgressReport
 from pedzoo.maps.files.ros import write_ros
@@ -117,3 +118,9 @@ def test_wide_tables_are_transposed_where_that_needs_fewer_parts(capsys: pytest.
     assert sum(line.startswith("│") for line in capsys.readouterr().out.splitlines()) == 60
     print_tables([ResultTable("", ["name", *"ab" * 40], [[f"model_{i}", *"12" * 40] for i in range(2)], 1)])
     assert sum(line.startswith("│") for line in capsys.readouterr().out.splitlines()) == 80
+
+
+def test_a_page_needs_the_ending_that_browsers_open(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"--html .*walk\.txt: expected a file that ends in \.html"):
+        check_outputs(html=str(tmp_path / "walk.txt"))
+    check_outputs(html=str(tmp_path / "walk.HTML"), json=str(tmp_path / "walk.txt"))

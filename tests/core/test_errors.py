@@ -2,9 +2,11 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -99,17 +101,37 @@ def test_commands_name_the_missing_extra_in_one_line(tmp_path: Path) -> None:
     lines = done.stderr.splitlines()
     assert len(lines) == len(COMMANDS), done.stderr
     for line, extra in zip(lines, COMMANDS.values(), strict=True):
-        assert "not installed here" in line and f"pip install 'pedzoo[{extra}]'" in line
+        assert "not installed here" in line and errors.install_command(extra) in line
 
 
 def test_python_is_told_as_the_command_line_is(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(errors, "find_spec", lambda name: None)
     for extra in errors.EXTRAS:
-        with pytest.raises(UserError, match=rf"^this needs \w.*pip install 'pedzoo\[{extra}\]'$"):
+        command = re.escape(errors.install_command(extra))
+        with pytest.raises(UserError, match=rf"^this needs \w.*not installed here: {command}$"):
             errors.need(extra, "this")
     assert (
         errors.missing_extra(ModuleNotFoundError("No module named 'of_ones_own'", name="of_ones_own")) is None
     )
+
+
+@pytest.mark.parametrize(
+    "origin, command",
+    [
+        (None, "'pedzoo[onnx]'"),
+        ({"url": "file:///a%20b/pedzoo", "dir_info": {"editable": True}}, "-e '/a b/pedzoo[onnx]'"),
+        ({"url": "file:///a/pedzoo", "dir_info": {}}, "'/a/pedzoo[onnx]'"),
+        ({"url": "https://b.org/p", "vcs_info": {"vcs": "git"}}, "'pedzoo[onnx] @ git+https://b.org/p'"),
+        ({"url": "file:///a/p.whl", "archive_info": {}}, "'pedzoo[onnx] @ file:///a/p.whl'"),
+    ],
+)
+def test_messages_name_an_install_that_works(
+    origin: dict[str, Any] | None, command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From where this installation came: a checkout, git, a file; the index where nothing else is known."""
+    written = SimpleNamespace(read_text=lambda name: origin and json.dumps(origin))
+    monkeypatch.setattr("importlib.metadata.distribution", lambda name: written)
+    assert errors.install_command("onnx") == f"pip install {command}"
 
 
 def test_lines_of_sight_without_numba_are_those_with_it(monkeypatch: pytest.MonkeyPatch) -> None:

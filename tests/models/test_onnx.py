@@ -231,7 +231,7 @@ def test_missing_packages_are_named(
 ) -> None:
     monkeypatch.setattr(errors, "find_spec", lambda name: None if "onnxr" in name else name)
     assert main(["export", "constant_velocity", "--onnx", str(tmp_path / "x.onnx")]) == 2
-    assert "onnxruntime, not installed here: pip install 'pedzoo[onnx]'" in capsys.readouterr().err
+    assert f"onnxruntime, not installed here: {errors.install_command('onnx')}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("kind", ["patch", "rings", "alexnet"])

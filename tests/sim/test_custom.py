@@ -120,3 +120,37 @@ def test_the_keys_are_the_settings_of_the_scenario() -> None:
     assert set(KEYS) == set(setting_types(Custom))
     made = make_env(Spec("custom", {"people": SWAP, "speed": 1.0}))
     assert made.prepared.people == 2
+
+
+HALF = """
+import torch
+from pedzoo.sim.scenario_parts.scenario import Layout, Scenario
+
+
+class NoLayout(Scenario):
+    def plans(self):
+        return []
+
+
+class OtherPlan(NoLayout):
+    def layout(self, prepared, draws):
+        scenes = len(draws.key)
+        mask = torch.ones(scenes, self.people, dtype=torch.bool)
+        start = torch.zeros(scenes, self.people, 2)
+        goal = torch.zeros(scenes, self.people, dtype=torch.long)
+        return Layout(torch.full((scenes,), 7), start, mask, self.speeds(draws), goal)
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("NoLayout", r"NoLayout has no layout: a Scenario needs layout\(self, prepared: .*pedzoo\.sim\.scen"),
+        ("OtherPlan", r"map_id 7 in the layout of OtherPlan: expected -1 for open floor: OtherPlan\.plans"),
+    ],
+)
+def test_mistakes_in_a_class(name: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "half.py").write_text(HALF)
+    with pytest.raises(UserError, match=message) as error:
+        make_env(f"{tmp_path}/half.py:{name}:people=1").reset()
+    assert "\n" not in str(error.value)

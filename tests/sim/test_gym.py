@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 from typing import Any
 
 import gymnasium
@@ -14,7 +15,7 @@ from pettingzoo.test import parallel_api_test
 from torchrl.envs.utils import check_env_specs
 
 import pedzoo.sim.gym
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, install_command
 from pedzoo.sim.gym.ids import IDS
 from pedzoo.sim.gym.parallel import parallel_env
 
@@ -210,7 +211,7 @@ def test_what_does_not_fit_is_named() -> None:
 
 def test_without_gymnasium_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pedzoo.core.errors.find_spec", lambda name: None)
-    with pytest.raises(UserError, match=r"pip install 'pedzoo\[gym\]'"):
+    with pytest.raises(UserError, match=re.escape(install_command("gym"))):
         importlib.reload(pedzoo.sim.gym)
 
 

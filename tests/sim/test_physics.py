@@ -22,7 +22,8 @@ from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.sim.physics.bullet import Bullet
 from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.sim.physics.torch import Torch
-from pedzoo.sim.physics_parts.base import Bodies, Physics
+from pedzoo.sim.physics_parts.base import Physics
+from pedzoo.sim.physics_parts.bodies import Bodies
 from pedzoo.sim.physics_parts.camera import FLOOR, WALL, Camera, person_color
 from pedzoo.sim.physics_parts.stance import Stance
 
@@ -400,7 +401,7 @@ def test_pybullet_prints_nothing() -> None:
     pytest.importorskip("pybullet")
     code = (
         "import torch; from pedzoo.maps.bank import MapBank; "
-        "from pedzoo.sim.physics_parts.base import Bodies; "
+        "from pedzoo.sim.physics_parts.bodies import Bodies; "
         "from pedzoo.core.geometry import identity_pose; from pedzoo.sim.physics.bullet import Bullet; "
         "mask, map_id = torch.ones(1, 2).bool(), torch.full((1, 1), -1); "
         "people = Bodies(torch.zeros(1, 2, 2), mask, map_id, identity_pose(1)); "

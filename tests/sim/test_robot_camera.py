@@ -13,7 +13,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose, move_to_scene
 from pedzoo.maps.bank import MapBank
 from pedzoo.sim.make import make_physics
-from pedzoo.sim.physics_parts.base import Bodies
+from pedzoo.sim.physics_parts.bodies import Bodies
 from pedzoo.sim.physics_parts.camera import FLOOR, OUTSIDE, Lens
 
 pytest.importorskip("pybullet")

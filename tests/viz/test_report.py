@@ -12,12 +12,11 @@ from typing import Any
 
 import pytest
 
+import pedzoo
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
-from pedzoo.eval.rollout import rollout
 from pedzoo.sim.physics_parts.stance import FACE, FACE_AHEAD, HAIR, HEAD, SHOULDERS, SKIN
 from pedzoo.viz.report.content import better, content_of, shorten
-from pedzoo.viz.report.episode import Replay
 from pedzoo.viz.report.page import framed, page
 
 NAUGHTY = "</script><script>alert(1)</script><img src=x onerror=alert(2)>\u2028&amp;"
@@ -155,10 +154,15 @@ def test_the_command_and_a_rollout_write_pages(tmp_path: Path, capsys: pytest.Ca
     assert mine["policies"] == other["policies"] and len(mine["policies"][0]["episodes"]) == 2
 
 
-def test_an_episode_shows_itself_in_a_notebook() -> None:
-    shown = Replay.of(*rollout("go_to_goal", "door", "compiled", 1))
-    assert repr(shown) == "Replay('go_to_goal': go_to_goal; 1 episodes)"
-    assert shown._repr_html_().startswith("<iframe srcdoc=")
+def test_an_episode_shows_itself_in_a_notebook(tmp_path: Path) -> None:
+    shown = pedzoo.rollout("go_to_goal", "door", "compiled", 1, seed=4)
+    assert repr(shown) == "ShownRollout('go_to_goal': 1 episodes)"
+    page_of_cell = shown._repr_html_()
+    assert page_of_cell.startswith("<iframe srcdoc=") and "seed 4" in page_of_cell
+    walked, env = shown
+    assert len(walked.failed) == 1 and env.policy_name == "go_to_goal"
+    shown.save(tmp_path / "door.html")
+    assert len(data_of((tmp_path / "door.html").read_text())["cases"]) == 1
 
 
 def test_people_look_as_in_all_other_pictures() -> None:

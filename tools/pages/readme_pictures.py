@@ -24,7 +24,7 @@ from pedzoo.eval.robots import robot_rollout
 from pedzoo.eval.rollout import rollout
 from pedzoo.maps.procedural.plan import generate
 from pedzoo.policies.controller.controller import Controller
-from pedzoo.sim.physics_parts.base import Bodies
+from pedzoo.sim.physics_parts.bodies import Bodies
 from pedzoo.sim.physics_parts.camera import person_color
 from pedzoo.sim.physics_parts.stance import SHOULDERS
 from pedzoo.sim.robot_parts.rollout import RobotRollout

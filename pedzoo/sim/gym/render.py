@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import direction_of
 from pedzoo.sim.physics_parts.camera import Camera, person_color
+from pedzoo.sim.physics_parts.floor_marks import draw_goal
 from pedzoo.sim.physics_parts.state_picture import bodies_seen
 from pedzoo.sim.robot_parts.env import RobotEnv
 
@@ -86,8 +87,7 @@ class Pictures:
                 wide = max(3, round(float(radius) * to_pixel[0, 0]))
                 cv2.circle(image, pixel(here), wide, (0, 0, 0), 2, cv2.LINE_AA)
                 cv2.line(image, pixel(here), pixel(front), (0, 0, 0), 2, cv2.LINE_AA)
-                goal = pixel(state.goal_point[scene, slot])
-                cv2.drawMarker(image, goal, person_color(slot), cv2.MARKER_STAR, 14, 2, cv2.LINE_AA)
+                draw_goal(image, state.goal_point[scene, slot], camera, self._size, person_color(slot), 2)
         return image
 
 

@@ -15,7 +15,8 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.bank import MapBank
 from pedzoo.sim.dynamics import SKIN
-from pedzoo.sim.physics_parts.base import REACH, Bodies, Physics
+from pedzoo.sim.physics_parts.base import REACH, Physics
+from pedzoo.sim.physics_parts.bodies import Bodies
 from pedzoo.sim.physics_parts.bullet.client import load_pybullet
 from pedzoo.sim.physics_parts.bullet.pictures import from_above, from_robots
 from pedzoo.sim.physics_parts.bullet.robots import find_urdf

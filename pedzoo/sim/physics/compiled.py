@@ -7,7 +7,7 @@ from torch import Tensor
 
 from pedzoo.core.machine import compiles
 from pedzoo.sim.physics.torch import Torch
-from pedzoo.sim.physics_parts.base import Bodies
+from pedzoo.sim.physics_parts.bodies import Bodies
 from pedzoo.sim.physics_parts.compiled import advance_compiled, body_rays_compiled, contacts_compiled
 from pedzoo.sim.state import State
 from pedzoo.sim.step_result import Contacts, Motion, MotionInput

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.sim.arrival import arrived
-from pedzoo.sim.physics_parts.base import REACH, Bodies, Physics
+from pedzoo.sim.physics_parts.base import REACH, Physics
+from pedzoo.sim.physics_parts.bodies import Bodies
 from pedzoo.sim.physics_parts.camera import Camera
 from pedzoo.sim.physics_parts.top_view import draw_top_view
 from pedzoo.sim.state import State

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import replace
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -19,44 +19,14 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.sim.arrival import arrived
 from pedzoo.sim.dynamics import SKIN, integrate
+from pedzoo.sim.physics_parts.bodies import Bodies
 from pedzoo.sim.physics_parts.camera import Camera, Lens, free_corners
 from pedzoo.sim.physics_parts.compiled import advance_compiled
-from pedzoo.sim.physics_parts.stance import Stance
 from pedzoo.sim.state import State
 from pedzoo.sim.step_result import Contacts, Distances, Motion, MotionInput, OwnedMotion
 
 REACH = 5.0
 """Metres up to which distances and rays are asked for, where nothing else is said."""
-
-
-class Bodies(NamedTuple):
-    """Where people are in B scenes.
-
-    Attributes:
-        position: Scene positions (B, A, 2), metres, of the people who are present by ``mask`` (B, A) bool.
-        map_id: Floor plan of each scene (B, 1) long, -1 for none.
-        pose: How each scene lies on its floor plan (B, 4).
-        radius: Of the bodies (B, A), metres; None for that of the backend.
-        stance: How agents stand, for pictures; None where it is not known.
-    """
-
-    position: Tensor
-    mask: Tensor
-    map_id: Tensor
-    pose: Tensor
-    radius: Tensor | None = None
-    stance: Stance | None = None
-
-    @classmethod
-    def of(cls, state: State) -> Bodies:
-        """Return those of a state."""
-        return cls(state.position, state.mask, state.map_id.unsqueeze(1), state.pose, state.radius)
-
-    def scene(self, number: int) -> Bodies:
-        """Return those of one scene."""
-        own = [None if value is None else value[[number]] for value in self[:5]]
-        stance = self.stance and self.stance.scene(number)
-        return Bodies(*own, stance)  # type: ignore[arg-type]  # None only where it may be
 
 
 class Physics(ABC):

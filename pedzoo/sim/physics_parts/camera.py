@@ -38,6 +38,10 @@ _PEOPLE = (
 )
 
 
+VIEW_ANGLE = {"top": math.radians(8), "perspective": math.radians(50)}
+"""Horizontal opening angles of pinholes: from the top a narrow one from high above, so walls hide little."""
+
+
 def person_color(person: int) -> tuple[int, int, int]:
     """Return the RGB colour of the person in slot ``person``: ten that are easy to tell apart, repeated."""
     return _PEOPLE[person % len(_PEOPLE)]
@@ -127,14 +131,28 @@ class Camera:
             ]
         )
 
-    def eye(self, view_angle: float) -> tuple[list[float], list[float], list[float]]:
-        """Return where a pinhole camera stands, what it looks at and which way is up, (x, y, z) each.
+    def floor_pixels(self, points: NDArray[np.float64], size: tuple[int, int]) -> NDArray[np.float64]:
+        """Return (column, row) (N, 2) of points (N, 2) of the floor, metres; NaN for those behind the camera.
 
-        Args:
-            view_angle: Horizontal opening angle of the pinhole camera, radians.
+        Whole numbers are the centres of pixels; ``center`` and ``width`` have to be known.
         """
+        if self.view == "top":
+            to_pixel = self.to_pixel(size)
+            return points @ to_pixel[:, :2].T + to_pixel[:, 2]
+        eye, target, up = (np.array(values) for values in self.eye())
+        ahead = (target - eye) / np.linalg.norm(target - eye)
+        right = np.cross(ahead, up)
+        right /= np.linalg.norm(right)
+        axes = np.stack((right, np.cross(ahead, right), ahead), axis=1)  # right, down, ahead
+        seen = (np.pad(points, ((0, 0), (0, 1))) - eye) @ axes
+        depth = np.where(seen[:, 2:] > 0, seen[:, 2:], np.nan)
+        focal = size[0] / 2 / math.tan(VIEW_ANGLE[self.view] / 2)
+        return focal * seen[:, :2] / depth + (np.array(size) - 1) / 2
+
+    def eye(self) -> tuple[list[float], list[float], list[float]]:
+        """Return where the pinhole camera stands, what it looks at and which way is up, (x, y, z) each."""
         assert self.center is not None and self.width is not None
-        distance = self.width / 2 / math.tan(view_angle / 2)
+        distance = self.width / 2 / math.tan(VIEW_ANGLE[self.view] / 2)
         x, y = self.center
         if self.view == "top":
             return [x, y, distance], [x, y, 0.0], [0.0, 1.0, 0.0]

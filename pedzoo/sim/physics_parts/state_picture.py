@@ -6,8 +6,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from pedzoo.sim.physics_parts.base import Bodies, Physics
+from pedzoo.sim.physics_parts.base import Physics
+from pedzoo.sim.physics_parts.bodies import Bodies
 from pedzoo.sim.physics_parts.camera import Camera, person_color
+from pedzoo.sim.physics_parts.floor_marks import draw_goal
 from pedzoo.sim.physics_parts.stance import Stance
 from pedzoo.sim.state import State
 
@@ -21,19 +23,12 @@ def picture_of(
     state: State, physics: Physics, scene: int = 0, size: tuple[int, int] = (640, 480)
 ) -> NDArray[np.uint8]:
     """Return the picture (H, W, 3) uint8 RGB of a scene, of ``size`` width and height in pixels."""
-    import cv2
-
     bodies, there = bodies_seen(state), state.mask[scene]
     seen = torch.cat((state.position[scene][there], state.goal_point[scene][there]))
     open_floor = int(state.map_id[scene]) < 0
     camera = Camera().around(seen, size) if open_floor else None
     camera = physics.framed(bodies, scene, size, camera)
     image = np.ascontiguousarray(physics.image(bodies, scene, size, camera))
-    to_pixel = camera.to_pixel(size)
     for slot in (there & (state.goal_id[scene] >= 0)).nonzero()[:, 0].tolist():
-        place = state.goal_point[scene, slot].detach().cpu().double().numpy()
-        x, y = to_pixel[:, :2] @ place + to_pixel[:, 2]
-        if np.isfinite((x, y)).all():
-            mark = round(float(x)), round(float(y))
-            cv2.drawMarker(image, mark, person_color(slot), cv2.MARKER_TILTED_CROSS, 10, 2, cv2.LINE_AA)
+        draw_goal(image, state.goal_point[scene, slot], camera, size, person_color(slot), width=2)
     return image

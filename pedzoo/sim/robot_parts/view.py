@@ -9,7 +9,8 @@ from torch import Tensor
 
 from pedzoo.core.geometry import direction_of, rotate, unrotate
 from pedzoo.maps.planning.guidance import Guidance
-from pedzoo.sim.physics_parts.base import Bodies, Physics
+from pedzoo.sim.physics_parts.base import Physics
+from pedzoo.sim.physics_parts.bodies import Bodies
 from pedzoo.sim.state import State
 
 

@@ -125,7 +125,9 @@ class LoopModule(ForecastModule):
         imitated = self.imitation(self.walker, batch["unrolled"], self.random())
         terms["imitation"] = imitated.pop("loss")
         self._log(terms | {f"imitation/{name}": value for name, value in imitated.items()})
-        return torch.stack(list(terms.values())).sum()
+        loss = torch.stack(list(terms.values())).sum()
+        self.show("loss", loss)
+        return loss
 
     def _walk(self) -> dict[str, Tensor]:
         """Return the terms of a segment."""

@@ -165,6 +165,7 @@ class CrowdModule(ForecastModule):
         if bool(norm.isfinite()):
             first.step()
         self.iteration += 1
+        self.show("loss", loss)
         for name, value in {**terms, "loss": loss}.items():
             self.log(f"train/{name}", value.detach(), on_step=False, on_epoch=True, batch_size=1)
 

@@ -89,6 +89,7 @@ class GANModule(ForecastModule):
         g_optimizer.step()
         self.untoggle_optimizer(g_optimizer)
         self.iteration += 1
+        self.show("loss", log["train/variety"])
         detached = {key: value.detach() for key, value in log.items()}
         self.log_dict(detached, on_step=False, on_epoch=True, batch_size=len(batch), sync_dist=True)
 

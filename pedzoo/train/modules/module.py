@@ -128,6 +128,12 @@ class ForecastModule(L.LightningModule):
         for group in optimizer.param_groups:
             group["lr"] = lr * cosine * min(1.0, (done + 1) / max(self.warmup, 1))
 
+    def show(self, name: str, value: Tensor) -> None:
+        """Show the value of this batch in the progress bar, where it moves with every batch."""
+        self.log(
+            name, value.detach(), prog_bar=True, logger=False, on_step=True, on_epoch=False, batch_size=1
+        )
+
     def validation_step(self, batch: TensorDict, batch_idx: int) -> None:
         """Add a batch to the scores, with the same noise in every epoch."""
         self.score.update(self.generator, batch, torch.Generator().manual_seed(batch_idx))

@@ -23,6 +23,7 @@ class PlainModule(ForecastModule):
         loss = self.generator.loss(batch, self.random())
         per_scene = loss.detach() / len(batch)
         self.log("train/loss", per_scene, on_step=False, on_epoch=True, batch_size=len(batch), sync_dist=True)
+        self.show("loss", per_scene)
         return loss
 
     def on_after_backward(self) -> None:

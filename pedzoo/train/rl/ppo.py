@@ -199,6 +199,7 @@ class PPOModule(ForecastModule):
             log = self._learn(batch)
         self.iteration += 1
         log |= {"std": self.spread().detach(), "skipped": self.skipped.float()}
+        self.show("reward", log["reward"])
         values = {f"train/{key}": value for key, value in log.items()}
         self.log_dict(values, on_step=False, on_epoch=True, batch_size=len(batch), sync_dist=True)
 

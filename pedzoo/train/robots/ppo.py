@@ -194,6 +194,7 @@ class RobotPPO(L.LightningModule):
         self.iteration += 1
         log |= {"std": self.mean.log_std.detach().exp().mean()}
         log["samples_per_s"] = torch.tensor(len(known) / (time.perf_counter() - began))
+        self.log("success", log["success"], prog_bar=True, logger=False, batch_size=1)
         values = {f"train/{key}": value for key, value in log.items()}
         self.log_dict(values, on_step=False, on_epoch=True, batch_size=1)
 

@@ -10,8 +10,6 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.paths import write_whole
 from pedzoo.eval.comparison import PolicyRollout, row
 from pedzoo.eval.packed_episodes import packed_episodes
-from pedzoo.sim.env import PedestrianEnv
-from pedzoo.sim.rollout import Rollout
 from pedzoo.viz.report.content import add_report, shorten
 from pedzoo.viz.report.page import framed, page
 
@@ -32,12 +30,6 @@ class Replay:
         if not walked:
             raise UserError("nothing to show: expected at least one rollout")
         self.name, self._walked, self._seed = name, list(walked), seed
-
-    @classmethod
-    def of(cls, rollout: Rollout, env: PedestrianEnv, name: str | None = None) -> Replay:
-        """Return what `pedzoo.rollout` answered, to be shown."""
-        name = env.policy_name if name is None else name
-        return cls([PolicyRollout(name, rollout, env)], name)
 
     def __repr__(self) -> str:
         names = ", ".join(one.name for one in self._walked)

@@ -18,7 +18,7 @@ from pedzoo.sim.dynamics import integrate
 from pedzoo.sim.make import physics_class
 from pedzoo.sim.physics.torch import Torch
 from pedzoo.sim.physics_parts import base
-from pedzoo.sim.physics_parts.base import Bodies
+from pedzoo.sim.physics_parts.bodies import Bodies
 from pedzoo.sim.physics_parts.camera import Camera
 from pedzoo.sim.scenarios.goals import Goals
 from tools.bench.figures import Measured, Row

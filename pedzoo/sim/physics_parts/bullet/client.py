@@ -13,7 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, install_command
 
 
 def load_pybullet() -> Any:
@@ -28,7 +28,7 @@ def load_pybullet() -> Any:
             import pybullet
         except ImportError as error:
             raise UserError(
-                "the physics 'bullet' needs pybullet, not installed here: pip install 'pedzoo[bullet]' (its "
+                f"the physics 'bullet' needs pybullet, not installed here: {install_command('bullet')} (its "
                 "Linux wheels stop at Python 3.11, beyond it pip install pybullet needs a C++ compiler), or "
                 "take physics='compiled', which answers the same without it"
             ) from error

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 
 import numpy as np
@@ -10,15 +9,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.core.geometry import direction_of
-from pedzoo.sim.physics_parts.base import Bodies
+from pedzoo.sim.physics_parts.bodies import Bodies
 from pedzoo.sim.physics_parts.bullet.figure import Figure
 from pedzoo.sim.physics_parts.bullet.looks import CUT_HEIGHT
 from pedzoo.sim.physics_parts.bullet.scenes import PlacedScene, as_array
 from pedzoo.sim.physics_parts.bullet.walls import WALL_HEIGHT
-from pedzoo.sim.physics_parts.camera import Camera, Lens
-
-_VIEW_ANGLE = {"top": math.radians(8), "perspective": math.radians(50)}
-"""Horizontal opening angles: from the top a narrow one from high above, so that walls hide little."""
+from pedzoo.sim.physics_parts.camera import VIEW_ANGLE, Camera, Lens
 
 
 def from_above(
@@ -26,14 +22,14 @@ def from_above(
 ) -> NDArray[np.uint8]:
     """Return a picture (H, W, 3) of a scene of bodies of ``radius`` (A,) metres; see `Physics.image`."""
     linear, shift = asked.affine[:, :2], asked.affine[:, 2]
-    angle = _VIEW_ANGLE[camera.view]
-    eye, target, up = (np.array(values) for values in camera.eye(angle))
+    eye, target, up = (np.array(values) for values in camera.eye())
     for place in (eye, target):
         place[:2] = linear @ place[:2] + shift
     up[:2] = linear @ up[:2]
     figures = _figures(asked, people, radius)
     looks = asked.bullet.looks(CUT_HEIGHT)
-    picture = looks.render(figures, size, (eye.tolist(), target.tolist(), up.tolist()), angle)
+    pinhole = eye.tolist(), target.tolist(), up.tolist()
+    picture = looks.render(figures, size, pinhole, VIEW_ANGLE[camera.view])
     # in a mirrored scene, left is right
     return picture if np.linalg.det(linear) > 0 else np.ascontiguousarray(picture[:, ::-1])
 

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.maps.bank import MapBank
-from pedzoo.sim.physics_parts.base import Bodies
+from pedzoo.sim.physics_parts.bodies import Bodies
 from pedzoo.sim.physics_parts.bullet.scene import BulletScene
 from pedzoo.sim.physics_parts.frames import Affine, scene_to_grid
 
