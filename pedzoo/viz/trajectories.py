@@ -7,7 +7,8 @@ steps of 0.4 s before, and the walls. Colours are people; all policies are shown
 from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Literal
+from statistics import median_low
+from typing import Any
 
 import numpy as np
 import torch
@@ -98,18 +99,15 @@ def plot_rollouts(walked: Sequence[PolicyRollout], path: str | Path, episode: in
         raise UserError(f"cannot write {str(path)!r}: {error.strerror}") from error
 
 
-def draw_episode(
-    axes: Axes, walked: PolicyRollout, episode: int = 0, until: Literal["meeting", "end"] = "end"
-) -> None:
-    """Draw the ways of one episode until its end, or until two people meet, with a margin around all of them.
+def draw_episode(axes: Axes, walked: PolicyRollout, episode: int = 0, point: int | None = None) -> None:
+    """Draw the ways of one episode until a trace point, by default its end, with a margin around all of them.
 
     Raises:
         UserError: No such episode.
     """
     check_episode(walked, episode)
     one = _Episode(walked, episode)
-    point = one.length if until == "end" else one.met
-    one.draw(axes, point)
+    one.draw(axes, one.length if point is None else point)
     low, high = (one.low - MARGIN).tolist(), (one.high + MARGIN).tolist()
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
 
@@ -147,6 +145,18 @@ def common_moments(met: Sequence[int], lengths: Sequence[int]) -> list[int]:
     first, last = max(min(met) - around, 0), min(max(met) + around, end)
     between = [round(first + (last - first) * i / (MOMENTS - 1)) for i in range(MOMENTS)]
     return sorted({*between, end})
+
+
+def meeting_and_end(walked: Sequence[PolicyRollout], episode: int = 0) -> tuple[int, int]:
+    """Return the trace points at which people of most policies have met, and at which all episodes are over.
+
+    Raises:
+        UserError: No such episode.
+    """
+    for one in walked:
+        check_episode(one, episode)
+    shown = [_Episode(one, episode) for one in walked]
+    return median_low(one.met for one in shown), max(one.length for one in shown)
 
 
 def _cropped(low: Tensor, high: Tensor, plan: OccupancyGrid | None) -> tuple[Tensor, Tensor]:

@@ -18,7 +18,14 @@ from pedzoo.core.geometry import move_to_scene
 from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.eval.rollout import rollout
 from pedzoo.sim.rollout import Rollout
-from pedzoo.viz.trajectories import _Episode, common_moments, draw_episode, meeting, plot_rollouts
+from pedzoo.viz.trajectories import (
+    _Episode,
+    common_moments,
+    draw_episode,
+    meeting,
+    meeting_and_end,
+    plot_rollouts,
+)
 
 
 @pytest.fixture(scope="module")
@@ -104,6 +111,17 @@ def test_all_policies_are_shown_at_the_same_moments() -> None:
     assert common_moments([20, 30], [50, 60]) == [12, 25, 38, 60]
     assert common_moments([2], [20]) == [0, 5, 10, 20]
     assert common_moments([19, 19], [20, 18]) == [11, 16, 20]  # no moment twice
+
+
+def test_most_have_met_at_the_first_moment_and_all_are_over_at_the_last(walked: PolicyRollout) -> None:
+    present = walked.rollout.present.clone()
+    present[:, :, 10:] = False
+    shorter = walked._replace(rollout=replace(walked.rollout, present=present))
+    met = 1 + meeting(walked.rollout, 0)
+    assert meeting_and_end([walked, shorter, walked]) == (met, int(walked.rollout.length[0]))
+    axes = Figure().subplots()
+    draw_episode(axes, shorter, 0, 20)
+    assert axes.get_title() == "2.0 s (ended at 1.0 s)"
 
 
 def test_touches_are_marked_where_they_begin(walked: PolicyRollout) -> None:

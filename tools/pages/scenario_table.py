@@ -24,7 +24,6 @@ from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 import torch
 from matplotlib.figure import Figure
 from PIL import Image
@@ -213,29 +212,37 @@ LEGEND = """
 * *touched*: a touch that lasts counts once, and for both.
 """
 
+CROWD = f":people={CROWDS[0]}"
+"""Ends the name of a scenario with a crowd that the picture shows."""
+
 FAILURES = Path(__file__).with_name("scenario_failures.md")
 """What the rows of the whole run show, in words."""
 
 
 def picture(result: dict[TableRow, RowResult]) -> bytes:
-    """Return a PNG: scenarios below each other, their defaults and their crowd of 20 beside each other."""
-    names = list(dict.fromkeys(parse(case.scenario).name for case in result))
-    policies = list(dict.fromkeys(case.policy for case in result))
-    crowd = f"people={CROWDS[0]}"
-    shown = {}
-    for case, one in result.items():
-        name, _, settings = case.scenario.partition(":")
-        if settings in ("", crowd):
-            column = (settings == crowd) * len(policies) + policies.index(case.policy)
-            shown[names.index(name), column] = case, one
-    columns = 1 + max(column for _, column in shown)
-    figure = Figure(figsize=(columns * PANEL[0], len(names) * PANEL[1]), layout="constrained")
-    grid = figure.subplots(len(names), columns, squeeze=False)
-    for place, axes in np.ndenumerate(grid):
-        if place not in shown:
-            axes.set_axis_off()
-            continue
-        case, one = shown[place]
+    """Return a PNG: a block for each scenario, its policies beside each other, two blocks in a row.
+
+    First those with a crowd, which stands beside them, then the others.
+    """
+    shown, others = [], []
+    crowds = {case.scenario for case in result if case.scenario.endswith(CROWD)}
+    for scenario, group in by_scenario(result):
+        if scenario in crowds or f"{scenario}{CROWD}" in crowds:
+            shown.append(group)
+        elif ":" not in scenario:
+            others.append(group)
+    blocks = [*shown, *others]
+    wide = max(len(group) for group in blocks)
+    pairs = min(2, len(blocks))
+    rows = -(-len(blocks) // pairs)
+    figure = Figure(figsize=(pairs * wide * PANEL[0], rows * PANEL[1]), layout="constrained")
+    grid = figure.subplots(rows, pairs * wide, squeeze=False).reshape(-1, wide)
+    for axes in grid.flat:
+        axes.set_axis_off()
+    for axes, (case, one) in (
+        (grid[i, k], item) for i, its in enumerate(blocks) for k, item in enumerate(its)
+    ):
+        axes.set_axis_on()
         draw_episode(axes, one.first)
         end = axes.get_title()
         axes.set_title(f"{case.scenario}: {end}\n{case.policy}", fontsize=6.5)

@@ -13,7 +13,7 @@ from pedzoo.core.paths import write_whole
 from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.eval.results import ResultTable, cell, pages
 from pedzoo.eval.rollout import rollout
-from pedzoo.viz.trajectories import draw_episode, legend
+from pedzoo.viz.trajectories import draw_episode, legend, meeting_and_end
 from tools.paper.outcome import OUTCOMES
 from tools.paper.paper import FIGURE_4
 from tools.paper.suites.figure4 import RATIO, SCENARIOS
@@ -54,8 +54,8 @@ class Figure4(Walked):
             "a circle's radius is half the least distance; bodies touch at 0.3 m, and ORCA of radius 0.1"
             " keeps 0.2 m. The first table leaves out outcomes of less than"
             f" {RARE:.0%} of episodes; the others have all of them, with intervals",
-            "the picture (metres): the first episode of each, at equal and unequal speeds, when the two meet"
-            " and at its end. Who walked out of a panel did not find the door",
+            "the picture (metres): the first episode of each, at equal and unequal speeds, when most have met"
+            " and when all episodes are over. A person who walked out of a panel did not find the door",
         ]
 
     def printed(self) -> dict[str, Any]:
@@ -84,22 +84,25 @@ class Figure4(Walked):
         return ResultTable("The paper beside ours", [*head, "alone: gets through"], body, 1)
 
     def draw(self, folder: Path) -> list[Path]:
-        """Draw every person's first episode, equal and unequal speeds, when they meet and at the end."""
+        """Draw the first episode of each, equal and unequal speeds, at the same two times in every row."""
         names = [name for name in (*self.baselines, *self.policies) if name != "go_to_goal"]
         rows, columns = len(names), 2 * len(SPEEDS)
         figure = Figure(figsize=(columns * PANEL[0], rows * PANEL[1] + 0.4), layout="constrained")
         grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
         unit = self.evaluation.units[0]
-        for row, name in zip(grid, names, strict=True):
-            for number, speeds in enumerate(SPEEDS):
-                walked, env = rollout(name, SCENARIOS[speeds], unit.case.physics, 1, unit.seeds[0])
+        for number, speeds in enumerate(SPEEDS):
+            walked = []
+            for name in names:
+                result, env = rollout(name, SCENARIOS[speeds], unit.case.physics, 1, unit.seeds[0])
                 env.physics.close()
-                for place, until in enumerate(("meeting", "end")):
-                    axes = row[2 * number + place]
-                    draw_episode(axes, PolicyRollout(name, walked, env), 0, until)
+                walked.append(PolicyRollout(name, result, env))
+            for place, point in enumerate(meeting_and_end(walked)):
+                for axes, one in zip(grid[:, 2 * number + place], walked, strict=True):
+                    draw_episode(axes, one, 0, point)
                     axes.set_title(f"{speeds} speeds, {axes.get_title()}", fontsize=8)
                     axes.set(xlim=WINDOW[0], ylim=WINDOW[1])
                     axes.tick_params(labelsize=7)
+        for row, name in zip(grid, names, strict=True):
             row[0].set_ylabel(name.replace(":", "\n", 1).replace(",", "\n"), fontsize=8)
         figure.legend(handles=legend(), loc="outside lower center", ncols=5, frameon=False, fontsize=8)
         data = BytesIO()
