@@ -15,6 +15,7 @@ from torch import Tensor
 from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
 from pedzoo.metrics.displacement import positions
 from pedzoo.models.base import Forecaster
+from pedzoo.viz.figure_files import write_figure
 
 if TYPE_CHECKING:
     from pedzoo.data.datamodule import TrajectoryDataModule
@@ -72,7 +73,7 @@ def plot_forecasts(
     figure.suptitle(
         f"{type(model).__name__}: {data.obs_len} steps seen, {data.pred_len} predicted, goal: {data.goal}"
     )
-    figure.savefig(path, dpi=110)
+    write_figure(figure, path, dpi=110)
 
 
 def draw_floor_plan(axes: Axes, grid: OccupancyGrid) -> None:

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from pedzoo.core.errors import UserError
 from pedzoo.eval.realism import REAL
+from pedzoo.viz.figure_files import write_figure
 
 CURVE = "density_speed"
 """Key of the curves in rows of a replay."""
@@ -19,6 +20,9 @@ RARE = 0.005
 
 PANEL = (2.2, 1.5)
 """Inches."""
+
+LEAST = (3.4, 2.9)
+"""Inches that the words along the sides of the whole picture take."""
 
 LOOK: dict[str, Any] = {"color": "tab:red", "marker": ".", "lw": 1.4}
 REAL_LOOK: dict[str, Any] = {"color": "black", "lw": 2.2}
@@ -32,14 +36,15 @@ def plot_density_speed(rows: Sequence[Mapping[str, Any]], path: str | Path, simu
     `pedzoo.evaluate` those of replays are drawn, with ``all`` or ``one`` person simulated.
 
     Raises:
-        UserError: No row is of a replay.
+        UserError: No row is of a replay, or the file cannot be written.
     """
     mine = [row for row in rows if CURVE in row and row["case"].get("simulated") == simulated]
     if not mine:
         raise UserError("there is no density and speed to draw: evaluate the suite replay")
     folds = list(dict.fromkeys(row["case"]["fold"] for row in mine))
     names = [name for name in dict.fromkeys(row["name"] for row in mine) if name != REAL] or [REAL]
-    figure = Figure(figsize=(PANEL[0] * len(folds) + 0.6, PANEL[1] * len(names) + 0.6), layout="constrained")
+    size = PANEL[0] * len(folds) + 0.6, PANEL[1] * len(names) + 0.6
+    figure = Figure(figsize=(max(size[0], LEAST[0]), max(size[1], LEAST[1])), layout="constrained")
     panels = figure.subplots(len(names), len(folds), squeeze=False, sharex="col", sharey="col")
     curves = {(row["name"], row["case"]["fold"]): row[CURVE] for row in mine}
     for i, name in enumerate(names):
@@ -51,7 +56,7 @@ def plot_density_speed(rows: Sequence[Mapping[str, Any]], path: str | Path, simu
         column[0].set_ylim(0, 1.05 * max(axes.dataLim.y1 for axes in column))
     figure.supxlabel("people per m² within 2 m; bars: how often", fontsize=8)
     figure.supylabel("mean speed, m/s; black: the real crowd", fontsize=8)
-    figure.savefig(path, dpi=130)
+    write_figure(figure, path)
 
 
 def _draw(axes: Axes, curve: Sequence[Mapping[str, Any]]) -> None:

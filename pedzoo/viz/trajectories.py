@@ -5,7 +5,6 @@ steps of 0.4 s before, and the walls. Colours are people; all policies are shown
 """
 
 from collections.abc import Sequence
-from io import BytesIO
 from pathlib import Path
 from statistics import median_low
 from typing import Any
@@ -18,9 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from torch import Tensor
 
-from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import direction_of, move_to_map
-from pedzoo.core.paths import write_whole
 from pedzoo.core.types import GOAL_RADIUS, TRACE_SECONDS
 from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.maps.grid import OccupancyGrid
@@ -28,10 +25,9 @@ from pedzoo.metrics.contact_functions import begins
 from pedzoo.sim.physics_parts.camera import person_color
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.state import TRACE_PER_STEP
+from pedzoo.viz.figure_files import check_plot_path, write_figure
 from pedzoo.viz.forecast_plots import draw_floor_plan
 from pedzoo.viz.video import check_episode
-
-SUFFIXES = (".png", ".pdf", ".svg")
 
 STEPS_BEFORE = 3
 """Dots behind each star."""
@@ -91,12 +87,7 @@ def plot_rollouts(walked: Sequence[PolicyRollout], path: str | Path, episode: in
             if one is shown[-1]:
                 axes.set_xlabel("x, m", fontsize=8)
     figure.legend(handles=legend(), loc="outside lower center", ncols=6, frameon=False, fontsize=8)
-    data = BytesIO()
-    figure.savefig(data, format=Path(path).suffix[1:].lower(), dpi=130)
-    try:
-        write_whole(Path(path), data.getvalue())
-    except OSError as error:
-        raise UserError(f"cannot write {str(path)!r}: {error.strerror}") from error
+    write_figure(figure, path)
 
 
 def draw_episode(axes: Axes, walked: PolicyRollout, episode: int = 0, point: int | None = None) -> None:
@@ -110,12 +101,6 @@ def draw_episode(axes: Axes, walked: PolicyRollout, episode: int = 0, point: int
     one.draw(axes, one.length if point is None else point)
     low, high = (one.low - MARGIN).tolist(), (one.high + MARGIN).tolist()
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
-
-
-def check_plot_path(path: str | Path) -> None:
-    """Raise the error that a file name gives which no plot can have."""
-    if Path(path).suffix.lower() not in SUFFIXES:
-        raise UserError(f"plot {str(path)!r}: expected a file that ends in {' or '.join(SUFFIXES)}")
 
 
 def meeting(rollout: Rollout, episode: int) -> int:

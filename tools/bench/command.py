@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pedzoo.cli.arguments import Arguments
 from pedzoo.cli.commands.bench import EXAMPLE, HELP
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, unknown
 from tools.bench import BENCHMARKS
 
 
@@ -94,7 +94,11 @@ def _parsed(argv: list[str]) -> Namespace:
     )
     parser.add_argument("--data", metavar="FOLDER", help="ETH/UCY, for section sgan (default: PEDZOO_DATA)")
     parser.add_argument("--compare", metavar="FILE", help="an older report: what has become faster or slower")
-    return timed(parser.parse_args(argv))
+    options = timed(parser.parse_args(argv))
+    for name in options.sections:
+        if name not in names and ":" not in name:
+            raise unknown("benchmark", name, names)
+    return options
 
 
 def add_timing(parser: ArgumentParser, sized: str) -> None:

@@ -117,7 +117,7 @@ def run(argv: list[str]) -> int:
         check_outputs(json=options.json)
         return redo(options.policies, options.data.root, options.workers, options.json)
     if options.plot:
-        from pedzoo.viz.trajectories import check_plot_path
+        from pedzoo.viz.figure_files import check_plot_path
 
         check_plot_path(options.plot)
         if "replay" not in _listed(options.suite):

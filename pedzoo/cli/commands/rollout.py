@@ -61,7 +61,7 @@ def run(argv: list[str]) -> int:
     parser.add_argument("--show", type=int, default=0, help="Number of the episode in plot and video.")
     options = parse(parser, argv)
     if options.plot:
-        from pedzoo.viz.trajectories import check_plot_path
+        from pedzoo.viz.figure_files import check_plot_path
 
         check_plot_path(options.plot)
     if options.video:

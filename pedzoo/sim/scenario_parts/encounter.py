@@ -81,7 +81,7 @@ class Encounter(Scenario):
 
     Attributes:
         fewest: People, at least.
-        most: People, at most: lanes of more make floor plans of hundreds of metres.
+        most: People, at most, and in ``more_would`` why not more.
         variants: Settings of which every scene draws a value.
         stray: Share of people with another goal of their lane than the first.
         together: People side by side walk together: equally fast, and equally late.
@@ -89,6 +89,7 @@ class Encounter(Scenario):
 
     fewest: ClassVar[int] = 2
     most: ClassVar[int] = 300
+    more_would: ClassVar[str] = "more need a floor plan that is hundreds of metres long"
     stray: float = 0.0
     meet: float = MEET
     together: bool = False
@@ -108,8 +109,9 @@ class Encounter(Scenario):
         super().__init__(people, common.speed, common.speed_std)
         self.name = type(self).__module__.rpartition(".")[2]
         if not self.fewest <= people <= self.most:
+            why = f", as {self.more_would}" if people > self.most else ""
             raise UserError(
-                f"{self.name}: people {people}: expected {self.fewest} to {self.most}; "
+                f"{self.name}: people {people}: expected {self.fewest} to {self.most}{why}; "
                 "goals:people=N takes any number"
             )
         self.variants = Variants(self.name, **variants)

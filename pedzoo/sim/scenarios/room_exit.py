@@ -44,6 +44,7 @@ class RoomExit(Encounter):
     """
 
     most = 1000
+    more_would = "more queue at one door for over a quarter of an hour"
 
     def __init__(
         self,

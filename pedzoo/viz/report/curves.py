@@ -121,5 +121,7 @@ def _scaling(rows: Sequence[Mapping[str, Any]], said: str) -> list[dict[str, Any
         for place, its in lines.items()
     ]
     panels = [panel for panel in panels if panel["lines"]]
+    for panel in panels:
+        panel["title"] = panel["title"] or "the usual floor plans"
     note = "Both axes are logarithmic."
     return [{"title": f"Speed by size{said}", "note": note, "panels": panels}] if panels else []

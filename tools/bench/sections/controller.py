@@ -28,7 +28,8 @@ CALLS = 20
 """Calls of one turn that are timed, after those that fill the histories."""
 
 NOTE = (
-    "held: calls every 0.1 s between two decisions; first: the first call, which finds the ways to all goals"
+    "held: calls every 0.1 s between two decisions; first: the first call, which plans the ways; "
+    "new_goal: calls every 0.1 s in which one person gets a goal that was never asked for"
 )
 
 
@@ -42,8 +43,10 @@ class Controller(Section):
             for people in CROWDS[:2] if self.settings.quick else CROWDS:
                 turns = []
                 for _ in range(self.settings.turns):
-                    turns.append((*deciding(model, plan, people, now), holding(model, plan, people, now)))
-                first, step, network, held = (list(values) for values in zip(*turns, strict=True))
+                    calls = holding, redirected
+                    others = (seconds(model, plan, people, now) for seconds in calls)
+                    turns.append((*deciding(model, plan, people, now), *others))
+                first, step, network, held, goal = (list(values) for values in zip(*turns, strict=True))
                 metrics = {
                     f"{name}_ms": Measured.of([1e3 * second for second in seconds])
                     for name, seconds in (
@@ -51,6 +54,7 @@ class Controller(Section):
                         ("network", network),
                         ("held", held),
                         ("first", first),
+                        ("new_goal", goal),
                     )
                 }
                 metrics["times_network"] = ratio(network, step)
@@ -101,6 +105,18 @@ def holding(model: Forecaster, plan: OccupancyGrid | None, people: int, now: Clo
     places = dict(enumerate(position))
     taken = [seconds_of(lambda: steering.step(places, goals), now) for _ in range(OBS_LEN + CALLS)]
     return median(taken[i] for i in range(OBS_LEN, OBS_LEN + CALLS) if i % 4)
+
+
+def redirected(model: Forecaster, plan: OccupancyGrid | None, people: int, now: Clock) -> float:
+    """Return the median seconds of calls 0.1 s apart in which one person has a goal never asked for."""
+    steering = model.controller(plan, dt=STEP_SECONDS / 4)
+    position, goals = scene(plan, people + OBS_LEN + CALLS)
+    places, new = dict(enumerate(position[:people])), list(goals.values())[people:]
+    taken = []
+    for goal in new[: OBS_LEN + CALLS]:
+        wanted = {person: goals[person] for person in places} | {0: goal}
+        taken.append(seconds_of(lambda wanted=wanted: steering.step(places, wanted), now))
+    return median(taken[OBS_LEN:])
 
 
 def scene(
