@@ -31,7 +31,9 @@ from pedzoo.core.registry import (
 PAGES = Path(__file__).with_name("pages")
 """Help of heavy commands, written by ``tools/pages/command_pages.py``."""
 
-COMMANDS = Registry("command", "pedzoo.cli.commands", "pedzoo.cli.commands.training")
+COMMANDS = Registry(
+    "command", "pedzoo.cli.commands", "pedzoo.cli.commands.training", "pedzoo.cli.commands.checkout"
+)
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -1,13 +1,16 @@
 """``pedzoo fit`` for robots: LightningCLI without recordings, with the run folders of all trainings."""
 
+import shlex
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 from lightning.pytorch.cli import LightningArgumentParser
 
 from pedzoo.cli.parsing import parse
+from pedzoo.cli.progress import duration
 from pedzoo.cli.suggestions import given
-from pedzoo.cli.training_parser import ProgressBar, RunCLI, Signals, check_seed
+from pedzoo.cli.training_parser import ProgressBar, RunCLI, Signals, check_seed, result_line
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.train.robots.ppo import RobotPPO
@@ -83,12 +86,17 @@ class RobotTrainingCLI(RunCLI):
 
     def fit(self) -> int:
         """Train, and print what to do next."""
-        run = self.run
+        run, began = self.run, monotonic()
         assert run
         with self.stoppable(run):
             self.trainer.fit(self.model, ckpt_path=self.config["ckpt_path"])
         chosen = run.best if run.best.is_file() else run.last
-        print(f"\nnext: pedzoo.policies.load.load_robot_policy({str(chosen)!r})")
+        said, values = result_line(run, chosen, self.config["monitor"])
+        if success := values.get("val/success"):
+            said += f", success {float(success):.2f}"
+        print(f"\n{said}, {duration(monotonic() - began)}")
+        words = [str(chosen), "straight", "--suite", "robots", "--people", self.model.people, "--quick"]
+        print(f"next: pedzoo evaluate {shlex.join(words)}")
         return 0
 
     def _base(self) -> Path:

@@ -9,7 +9,6 @@ import warnings
 from argparse import SUPPRESS
 from collections.abc import Mapping
 from contextlib import ExitStack
-from csv import DictReader
 from pathlib import Path
 from time import monotonic
 from typing import Any, Literal, cast
@@ -22,7 +21,7 @@ from pedzoo.cli.parsing import classes_named, parse
 from pedzoo.cli.progress import duration
 from pedzoo.cli.robot_training import RobotTrainingCLI, trains_robots
 from pedzoo.cli.starting import Command, expand
-from pedzoo.cli.training_parser import ConfigParser, ProgressBar, RunCLI, Signals, check_seed
+from pedzoo.cli.training_parser import ConfigParser, ProgressBar, RunCLI, Signals, check_seed, result_line
 from pedzoo.core.errors import UserError
 from pedzoo.core.machine import versions
 from pedzoo.core.registry import import_path, names_code
@@ -198,25 +197,11 @@ class TrainingCLI(RunCLI):
 
     def _summary(self, run: RunFolder, chosen: Path) -> str:
         """Return what the weights are worth by the run's own table: ``val/ade 0.075 (epoch 2)`` and so on."""
-        epoch, monitor = read_checkpoint(chosen).get("epoch"), self.config["monitor"]
-        file = run.path / "metrics.csv"
-        rows = list(DictReader(file.read_text().splitlines())) if file.is_file() else []
-        values = {
-            key: value
-            for row in rows
-            if row.get("epoch") == str(epoch)
-            for key, value in row.items()
-            if value
-        }
-        said = [
-            f"{monitor} {float(values[monitor]):.3f} (epoch {epoch})"
-            if monitor in values
-            else f"epoch {epoch}"
-        ]
+        said, values = result_line(run, chosen, self.config["monitor"])
         for name in self.config_init["rollout"].scenarios:
             if success := values.get(f"rollout/{name}/success"):
-                said.append(f"{name.partition(':')[0]} success {float(success):.2f}")
-        return ", ".join(said)
+                said += f", {name.partition(':')[0]} success {float(success):.2f}"
+        return said
 
     def _scenario(self) -> str:
         """Return where to watch the weights walk: on the floor plan of their recordings, if there is one."""

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from csv import DictReader
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -17,9 +18,22 @@ from pedzoo.cli.signals import hear_again
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import file_path, import_path, names_code
+from pedzoo.models.zoo.loading import read_checkpoint
 from pedzoo.train.run import RunFolder
 from pedzoo.train.run_settings import reusable_settings
 from pedzoo.train.slurm import run_again
+
+
+def result_line(run: RunFolder, chosen: Path, monitor: str) -> tuple[str, dict[str, str]]:
+    """Return ``val/ade 0.075 (epoch 2)`` of a run's checkpoint, and all that was logged in its epoch."""
+    epoch, file = read_checkpoint(chosen).get("epoch"), run.path / "metrics.csv"
+    rows = list(DictReader(file.read_text().splitlines())) if file.is_file() else []
+    its = [row for row in rows if row.get("epoch") == str(epoch)]
+    values = {key: value for row in its for key, value in row.items() if value}
+    value = (
+        f"{monitor} {float(values[monitor]):.3f} (epoch {epoch})" if monitor in values else f"epoch {epoch}"
+    )
+    return value, values
 
 
 class ProgressBar(RichProgressBar):

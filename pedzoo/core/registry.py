@@ -38,18 +38,18 @@ def names_code(name: str) -> bool:
 class Registry:
     """The drop-ins of a package's folder, by file name."""
 
-    def __init__(self, kind: str, package: str, more: str = "") -> None:
+    def __init__(self, kind: str, package: str, *more: str) -> None:
         """Serve the files of a package.
 
         Args:
             kind: The word for one of them in messages.
             package: ``pedzoo.*``, or ``tools.*``, which only a checkout has.
-            more: A second package, whose files are served, too; one of ``tools.*`` in a checkout alone.
+            more: Other packages, whose files are served, too; those of ``tools.*`` in a checkout alone.
         """
         self.kind = kind
         self.package = package
         self.folder = folder_of(package)
-        self._more = more
+        self._packages = (package, *more)
 
     def names(self) -> list[str]:
         """Return all names in alphabetical order, without importing any of them."""
@@ -120,10 +120,6 @@ class Registry:
             if isinstance(value, type) and attribute.lower() == wanted:
                 return value
         raise UserError(f"{self.kind} file {name}.py has no class named like it (any capitals): {wanted}")
-
-    @property
-    def _packages(self) -> tuple[str, ...]:
-        return (self.package, self._more) if self._more else (self.package,)
 
     def package_of(self, name: str) -> str | None:
         """Return the package whose file has a name, or None."""
@@ -265,7 +261,7 @@ def _executed(path: Path) -> dict[str, Any]:
 
 MODELS = Registry("model", "pedzoo.models.architectures")
 DATASETS = Registry("dataset", "pedzoo.data.datasets")
-SCENARIOS = Registry("scenario", "pedzoo.sim.scenarios")
+SCENARIOS = Registry("scenario", "pedzoo.sim.scenarios", "pedzoo.sim.scenarios.encounters")
 POLICIES = Registry("policy", "pedzoo.policies.rule_based")
 SUITES = Registry("suite", "pedzoo.eval.suites", "tools.paper.suites")
 PHYSICS = Registry("physics", "pedzoo.sim.physics")

@@ -12,7 +12,7 @@ from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.rule_based.orca import Orca
 from pedzoo.sim.make import make_scenario
-from pedzoo.sim.scenarios.circle import Circle
+from pedzoo.sim.scenarios.encounters.circle import Circle
 
 
 @dataclass(frozen=True)

@@ -229,7 +229,7 @@ def test_what_other_processes_cannot_have_is_a_clear_mistake(monkeypatch: pytest
     with pytest.raises(UserError, match=r"unknown backend 'rat': did you mean 'ray'"):
         finished([1], process_of, 2, "rat")  # pyright: ignore[reportArgumentType]
     monkeypatch.setattr("pedzoo.core.errors.find_spec", lambda name: None)
-    with pytest.raises(UserError, match=r"the backend ray needs ray, .*pip install 'pedzoo\[ray\]'"):
+    with pytest.raises(UserError, match=r"the backend ray needs ray, .*pip install .*\[ray\]'"):
         finished([1], process_of, 2, "ray")
 
 

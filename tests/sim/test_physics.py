@@ -382,7 +382,7 @@ def test_clients_go_with_their_physics() -> None:
 
 def test_without_pybullet_the_error_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pybullet", None)
-    with pytest.raises(UserError, match=r"pip install 'pedzoo\[bullet\]'.*3\.11.*physics='compiled'"):
+    with pytest.raises(UserError, match=r"pip install .*\[bullet\]'.*3\.11.*physics='compiled'"):
         Bullet(MapBank())
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any, cast
 
@@ -305,12 +306,20 @@ FIT += ["--model.policy.width=16", "--trainer.check_val_every_n_epoch=1"]
     ("scenario", "robot"), [("crowdnav:crowds=16", "disc"), ("door:people=2", "diff_drive")]
 )
 def test_the_command_line_trains_resumes_and_loads(
-    scenario: str, robot: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    scenario: str,
+    robot: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     options = ["--model.scenarios", f"[{scenario!r}]", "--model.robot", robot, "--model.decision_dt=0.4"]
     assert main([*FIT, *options, "--trainer.max_epochs=1"]) == 0
     run = next(Path("runs/robot.ppo").iterdir())
+    printed = capsys.readouterr().out
+    assert re.search(r"\nval/return -?\d+\.\d{3} \(epoch 0\), success \d\.\d\d, \d+ s\nnext: ", printed)
+    best = run / "checkpoints" / "best.ckpt"
+    assert f"next: pedzoo evaluate {best} straight --suite robots --people orca --quick" in printed
     assert run.name == f"{scenario.partition(':')[0]}-seed0"
     assert main(["fit", "--resume", str(run), "--trainer.max_epochs=2"]) == 0
     logged = (run / "metrics.csv").read_text()

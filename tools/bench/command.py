@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from pedzoo.cli.arguments import Arguments
-from pedzoo.cli.commands.bench import EXAMPLE, HELP
+from pedzoo.cli.commands.checkout.bench import EXAMPLE, HELP
 from pedzoo.core.errors import UserError, unknown
 from tools.bench import BENCHMARKS
 

@@ -18,10 +18,18 @@ from tools.bench.section import NotGivenError, Section, Settings
 from tools.bench.turns import load, machine, yardstick
 
 
-def progress(name: str, done: int, count: int, seconds: float) -> str:
-    """Return which section begins, and how long all take if the rest takes as long as those ``done``."""
-    left = f", about {duration(seconds / done * (count - done))} to go" if done else ""
-    return f"{name}: section {done + 1} of {count}{left}"
+def progress(name: str, done: int, left: Sequence[float], seconds: float, spent: float) -> str:
+    """Return which section begins, and how long all that are left take.
+
+    Args:
+        name: Of the section.
+        done: Sections before it.
+        left: Seconds that it and those after it are expected to take.
+        seconds: What those before it took.
+        spent: What they were expected to take.
+    """
+    pace = seconds / spent if spent else 1.0
+    return f"{name}: section {done + 1} of {done + len(left)}, about {duration(pace * sum(left))} to go"
 
 
 class Run:
@@ -67,10 +75,11 @@ class Run:
         """
         before = torch.get_num_threads()
         torch.set_num_threads(self.settings.threads)
-        begin = time.monotonic()
+        begin, expected = time.monotonic(), [one.expected for one in self._sections.values()]
         try:
             for number, (name, section) in enumerate(self._sections.items()):
-                ahead(progress(name, number, len(self._sections), time.monotonic() - begin))
+                spent, left = sum(expected[:number]), expected[number:]
+                ahead(progress(name, number, left, time.monotonic() - begin, spent))
                 before_it = yardstick(self.settings.clock)
                 try:
                     for row in section.rows():

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 from pedzoo.core.errors import UserError
 from tools.bench.figures import Row
@@ -69,14 +70,23 @@ class Section(ABC):
     """A benchmark: a drop-in whose file and class have its name.
 
     Attributes:
+        takes: Seconds that it took on two cores with ``--quick``, and with the usual turns of 1 s.
         settings: How to measure.
         versions: Of the other programs that took part, by name; filled while `rows` runs.
     """
+
+    takes: ClassVar[tuple[float, float]] = (15.0, 60.0)
 
     def __init__(self, settings: Settings) -> None:
         """Take the settings."""
         self.settings = settings
         self.versions: dict[str, str] = {}
+
+    @property
+    def expected(self) -> float:
+        """About how many seconds it takes with its settings, on the machine on which `takes` was measured."""
+        quick, usual = self.takes
+        return quick if self.settings.quick else usual * self.settings.seconds * self.settings.turns / 5
 
     @abstractmethod
     def rows(self) -> Iterator[Row]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pedzoo.cli.arguments import Arguments
-from pedzoo.cli.commands.reproduce import EXAMPLE, HELP
+from pedzoo.cli.commands.checkout.reproduce import EXAMPLE, HELP
 from pedzoo.core.errors import UserError, unknown
 
 if TYPE_CHECKING:

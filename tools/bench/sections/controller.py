@@ -36,6 +36,8 @@ NOTE = (
 class Controller(Section):
     """Every person walks where the controller says, to goals of their own."""
 
+    takes = 4, 9
+
     def rows(self) -> Iterator[Row]:
         """Measure in open space and on the first floor plan, with few people and with many."""
         model, now = load(MODEL), self.settings.clock

@@ -29,6 +29,8 @@ SAMPLES, STEPS = 20, 12
 class Forecast(Section):
     """All people of one scene, 12 steps of each, as tables of a best of 20 ask for them."""
 
+    takes = 7, 133
+
     def rows(self) -> Iterator[Row]:
         """Measure all networks in turns, with few people and with many."""
         models = {name: load(name) for name in NAMES}

@@ -65,6 +65,8 @@ class Loop(Section):
     the observation, resets and new goals. Bars compare one agent-step with one of a peer, whatever is in it.
     """
 
+    takes = 13, 515
+
     def rows(self) -> Iterator[Row]:
         """Measure every size."""
         known: dict[int, tuple[PreparedScenario, Measured]] = {}

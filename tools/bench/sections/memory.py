@@ -27,6 +27,8 @@ class Memory(Section):
     The bar is about the largest floor plan that is given. Without any, ``flat`` is measured without a bar.
     """
 
+    takes = 14, 16
+
     def rows(self) -> Iterator[Row]:
         """Measure once; memory hardly differs from run to run."""
         if not find_spec("resource"):

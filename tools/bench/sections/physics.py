@@ -38,6 +38,8 @@ class Physics(Section):
     around it; the picture from the top and the oblique one have 640 x 480 pixels.
     """
 
+    takes = 5, 10
+
     def rows(self) -> Iterator[Row]:
         """Measure backends in torch at every size, others with one scene; absent ones have no rows."""
         (grid,) = Goals(self.settings.maps[0] if self.settings.maps else "flat").plans()

@@ -42,6 +42,8 @@ class Planner(Section):
     with ``math.dist`` is timed too.
     """
 
+    takes = 6, 54
+
     def rows(self) -> Iterator[Row]:
         """Measure on every floor plan, or on a plain one."""
         self.versions["networkx"] = version("networkx")

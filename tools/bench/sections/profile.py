@@ -38,6 +38,8 @@ EPISODE = 20.0
 class Profile(Section):
     """The calls themselves are timed. Whatever a reset calls is part of the reset; nothing counts twice."""
 
+    takes = 6, 20
+
     def rows(self) -> Iterator[Row]:
         """Measure at the largest size, or those asked for."""
         for size in sizes(self.settings, [Size(16, 5) if self.settings.quick else LARGEST]):

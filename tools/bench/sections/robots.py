@@ -48,6 +48,8 @@ class Robots(Section):
     and resets. ``scene_s_per_s`` has how much time passes in all scenes together.
     """
 
+    takes = 14, 276
+
     def rows(self) -> Iterator[Row]:
         """Measure every size, then PPO."""
         for size in sizes(self.settings, QUICK if self.settings.quick else SIZES):
