@@ -13,6 +13,7 @@ from tensordict import TensorDictBase
 
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.policies.load import load_policy
+from pedzoo.sim import kernel
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
 from tools.bench.figures import Measured, Row
@@ -147,6 +148,7 @@ def parts_timed(split: Split, env: PedestrianEnv) -> Iterator[None]:
         (PLANNER, planner, "guidance"),
         (PLANNER, planner, "next_waypoints"),
         (WALKING, env.physics, "advance"),
+        (WALKING, kernel, "step_compiled"),  # the same as one compiled loop
         (RESETS, env, "_reset"),
     )
     with ExitStack() as stack:
