@@ -78,6 +78,8 @@ def prepare(
     **settings: Any,
 ) -> tuple[Policy | Walker, PedestrianEnv]:
     """Return a policy and the environment in which it decides as often as it can; errors as of `rollout`."""
+    if not isinstance(policy, str):
+        raise UserError(f"policy {policy!r:.200}: expected one name; pedzoo.evaluate takes several")
     if episodes < 1:
         raise UserError(f"episodes {episodes}: expected at least 1")
     walks = load_policy(policy)

@@ -60,8 +60,14 @@ def closed_loop(rollout: Rollout, metrics: Sequence[str] = ()) -> dict[str, Rati
     return _results(_SHIPPED, rollout) | own_metrics(rollout, metrics)
 
 
-def measure(rollout: Rollout, metrics: Sequence[str] = ()) -> tuple[dict[str, float], dict[str, Interval]]:
-    """Return the values of all metrics of a rollout and their 95 % intervals; see `closed_loop`."""
+def measure(
+    rollout: Rollout | tuple[Rollout, Any], metrics: Sequence[str] = ()
+) -> tuple[dict[str, float], dict[str, Interval]]:
+    """Return the values of all metrics of a rollout and their 95 % intervals; see `closed_loop`.
+
+    ``measure(pedzoo.rollout("orca", "door"))`` works, too: of what that returns the first is the rollout.
+    """
+    rollout = rollout[0] if isinstance(rollout, tuple) else rollout
     return summarised(closed_loop(rollout, metrics))
 
 

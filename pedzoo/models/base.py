@@ -79,6 +79,11 @@ class Forecaster(nn.Module):
     goal_protocol: GoalProtocol | None = None
     config: dict[str, Any]
 
+    def __repr__(self) -> str:
+        weights = sum(value.numel() for value in self.parameters())
+        goal = f", goal {self.goal_protocol}" if self.goal_protocol else ""
+        return f"{type(self).__name__}({self.name!r}{goal}, {weights:,} weights)"
+
     def built_with(self, *groups: Any) -> None:
         """Keep the settings that the model was built with; those of `Walking` say how it walks by default."""
         self.config = flat(*groups)

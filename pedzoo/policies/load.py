@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Any, cast
 
 from pedzoo.core import renamed
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.machine import usable
 from pedzoo.core.registry import MODELS, POLICIES, ROBOT_POLICIES, SCENARIOS, names_code
-from pedzoo.core.spec import build, make, parse
+from pedzoo.core.spec import Spec, SpecText, build, make, parse, setting_types
 from pedzoo.core.types import GoalProtocol
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.loading import baselines, list_models, untrained
@@ -76,7 +76,18 @@ def _is_of_policy(text: str) -> bool:
     spec = parse(text)
     if names_code(spec.name) and issubclass(POLICIES.get(spec.name), Policy):
         return True
-    return spec.name in POLICIES.names() or bool(spec.settings.keys() - {"weights"})
+    return spec.name in POLICIES.names() or bool(spec.settings.keys() - _settings_of_model(spec))
+
+
+def _settings_of_model(spec: Spec | SpecText) -> set[str]:
+    """Return which settings are those of a model's class in a file, and not of how it walks."""
+    if not names_code(spec.name):
+        return set()
+    walking = {*setting_types(Walker)} - {"model"}
+    own = {"weights", *setting_types(MODELS.get(spec.name))} - walking
+    if wrong := sorted(spec.settings.keys() - own - walking):
+        raise unknown(f"setting of {spec.name}", wrong[0], own | walking)
+    return spec.settings.keys() & own
 
 
 def list_scenarios(pattern: str = "*") -> list[str]:
@@ -108,8 +119,8 @@ def _one_policy(name: str) -> Policy | Walker:
         kind, cls = "policy", POLICIES.get(spec.name, Policy)
     elif is_file(spec.name) or spec.name in MODELS.names() or find(spec.name):
         model, settings = spec.name, renamed.new_settings(spec.settings)
-        if names_code(model) and "weights" in settings:
-            model = f"{model}:weights={settings.pop('weights')}"
+        if its := _settings_of_model(spec):
+            model += ":" + ",".join(f"{key}={settings.pop(key)}" for key in sorted(its))  # as it was written
         kind, cls, more = "walker", Walker, {"model": load_model(model)}
         spec = spec._replace(settings=settings)
     else:

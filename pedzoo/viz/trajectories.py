@@ -253,8 +253,8 @@ def legend() -> list[Line2D]:
 
     return [
         entry("latest step", marker="*", markersize=10),
-        entry(f"{STEPS_BEFORE} steps before (0.4 s)", marker="o", markersize=4),
-        entry("goal", marker="x", markersize=5),
+        entry("0.4, 0.8 and 1.2 s before", marker="o", markersize=4),
+        entry("goal, until it is reached", marker="x", markersize=5),
         entry("way of the last 6 s", linestyle="-", linewidth=2.4),
         entry("touch", marker="o", markersize=8, fillstyle="none", color=TOUCH),
         entry("warm start", linestyle="-", linewidth=0.8, color="0.6"),

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import fields
 from pathlib import Path
 
 import pytest
 import torch
 
+import pedzoo
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import GOAL_RADIUS
@@ -330,3 +332,17 @@ def test_make_env_takes_what_a_rollout_passes_on() -> None:
     walked, env = rollout("go_to_goal", "door", "compiled", 1, body_radius=0.2, warm_start="static")
     assert env.physics.body_radius == 0.2 and make_env("door").physics.body_radius == 0.15
     assert torch.equal(walked.past, walked.past[:, :, :1].expand_as(walked.past))
+
+
+def test_what_rollout_returns_is_measured_as_it_is() -> None:
+    walked = pedzoo.rollout("go_to_goal", "circle:people=2", "compiled", 1)
+    assert pedzoo.measure(walked) == pedzoo.measure(walked.rollout)
+    with pytest.raises(UserError, match=r"policy \['orca'\]: expected one name; pedzoo\.evaluate takes"):
+        pedzoo.rollout(["orca"], "circle")  # type: ignore[arg-type]
+
+
+def test_models_have_a_short_repr() -> None:
+    assert re.fullmatch(
+        r"SGAN\('sgan_goal_map\.indoor', goal \w+, [\d,]+ weights\)",
+        repr(pedzoo.load("sgan_goal_map.indoor")),
+    )

@@ -20,6 +20,7 @@ from pedzoo.maps.files.ros import read_ros, write_ros
 from pedzoo.maps.free_space import free_points, spread_points
 from pedzoo.maps.from_rectangles import rectangles, room, wall
 from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from pedzoo.maps.named_plans import flat
 from pedzoo.maps.walls.boxes import boxes
 
 
@@ -268,3 +269,10 @@ def test_files_of_no_known_kind(tmp_path: Path) -> None:
     )
     with pytest.raises(UserError, match="lacks image"):
         read_plan(tmp_path / "bare.yaml")
+
+
+def test_the_image_of_a_ros_map_names_its_yaml(tmp_path: Path) -> None:
+    write_ros(flat(), tmp_path / "lab.yaml")
+    image = next(file for file in tmp_path.iterdir() if file.suffix != ".yaml")
+    with pytest.raises(UserError, match=r"an image has no metres: give '.*lab\.yaml', which does"):
+        read_plan(image)

@@ -26,9 +26,9 @@ from pedzoo.models.base import Forecaster
 from pedzoo.models.export.publish import describe
 from pedzoo.models.zoo.card import ModelCard, read_card, write_card
 from pedzoo.models.zoo.hub import write_hub
-from pedzoo.models.zoo.loading import list_models, load, obtain, save_weights
+from pedzoo.models.zoo.loading import list_models, load, save_weights
 from pedzoo.models.zoo.saved_config import saved_config
-from pedzoo.models.zoo.store import find, robots
+from pedzoo.models.zoo.store import find, obtain, robots
 from pedzoo.policies.load import load_policy, load_robot_policy
 
 NAME = "sgan_goal.mall"

@@ -262,6 +262,19 @@ def test_really_shipped_weights_load_and_answer() -> None:
         assert zoo.architecture_of(result) in zoo.MODELS.names()
 
 
+def test_own_models_take_their_settings_behind_the_name(own: Path, tmp_path: Path) -> None:
+    code = "from pedzoo.models.architectures.constant_velocity import ConstantVelocity\n\n\n"
+    code += "class Slow(ConstantVelocity):\n    def __init__(self, gain: float = 1.0):\n"
+    code += "        super().__init__()\n        self.gain = gain\n"
+    (tmp_path / "slow.py").write_text(code)
+    name = f"{tmp_path / 'slow.py'}:Slow"
+    assert (pedzoo.load(f"{name}:gain=0.5").gain, pedzoo.load(name).gain) == (0.5, 1.0)
+    walker = pedzoo.load(f"{name}:gain=0.5,safety=false")
+    assert walker.model.gain == 0.5 and isinstance(walker, Walker)
+    with pytest.raises(UserError, match=r"unknown setting of .*slow\.py:Slow 'gan': did you mean 'gain'"):
+        pedzoo.load(f"{name}:gan=0.5")
+
+
 def test_own_models_are_found_saved_and_loaded(own: Path, tmp_path: Path) -> None:
     model = load(f"{own}:Drifting")
     assert model.sample(make_batch((2,)), 3, 8).unique().tolist() == [0.25]
@@ -271,7 +284,7 @@ def test_own_models_are_found_saved_and_loaded(own: Path, tmp_path: Path) -> Non
     assert torch.equal(answers(again), answers(model))
     for name, message in {
         "Forgetful": "cannot be saved: keep its arguments",
-        "Needy": "cannot be built .*'size'",
+        "Needy": "missing a required argument: 'size'",
         "Table": "is no model: expected a subclass",
         "Drifter": "did you mean 'Drifting'",
     }.items():

@@ -58,6 +58,11 @@ def test_a_sound_model_stays_as_it_is() -> None:
             lambda self, batch: None,
             r"expected Mine.sample\(batch, samples, steps, generator=None\)",
         ),
+        (
+            "sample",
+            lambda self, batch, k, t, g=None: batch["agents", "history"] @ torch.zeros(3, 2),
+            r"failed at test_own_model\.py:\d+: RuntimeError: .*; agents: .*history \(2, 4, 8, 2\)",
+        ),
         ("sample", Forecaster.sample, r"no Mine.sample\(.*: it returns displacements"),
         (
             "sample",

@@ -32,6 +32,9 @@ def read_plan(path: str | Path, resolution: float | None = None) -> OccupancyGri
     if kind == ".png" and path.name.startswith("floor_trav"):
         return read_igibson(path) if resolution is None else read_igibson(path, resolution=resolution)
     if resolution is None:
+        yaml = path.with_suffix(".yaml")
+        if yaml.is_file():
+            raise UserError(f"map file {str(path)!r}: an image has no metres: give {str(yaml)!r}, which does")
         raise UserError(
             f"map file {str(path)!r}: an image needs a resolution: write a ROS map yaml beside it that "
             "states it, or give read_plan(path, resolution=...) metres per pixel"

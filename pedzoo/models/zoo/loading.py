@@ -16,14 +16,13 @@ from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.paths import config_names, write_whole
 from pedzoo.core.registry import MODELS, ROBOT_POLICIES, names_code
-from pedzoo.core.spec import grouped, parse, setting_groups, setting_types, unquoted
+from pedzoo.core.spec import grouped, make, parse, setting_groups, setting_types, unquoted
 from pedzoo.core.types import GoalProtocol
 from pedzoo.models.base import Forecaster, has_parameters
 from pedzoo.models.zoo.card import ModelCard
 from pedzoo.models.zoo.compatibility import check_archive, check_settings, check_shapes, check_tensors
 from pedzoo.models.zoo.file_header import Config, config_in, opened
 from pedzoo.models.zoo.store import ROBOTS, find, names, no_model, weights_of
-from pedzoo.models.zoo.store import obtain as obtain
 from pedzoo.models.zoo.typed_fields import check, check_plain, refuse_code
 
 
@@ -45,7 +44,7 @@ def load(
         name: A zoo name (``sgan_goal.zara1``), a folder with its card (``FOLDER/sgan_goal.mall``), an address
             (``hf://OWNER/REPO``, ``https://HOST/FOLDER/sgan_goal.mall``), a ``.safetensors`` or Lightning
             ``.ckpt`` file, a baseline (``bent_line``), an untrained class ``path/to/file.py:Class``, or with
-            weights of it, ``path/to/file.py:Class:weights=best.ckpt``.
+            weights, ``path/to/file.py:Class:weights=best.ckpt``, or settings, ``file.py:Class:width=8``.
         goal: The goal protocol for untrained models that ask for it; trained ones keep their own.
         own: The caller's class, for weights of a class in a file of code: these never make that file run.
 
@@ -81,13 +80,17 @@ def _weights_or_baseline(name: str, goal: GoalProtocol | None, own: type[Forecas
 
 
 def _own(name: str, goal: GoalProtocol | None) -> Forecaster:
-    """Return a model of a class in a person's own file, with its weights where they are named."""
-    code, settings = parse(name)
-    if unknown_settings := sorted(settings.keys() - {"weights"}):
-        raise unknown(f"setting of {code}", unknown_settings[0], ["weights"])
-    if not settings:
-        return untrained(code, goal)
-    weights, own = unquoted(settings["weights"]), MODELS.get(code, Forecaster)
+    """Return a model of a class in a person's own file: with its weights, or else with its settings."""
+    spec = parse(name)
+    (code, settings), own = spec, MODELS.get(spec.name, Forecaster)
+    known = {"weights", *setting_types(own)}
+    if wrong := sorted(settings.keys() - known):
+        raise unknown(f"setting of {code}", wrong[0], known)
+    if "weights" not in settings:
+        return make(own, "model", spec, **({"goal_protocol": goal} if goal else {})).eval()
+    if more := sorted(settings.keys() - {"weights"}):
+        raise UserError(f"{code}: {more[0]}: its weights say how it is built: leave out one of the two")
+    weights = unquoted(settings["weights"])
     model = load(weights, own=own)
     if not isinstance(model, own):
         raise UserError(f"{weights!r} holds weights of {architecture_of(model)!r}, not of {code!r}")
@@ -294,5 +297,4 @@ def baselines() -> list[str]:
 
 
 def _first(error: Exception) -> str:
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return " ".join(lines[:2])
+    return " ".join([line.strip() for line in str(error).splitlines() if line.strip()][:2])

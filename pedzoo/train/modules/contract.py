@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import inspect
 import sys
+import traceback
 from collections.abc import Callable
 from copy import deepcopy
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -34,8 +36,8 @@ def check_model(model: Forecaster, batch: TensorDict, by_loss: bool) -> None:
         by_loss: Its own loss is what trains it.
 
     Raises:
-        UserError: It takes other arguments, its futures have another shape or are no numbers, its loss is
-            no finite number, or nothing of it gets a gradient. The message says what to change.
+        UserError: It takes other arguments or fails, its futures have another shape or are no numbers, its
+            loss is no finite number, or nothing of it gets a gradient. The message says what to change.
     """
     tried, name = deepcopy(model), type(model).__name__
     devices = [batch.device] if batch.device is not None and batch.device.type == "cuda" else []
@@ -113,3 +115,20 @@ def _called(function: Callable[..., Any], usage: str, *given: Any) -> Any:
             f"{usage} reads what the batch has not: {' '.join(str(error.args[0]).split())}; of a model with "
             "goals the class says needs = frozenset({'goal'}), and --data.goal gives them"
         ) from error
+    except UserError:
+        raise
+    except Exception as error:  # a user's code may fail in any way
+        said = " ".join(str(error).split())
+        shapes = ", ".join(
+            f"{key} {tuple(value.shape)}" for key, value in agents_of(given[0]).items(True, True)
+        )
+        raise UserError(
+            f"{usage} failed at {_place(error)}: {type(error).__name__}: {said}; agents: {shapes}"
+        ) from error
+
+
+def _place(error: Exception) -> str:
+    """Return the last line outside of installed packages that an error came through, ``file.py:12``."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if "site-packages" not in frame.filename]
+    return f"{Path((own or frames)[-1].filename).name}:{(own or frames)[-1].lineno}"
