@@ -45,7 +45,6 @@ ROBOTS = {
     "circle": ["--config", "robot/ppo"],
     "circle_diff_drive": ["--config", "robot/ppo", "--model.robot", "diff_drive"],
     "crowd": ["--config", "robot/crowd"],
-    "indoor": ["--config", "robot/indoor"],
     "mix_diff_drive": [*ROOMS, PEOPLE["mix"], "--model.robot", "diff_drive"],
     **{
         f"{name}-seed{seed}" if seed else name: [*ROOMS, people, "--seed_everything", str(seed)]
