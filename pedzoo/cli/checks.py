@@ -6,15 +6,24 @@ The command checks all of it again. So a doubtful case passes here.
 import json
 import os
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+from pedzoo.cli.file_checks import (
+    check_checkpoint,
+    check_code,
+    check_file,
+    check_recording,
+    check_run,
+    is_code,
+)
 from pedzoo.cli.main import PAGES
 from pedzoo.cli.output import check_outputs
-from pedzoo.cli.suggestions import given, split_names, unknown_option
+from pedzoo.cli.suggestions import NO_POLICIES, given, split_names, unknown_option, without_model
 from pedzoo.core import renamed
+from pedzoo.core.configs import read_config
+from pedzoo.core.counts import at_least_one
 from pedzoo.core.errors import UserError, need, unknown
 from pedzoo.core.paths import expanded, find_config
 from pedzoo.core.registry import (
@@ -28,11 +37,9 @@ from pedzoo.core.registry import (
     SUITES,
     Registry,
     datasets_of_folds,
-    names_code,
 )
-from pedzoo.core.size_limits import load_yaml, read_text
 from pedzoo.core.spec import name_of, parse, unquoted
-from pedzoo.data.text_format import TextFormat, is_recording
+from pedzoo.data.text_format import is_recording
 from pedzoo.models.zoo.store import ROBOTS as ROBOT_WEIGHTS
 from pedzoo.models.zoo.store import find, is_file, no_model
 from pedzoo.policies.crowd_names import members, parts
@@ -42,6 +49,9 @@ ROBOT_MODULES = "pedzoo.train.robots."
 """Where the classes are that train robots."""
 
 _TRAININGS = ("fit", "validate", "test")
+_STARTS = ("--config", "-c", "--model", "--weights", "--resume", "--ckpt_path", "--print_config")
+"""Options of trainings that say what is trained, or may."""
+
 _NEEDS = {"--plot": "video", "--video": "video"}  # extras
 
 
@@ -66,6 +76,10 @@ def check(command: str, argv: list[str]) -> None:
         return
     argv = renamed.new_options(argv)
     _check_options(command, argv)
+    if command in ("rollout", "evaluate") and all(word.startswith("-") for word in argv):
+        raise UserError(NO_POLICIES)
+    if command in _TRAININGS and not any(word.startswith(_STARTS) for word in argv):
+        raise UserError(without_model())
     for option, extra in _NEEDS.items():
         if given(argv, option) not in (None, "", "null"):
             need(extra, option)
@@ -76,7 +90,7 @@ def check(command: str, argv: list[str]) -> None:
         if command == "forecast":
             check_model(name)
         elif command == "score" and is_recording(name):
-            _check_recording("crowd", name)
+            check_recording("crowd", name)
         elif command in ("rollout", "evaluate", "score"):
             _check_policy(name, command)
     for option, look in _VALUES.items():
@@ -103,11 +117,9 @@ def _model_class(command: str, argv: list[str]) -> str:
     name = given(argv, "--config") or given(argv, "-c")
     while command in _TRAININGS and name:
         file = find_config(name)
-        try:
-            settings = load_yaml(read_text(file), references=True)
-            path, base = settings.get("model", {}).get("class_path"), settings.get("base")
-        except (UserError, AttributeError):
-            return ""  # the command says what is wrong with it
+        settings = read_config(file)
+        model, base = settings.get("model"), settings.get("base")
+        path = model.get("class_path") if isinstance(model, dict) else None
         if path or not isinstance(base, str):
             return path if isinstance(path, str) else ""
         beside = file.parent / base
@@ -138,8 +150,8 @@ def _check_policy(text: str, command: str = "rollout") -> None:
     for one in [part.policy for part in members(text)] if len(parts(text)) > 1 else [text]:
         spec = parse(one)
         settings = {key: value for key, value in spec.settings.items() if key != "share"}
-        if names_code(spec.name):
-            _check_file("policy", spec.name.rpartition(":")[0])
+        if is_code(spec.name):
+            check_code("policy", spec.name)
         elif spec.name in POLICIES.names():
             _check_settings(POLICIES, spec.name, settings)
         elif command == "evaluate" and (
@@ -157,14 +169,16 @@ def check_model(name: str, kind: str = "model", others: Sequence[str] = ()) -> N
     if is_file(name):
         if name.endswith(".ckpt") and not Path(name).is_file():
             raise UserError(f"no checkpoint at {name!r}")
-        _check_file(kind, f"{name.partition('.py:')[0]}.py" if names_code(name) else name)
+        check_code(kind, name) if is_code(name) else check_file(kind, name)
     elif name not in MODELS.names() and "://" not in name and find(name) is None:
         raise no_model(name, [*others, *known()["baselines"]], kind)
 
 
 def _check_name(kind: str, text: str, names: Iterable[str]) -> None:
     """Refuse a name that is none of ``names``, and no class or function in a file."""
-    if text not in names and not names_code(text):
+    if is_code(text):
+        check_code(kind, text, "function" if kind == METRICS.kind else "class")
+    elif text not in names:
         raise unknown(kind, text, names)
 
 
@@ -210,9 +224,7 @@ def _check_fold(option: str, text: str) -> None:
 
 
 def _check_metric(option: str, text: str) -> None:
-    _check_name("metric", text, METRICS.names())
-    if names_code(text):
-        _check_file("metric", text.rpartition(":")[0])
+    _check_name(METRICS.kind, text, METRICS.names())
 
 
 def _check_robot(option: str, text: str) -> None:
@@ -220,7 +232,7 @@ def _check_robot(option: str, text: str) -> None:
 
 
 def _check_against(option: str, text: str) -> None:
-    _check_recording("recording", text) if is_recording(text) else _check_fold(option, text)
+    check_recording("recording", text) if is_recording(text) else _check_fold(option, text)
 
 
 def _check_choice(option: str, text: str) -> None:
@@ -235,30 +247,18 @@ def _check_whole(option: str, text: str) -> None:
         raise UserError(f"{option} {text}: expected a whole number") from None
 
 
+def _check_count(option: str, text: str) -> None:
+    _check_whole(option, text)
+    at_least_one(option, int(text))
+
+
+def _check_people(option: str, text: str) -> None:
+    if name_of(text) != "replay":  # the scenario
+        _check_policy(text)
+
+
 def _check_weights(option: str, text: str) -> None:
     check_model(text)
-
-
-def _check_checkpoint(option: str, text: str) -> None:
-    if not Path(text).is_file():
-        raise UserError(f"no checkpoint {text!r}")
-
-
-def _check_run(option: str, text: str) -> None:
-    if not (Path(text) / "config.yaml").is_file():
-        raise UserError(f"cannot resume {text!r}: it has no config.yaml")
-
-
-def _check_file(what: str, text: str) -> None:
-    if not os.path.exists(expanded(text)):
-        raise UserError(f"{what}: no file {text!r}")
-
-
-def _check_recording(what: str, text: str) -> None:
-    """Refuse a recording that is not there, or whose first line names no or other columns."""
-    _check_file(what, text)
-    with suppress(OSError, UnicodeDecodeError):  # the command has words for these
-        TextFormat.of(expanded(text))
 
 
 _VALUES: dict[str, Callable[[str, str], None]] = {
@@ -271,14 +271,15 @@ _VALUES: dict[str, Callable[[str, str], None]] = {
     "--metrics": _check_metric,
     "--robot": _check_robot,
     "--against": _check_against,
-    "--episodes": _check_whole,
+    "--episodes": _check_count,
+    "--people": _check_people,
     "--trainer.max_epochs": _check_whole,
     "--data.goal": _check_choice,
     "--data.fold": _check_fold,
-    "--data.files": _check_recording,
-    "--data.homography": _check_file,
+    "--data.files": check_recording,
+    "--data.homography": check_file,
     "--weights": _check_weights,
-    "--ckpt_path": _check_checkpoint,
-    "--resume": _check_run,
+    "--ckpt_path": check_checkpoint,
+    "--resume": check_run,
 }
 _SINGLE = ("--scenario", "--physics", "--weights", "--ckpt_path", "--resume", "--data.homography")

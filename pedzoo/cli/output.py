@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pedzoo.core.endings import CODECS, PAGES, PLOTS, REPORTS, check_ending
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import write_whole
 
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
     from pedzoo.eval.results import ResultTable, SuiteColumns
 
 
+_ENDINGS = {"json": REPORTS, "html": PAGES, "plot": PLOTS, "video": tuple(CODECS)}
+
+
 def check_outputs(**files: str | None) -> None:
     """Refuse files that cannot be written, before any work is done for them.
 
@@ -26,14 +30,12 @@ def check_outputs(**files: str | None) -> None:
         files: Options and what was given; folders that are missing are made when the file is written.
 
     Raises:
-        UserError: One is a folder, a page without .html, or lies where nothing can be written.
+        UserError: One is a folder, has the ending of something else, or lies where nothing can be written.
     """
     for option, file in files.items():
         if not file or file == "-":
             continue
         path = Path(file)
-        if option == "html" and path.suffix.lower() not in (".html", ".htm"):
-            raise UserError(f"--html {file}: expected a file that ends in .html, which browsers open")
         if path.is_dir():
             raise UserError(f"--{option} {file}: is a folder, expected a file")
         above = next(folder for folder in path.absolute().parents if folder.exists())
@@ -41,6 +43,17 @@ def check_outputs(**files: str | None) -> None:
             raise UserError(f"--{option} {file}: {str(above)!r} is a file, expected a folder")
         if not os.access(path if path.exists() else above, os.W_OK):
             raise UserError(f"--{option} {file}: nothing can be written there: permission denied")
+        check_output_ending(option, file, _ENDINGS.get(option, ()))
+
+
+def check_output_ending(option: str, file: str, endings: Sequence[str]) -> None:
+    """Refuse a file with another ending than these, if there are any; errors as of `check_ending`.
+
+    ``-`` for the terminal passes, and what is there and no file, as a pipe; pictures go to files alone.
+    """
+    pipe = file == "-" or (Path(file).exists() and not Path(file).is_file())
+    if endings and not (pipe and endings in (PAGES, REPORTS)):
+        check_ending(f"--{option} {file}", file, endings)
 
 
 def write_json(file: str | Path, content: dict[str, Any]) -> None:

@@ -15,7 +15,7 @@ from typing import Any, get_args, get_origin
 
 from jsonargparse import ArgumentParser, Namespace
 
-from pedzoo.cli.suggestions import shipped_configs, split_names, unknown_option
+from pedzoo.cli.suggestions import NO_POLICIES, shipped_configs, split_names, unknown_option, without_model
 from pedzoo.core import renamed
 from pedzoo.core.adapters import option_types
 from pedzoo.core.configs import load_config
@@ -69,9 +69,9 @@ def explain(message: str, known: list[str]) -> str:
             return unknown_option(f"{path}.{given.lstrip('-')}", _options_of(path, owner))
         return unknown_option(given, known) if given.startswith("-") else f"unexpected argument {given!r}"
     if re.search(r"arguments are required: model\b", message):
-        return f"no model: choose one with --config NAME ({shipped_configs()}) or --model CLASS"
+        return without_model()
     if re.search(r"arguments are required: policies\b", message):
-        return "no policies: name them before the options, as in orca go_to_goal --episodes 20"
+        return NO_POLICIES
     if match := re.search(r"Group '([^']*)' does not accept option '([^']*)'", message):
         return unknown_option("--" + ".".join(filter(None, match.groups())), known)
     if match := re.search(r"Option '([^']*)' is not accepted", message):

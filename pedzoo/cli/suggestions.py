@@ -53,6 +53,14 @@ def unknown_option(given: str, known: list[str]) -> str:
     return f"unknown option {given}" + (f": did you mean {near[0]}?" if near else "; --help lists all")
 
 
+NO_POLICIES = "no policies: name them before the options, as in orca go_to_goal --episodes 20"
+
+
+def without_model() -> str:
+    """Return the message for a training without a model."""
+    return f"no model: choose one with --config NAME ({shipped_configs()}) or --model CLASS"
+
+
 def shipped_configs() -> str:
     """Return the names of all shipped configs, as messages list them."""
     return ", ".join(config_names()) or "none shipped"

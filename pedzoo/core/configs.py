@@ -48,12 +48,17 @@ def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any
     return result
 
 
+def read_config(path: Path) -> dict[Any, Any]:
+    """Return the mapping in a config file as it stands there; errors as of `read_mapping`."""
+    return read_mapping(path, "config", "a mapping such as 'model: ...'")
+
+
 def _loaded(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
     chain = (*above, path.resolve())
     if chain[-1] in above:
         circle = " -> ".join(file.stem for file in chain[above.index(chain[-1]) :])
         raise UserError(f"config {str(path)!r} is its own base: {circle}; remove one of these bases")
-    settings = read_mapping(path, "config", "a mapping such as 'model: ...'")
+    settings = read_config(path)
     if (key := _no_text(settings)) is not None:
         raise UserError(f"config {str(path)!r}: {key!r:.60} stands in the place of an option's name")
     settings = new_config(settings, say_so=True)

@@ -1,9 +1,11 @@
 """Errors that a person can act on: the given value, the expected one, the fix; packages that are missing."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from difflib import get_close_matches
-from functools import cache
+from functools import cache, wraps
 from importlib.util import find_spec
+from inspect import Parameter, signature
+from typing import Any, TypeVar, cast
 
 EXTRAS = {
     "train": ("lightning",),
@@ -17,6 +19,7 @@ EXTRAS = {
 }
 """Modules of the extras of ``pyproject.toml``; imports of these stand where they are needed."""
 
+Function = TypeVar("Function", bound=Callable[..., Any])
 
 LONGEST = 4000
 """Letters of a message: what was given may be of any length."""
@@ -37,6 +40,26 @@ def unknown(kind: str, given: str, known: Iterable[str]) -> UserError:
     near = get_close_matches(given[:200], names, n=1)
     hint = f"did you mean {near[0]!r}? " if near else ""
     return UserError(f"unknown {kind:.200} {given!r:.200}: {hint}known: {', '.join(names) or 'none'}")
+
+
+def known_arguments(*further: Callable[..., Any]) -> Callable[[Function], Function]:
+    """Let a function refuse keyword arguments that neither it has nor, optional, the ``further`` ones."""
+
+    def checked(function: Function) -> Function:
+        own, *others = (signature(part).parameters.values() for part in (function, *further))
+        names = {one.name for one in own if one.kind is not Parameter.VAR_KEYWORD}
+        names |= {one.name for part in others for one in part if one.default is not Parameter.empty}
+
+        @wraps(function)
+        def call(*args: Any, **kwargs: Any) -> Any:
+            for name in kwargs:
+                if name not in names:
+                    raise unknown(f"argument of {getattr(function, '__name__', function)}", name, names)
+            return function(*args, **kwargs)
+
+        return cast("Function", call)
+
+    return checked
 
 
 @cache

@@ -21,6 +21,7 @@ from types import ModuleType
 from typing import Any
 from zlib import crc32
 
+from pedzoo.core.code_files import Kind, check_named, missing
 from pedzoo.core.errors import UserError, unknown
 
 _OF_FILES = "pedzoo_user_"
@@ -78,7 +79,7 @@ class Registry:
         """
         file, colon, wanted = name.rpartition(".py:")
         if colon:
-            path = _file(f"{file}.py")
+            path = file_of_code(f"{file}.py")
             tree = ast.parse(path.read_text()) if path else None
         else:
             package, wanted = self.package_of(name), name.replace("_", "")
@@ -107,7 +108,7 @@ class Registry:
         return cls
 
     def _class(self, name: str) -> type:
-        if names_code(name):
+        if names_code(name) or name.endswith(".py"):
             return _in_file(name, "class", inspect.isclass)
         if (plugins := self._plugins()).get(name):
             return plugins[name].load()
@@ -125,7 +126,7 @@ class Registry:
         """Return the package whose file has a name, or None."""
         if not name.isidentifier() or name.startswith("_"):
             return None
-        return next((one for one in self._packages if _file(folder_of(one) / f"{name}.py")), None)
+        return next((one for one in self._packages if file_of_code(folder_of(one) / f"{name}.py")), None)
 
     def _plugins(self) -> dict[str, Any]:
         prefix = f"{self.kind}."
@@ -150,7 +151,7 @@ class FunctionRegistry(Registry):
 
     def get(self, name: str) -> Callable[..., Any]:
         """Return the function behind a name, a plugin or ``path/to/file.py:function``; errors as there."""
-        if names_code(name):
+        if names_code(name) or name.endswith(".py"):
             return function_in_file(name)
         if (plugins := self._plugins()).get(name):
             return plugins[name].load()
@@ -227,19 +228,22 @@ def file_path(path: str) -> str:
     return f"{sys.modules[module].__file__}:{name}" if module.startswith(_OF_FILES) else path
 
 
-def _in_file(spec: str, kind: str, wanted: Callable[[Any], bool]) -> Any:
+def _in_file(spec: str, kind: Kind, wanted: Callable[[Any], bool]) -> Any:
     """Return what ``path/to/file.py:name`` defines, of the ``wanted`` kind."""
-    file, _, name = spec.rpartition(":")
-    path = _file(file)
+    file, _, name = spec.rpartition(":") if names_code(spec) else (spec, "", "")
+    path = file_of_code(file)
     if path is None:
         raise UserError(f"no file {file!r:.200} (from {spec!r:.200}): expected path/to/file.py:NAME")
-    known = {key: value for key, value in _executed(path).items() if wanted(value)}
+    check_named(spec, path, kind)
+    inside = _executed(path)
+    known = {key: value for key, value in inside.items() if wanted(value)}
     if name not in known:
-        raise unknown(f"{kind} in {file}", name, known)
+        own = [key for key, value in known.items() if value.__module__ == inside["__name__"]]
+        raise missing(file, kind, name, own or [*known])
     return known[name]
 
 
-def _file(path: str | Path) -> Path | None:
+def file_of_code(path: str | Path) -> Path | None:
     """Return where a file is, or None; systems refuse to look for names that are long or have a zero byte."""
     try:
         file = Path(os.path.expanduser(path)).resolve()

@@ -10,7 +10,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.eval.packed_episodes import packed_episodes
 from pedzoo.eval.rollout import Progress, prepare, walk
 from pedzoo.metrics.arrival_functions import arrived_in_time, finish_seconds
-from pedzoo.metrics.closed_loop import closed_loop, named, time_ratio_median
+from pedzoo.metrics.closed_loop import closed_loop, named, own_metrics, time_ratio_median
 from pedzoo.metrics.contact_functions import contact_events, least_distance, nearest
 from pedzoo.metrics.ratios import Ratio, summarised
 from pedzoo.sim.env import PedestrianEnv
@@ -40,6 +40,7 @@ class Comparison:
     Attributes:
         walked: Those that have walked, in the given order. After an interruption the last of them may have
             fewer episodes than the others.
+        refusal: Of `report`: what is wrong with the first metric of one's own that failed, or None.
     """
 
     @renamed.takes_world
@@ -86,6 +87,7 @@ class Comparison:
         if keep_episodes < 0:
             raise UserError(f"keep_episodes {keep_episodes}: expected 0 or more")
         self._metrics, self._kept = metrics, keep_episodes
+        self.refusal: UserError | None = None
         settings = {"warm_start": warm_start, "clearance": clearance}
         settings |= {"decision_dt": decision_dt, "device": device, "deadline": deadline}
         self._prepared = {}
@@ -125,12 +127,24 @@ class Comparison:
                     self.walked.append(PolicyRollout(name, joined(parts), env))
 
     def report(self) -> dict[str, Any]:
-        """Return protocol, seeds and rows of all that has walked."""
-        rows = [row(one.name, one.rollout, metrics=self._metrics) for one in self.walked]
+        """Return protocol, seeds and rows of all that has walked.
+
+        A metric of one's own that fails is left out, so that no walk is lost, and `refusal` is raised later.
+        """
+        rows = [row(one.name, one.rollout, self._own(one.rollout)) for one in self.walked]
         if not self._kept:
             return {"protocol": self._protocol, "seeds": [self._seed], "rows": rows}
         rows, plans = self.with_episodes(rows, self._kept)
         return {"protocol": self._protocol, "seeds": [self._seed], "rows": rows, "plans": plans}
+
+    def _own(self, rollout: Rollout) -> dict[str, Ratio]:
+        result: dict[str, Ratio] = {}
+        for metric in self._metrics:
+            try:
+                result |= own_metrics(rollout, [metric])
+            except UserError as error:
+                self.refusal = self.refusal or error
+        return result
 
     def with_episodes(
         self, rows: Sequence[Mapping[str, Any]], number: int

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pedzoo.core import renamed
+from pedzoo.core.counts import at_least_one
 from pedzoo.core.errors import UserError
 from pedzoo.core.machine import usable
 from pedzoo.core.registry import SUITES
@@ -138,9 +139,8 @@ class Evaluation:
         if self.options.keep_episodes < 0:
             raise UserError(f"keep_episodes {self.options.keep_episodes}: expected 0 or more")
         for key in ("episodes", "rollouts"):
-            number = getattr(self.options, key)
-            if number is not None and number < 1:
-                raise UserError(f"{key} {number}: expected at least 1")
+            if (number := getattr(self.options, key)) is not None:
+                at_least_one(key, number)
         self._policies = check_names("policies", policies)
         self._seeds = tuple(dict.fromkeys(seeds))
         if not self._seeds:

@@ -9,7 +9,7 @@ from torch import Tensor
 from torchrl.envs.utils import step_mdp
 
 from pedzoo.core.bodies import RobotBody
-from pedzoo.core.errors import UserError
+from pedzoo.core.counts import at_least_one
 from pedzoo.core.registry import ROBOTS
 from pedzoo.core.spec import Spec, build
 from pedzoo.core.types import TRACE_SECONDS
@@ -61,8 +61,7 @@ def robot_rollout(
     Raises:
         UserError: An unknown name or setting.
     """
-    if episodes < 1:
-        raise UserError(f"episodes {episodes}: expected at least 1")
+    at_least_one("episodes", episodes)
     bodies = (robot,) if isinstance(robot, str) else tuple(robot)
     prepared = prepared_scenes(scenario, bodies, settings.pop("robot_goals", 1))
     alone = cast("RobotScenes", prepared.scenario).without_robots(prepared)

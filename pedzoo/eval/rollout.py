@@ -12,6 +12,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from pedzoo.core import renamed
 from pedzoo.core.batch import agents_of
+from pedzoo.core.counts import at_least_one
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import limit_speed
 from pedzoo.core.machine import usable
@@ -80,8 +81,7 @@ def prepare(
     """Return a policy and the environment in which it decides as often as it can; errors as of `rollout`."""
     if not isinstance(policy, str):
         raise UserError(f"policy {policy!r:.200}: expected one name; pedzoo.evaluate takes several")
-    if episodes < 1:
-        raise UserError(f"episodes {episodes}: expected at least 1")
+    at_least_one("episodes", episodes)
     walks = load_policy(policy)
     wanted = settings.pop("decision_dt", None)
     if wanted is not None and not math.isclose(wanted, walks.decision_dt):

@@ -1,6 +1,9 @@
 """All closed-loop metrics of a rollout, each as a ratio of two sums over episodes."""
 
 from collections.abc import Callable, Sequence
+from functools import wraps
+from inspect import unwrap
+from traceback import extract_tb
 from typing import Any
 
 import torch
@@ -72,8 +75,28 @@ def measure(
 
 
 def own_metrics(rollout: Rollout, metrics: Sequence[str]) -> dict[str, Ratio]:
-    """Return the metrics that functions in files are; arguments and errors as of `closed_loop`."""
-    return _results(named(metrics), rollout)
+    """Return the metrics that functions in files are; arguments as of `closed_loop`.
+
+    Raises:
+        UserError: As of `closed_loop`, or a function raises an error, which is its cause.
+    """
+    return _results({name: _guarded(name, one) for name, one in named(metrics).items()}, rollout)
+
+
+def _guarded(name: str, function: Callable[[Rollout], Any]) -> Callable[[Rollout], Any]:
+    """Return a function of a file, whose errors become a `UserError` that says where they are."""
+
+    @wraps(function)
+    def call(rollout: Rollout) -> Any:
+        try:
+            return function(rollout)
+        except Exception as error:  # the code is not ours and may raise anything: that is the user's to mend
+            file = unwrap(function).__code__.co_filename
+            lines = [frame.lineno for frame in extract_tb(error.__traceback__) if frame.filename == file]
+            where = f"{file}, line {lines[-1]}" if lines else file
+            raise UserError(f"metric {name} ({where}) raised {type(error).__name__}: {error}") from error
+
+    return call
 
 
 def _results(functions: dict[str, Callable[[Rollout], Any]], rollout: Rollout) -> dict[str, Ratio]:
@@ -89,15 +112,19 @@ def _checked(name: str, result: Any, episodes: int) -> Ratio:
     """Return the two sums that a metric gave."""
     sums = result[:2] if isinstance(result, tuple) else ()
     if len(sums) != 2 or any(not isinstance(v, Tensor) or v.shape != (episodes,) for v in sums):
-        given = [tuple(v.shape) if isinstance(v, Tensor) else type(v).__name__ for v in sums]
+        given = f"({', '.join(map(_kind, result))})" if isinstance(result, tuple) else _kind(result)
         raise UserError(
-            f"metric {name}: expected two sums per episode, tensors of shape ({episodes},), not "
-            f"{given or type(result).__name__}: pedzoo.metrics.ratios.ratio makes them"
+            f"metric {name}: expected two tensors (sum, count) of shape ({episodes},), a value of each "
+            f"episode, got {given}: pedzoo.metrics.ratios.ratio makes them"
         )
     above, below = (value.double() for value in sums)
     if not bool((above.isfinite() & below.isfinite()).all()):
         raise UserError(f"metric {name}: a sum is not finite; expected 0 and 0 for episodes without a value")
     return Ratio(above, below, *result[2:])
+
+
+def _kind(value: Any) -> str:
+    return f"a tensor of shape {tuple(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
 
 
 def time_ratio_median(rollout: Rollout) -> tuple[dict[str, float], dict[str, Interval]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from pedzoo.core import renamed
-from pedzoo.core.errors import UserError, installed
+from pedzoo.core.errors import UserError, installed, known_arguments
 from pedzoo.core.registry import PHYSICS, SCENARIOS
 from pedzoo.core.spec import Spec, build, parse
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
@@ -21,6 +21,7 @@ CLEARANCE = 0.25
 
 
 @renamed.takes_world
+@known_arguments()
 def make_env(
     scenario: str | Spec | Scenario | PreparedScenario,
     num_envs: int = 1,

@@ -5,23 +5,21 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from pedzoo.core.endings import PLOTS, check_ending
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import write_whole
-
-SUFFIXES = (".png", ".pdf", ".svg")
 
 
 def check_plot_path(path: str | Path) -> None:
     """Raise the error that a file name gives which no plot can have."""
-    if Path(path).suffix.lower() not in SUFFIXES:
-        raise UserError(f"plot {str(path)!r}: expected a file that ends in {' or '.join(SUFFIXES)}")
+    check_ending(f"plot {str(path)!r}", path, PLOTS)
 
 
 def write_figure(figure: Figure, path: str | Path, dpi: int = 130) -> None:
     """Write a picture, whole or not at all; its folder is made where it is missing.
 
     Raises:
-        UserError: Another suffix than `SUFFIXES`, or the file cannot be written.
+        UserError: Another ending than `pedzoo.core.endings.PLOTS`, or the file cannot be written.
     """
     check_plot_path(path)
     data = BytesIO()

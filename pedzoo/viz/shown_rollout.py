@@ -37,7 +37,7 @@ class ShownRollout(NamedTuple):
         """Write the episodes as a page, whole or not at all.
 
         Raises:
-            UserError: It cannot be written.
+            UserError: It does not end in .html or .htm, or cannot be written.
         """
         self._replay().save(path)
 

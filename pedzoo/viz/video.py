@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from pedzoo.core.endings import CODECS, check_ending
 from pedzoo.core.errors import UserError, need
 from pedzoo.core.paths import whole
 from pedzoo.core.types import TRACE_SECONDS
@@ -21,9 +22,6 @@ from pedzoo.sim.physics_parts.bodies import Bodies
 from pedzoo.sim.physics_parts.camera import Camera, person_color
 from pedzoo.sim.physics_parts.floor_marks import draw_goal, draw_way
 from pedzoo.sim.physics_parts.stance import Stance
-
-CODECS = {".webm": "VP90", ".mp4": "vp09"}
-"""VP9 is the one that OpenCV's wheels can write and every browser can show."""
 
 COLUMNS = 3
 """Panels beside each other."""
@@ -90,8 +88,7 @@ def film(
 def check_video_path(path: str | Path) -> None:
     """Raise the error that a file name gives which no video can have, or a package that is missing."""
     need("video", "a video")
-    if Path(path).suffix.lower() not in CODECS:
-        raise UserError(f"video {str(path)!r}: expected a file that ends in {' or '.join(CODECS)}")
+    check_ending(f"video {str(path)!r}", path, CODECS)
 
 
 def check_episode(walked: PolicyRollout, episode: int) -> None:

@@ -10,6 +10,7 @@ import sys
 import pytest
 
 from pedzoo.cli.main import PAGES, main
+from pedzoo.core.errors import UserError
 from pedzoo.core.registry import ROOT
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
@@ -25,6 +26,16 @@ HEAVY = {
     "jsonargparse",
     "matplotlib",
 }
+
+OWN = """
+from pedzoo.policies.policy import Policy as Base
+
+class Gru(Base):
+    pass
+
+def waits(rollout):
+    return rollout.mask.sum(1), rollout.mask.sum(1)
+"""
 
 
 @pytest.mark.parametrize(
@@ -65,12 +76,33 @@ HEAVY = {
         ("rollout orca --episodes x", "--episodes x: expected a whole number"),
         ("fit --config sgan --data.goal widnow_end", "did you mean 'window_end'?"),
         ("export none.ckpt --onnx x.onnx", "no checkpoint at 'none.ckpt'"),
+        ("rollout", "no policies: name them before the options, as in orca go_to_goal"),
+        ("evaluate --quick", "no policies: name them before the options"),
+        ("fit", "no model: choose one with --config NAME ("),
+        ("fit --trainer.max_epochs 3", "no model: choose one with --config NAME ("),
+        ("fit --config EMPTY", "empty.yaml': expected a mapping such as 'model: ...', not None"),
+        ("rollout orca --plot a.txt", "--plot a.txt: expected a file that ends in .png or .pdf or .svg"),
+        ("rollout orca --video door.foo", "--video door.foo: expected a file that ends in .webm or .mp4"),
+        ("rollout orca --html door.txt", "--html door.txt: expected a file that ends in .html or .htm"),
+        ("rollout orca --json door.csv", "--json door.csv: expected a file that ends in .json"),
+        ("report a.json -o r.txt", "--out r.txt: expected a file that ends in .html or .htm"),
+        ("rollout orca --episodes 0", "--episodes 0: expected at least 1"),
+        ("evaluate orca --people orka", "unknown policy 'orka': did you mean 'orca'?"),
+        ("rollout CODE", "code.py:CLASS, such as CODE:Gru\n"),
+        ("rollout CODE:Gruu", "unknown class in CODE 'Gruu': did you mean 'Gru'? known: Gru\n"),
+        ("rollout orca --scenario CODE", "code.py:CLASS, such as CODE:Gru\n"),
+        ("rollout orca --metrics CODE", "code.py:FUNCTION, such as CODE:waits\n"),
+        ("evaluate orca --metrics spl,CODE:wait", "unknown function in CODE 'wait': did you mean 'waits'?"),
     ],
 )
 def test_mistakes_are_refused_without_heavy_imports(line, message, tmp_path):
     wrong = tmp_path / "wrong.csv"
     wrong.write_text("frame,person,x,y\n0,1,2,3\n")
-    line = line.replace("CSV", str(wrong))
+    own, empty = tmp_path / "code.py", tmp_path / "empty.yaml"
+    own.write_text(OWN)
+    empty.touch()
+    for word, file in (("CSV", wrong), ("CODE", own), ("EMPTY", empty)):
+        line, message = line.replace(word, str(file)), message.replace(word, str(file))
     code = (
         "import sys; from pedzoo.cli.main import main; code = main(sys.argv[1:]);"
         f"heavy = {HEAVY} & set(sys.modules); assert not heavy, heavy; sys.exit(code)"
@@ -78,6 +110,7 @@ def test_mistakes_are_refused_without_heavy_imports(line, message, tmp_path):
     done = subprocess.run([sys.executable, "-c", code, *line.split()], capture_output=True, text=True)
     assert done.returncode == 2, done.stderr
     assert message in done.stderr and done.stderr.count("\n") == 1
+    assert "Base" not in done.stderr
 
 
 @pytest.mark.parametrize(
@@ -100,6 +133,14 @@ def test_mistakes_are_refused_without_heavy_imports(line, message, tmp_path):
         "rollout orca --scenario file.py:Mine:map=of_my_own",
         "score WALKS --against WALKS",
         "view goals:map=[apartment.1,office.2] orca+go_to_goal",
+        "rollout --episodes 3 orca",
+        "rollout here.py:Imported here.py:Assigned --metrics here.py:Imported --json - --html a.HTM",
+        "rollout made.py:Anything --metrics made.py:anything --json /dev/null",
+        "rollout broken.py:Anything",
+        "fit --config sgan_goal --data.fold here.py:Imported:fold",
+        "evaluate orca --people replay,replay:fold=zara1,here.py:Imported --robot here.py:Other:x=1",
+        "fit --print_config",
+        "validate --ckpt_path here.py",
     ],
 )
 def test_what_may_be_right_passes(line, tmp_path, monkeypatch):
@@ -107,6 +148,10 @@ def test_what_may_be_right_passes(line, tmp_path, monkeypatch):
 
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file.py").touch()
+    here = "from elsewhere import Imported\nif True:\n    Assigned = Imported\nclass Other: ...\ndef f(): ..."
+    (tmp_path / "here.py").write_text(here)
+    (tmp_path / "made.py").write_text("from elsewhere import *\nclass Other: ...\ndef f(): ...")
+    (tmp_path / "broken.py").write_text("class Other\n")
     (tmp_path / "walks.TSV").write_text("frame\tagent\tx\ty\n0\t1\t2\t3\n")
     words = line.replace("WALKS", "walks.TSV").split()
     check(words[0], words[1:])
@@ -121,11 +166,14 @@ def test_names_that_are_too_long_are_refused_in_one_line(line, capsys):
     assert "no file has so long a name" in error and error.count("\n") == 1
 
 
-def test_odd_values_of_a_config_are_left_to_its_reader(tmp_path):
+def test_odd_values_of_a_config_are_refused_as_by_its_reader(tmp_path):
     from pedzoo.cli.checks import check
 
     config = tmp_path / "odd.yaml"
     config.write_text("monitor: 2026-11-99")
+    with pytest.raises(UserError, match=r"config '.*odd\.yaml' is no YAML: cannot be read: "):
+        check("fit", ["--config", str(config)])
+    config.write_text("model: 3")  # the command says what is wrong with it
     check("fit", ["--config", str(config)])
 
 

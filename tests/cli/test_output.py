@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+import pedzoo
 from pedzoo.cli import output, progress
 from pedzoo.cli.console import plain_console
 from pedzoo.cli.main import main
@@ -120,7 +121,15 @@ def test_wide_tables_are_transposed_where_that_needs_fewer_parts(capsys: pytest.
     assert sum(line.startswith("│") for line in capsys.readouterr().out.splitlines()) == 80
 
 
-def test_a_page_needs_the_ending_that_browsers_open(tmp_path: Path) -> None:
+def test_pages_and_reports_need_their_endings(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"--html .*walk\.txt: expected a file that ends in \.html"):
         check_outputs(html=str(tmp_path / "walk.txt"))
-    check_outputs(html=str(tmp_path / "walk.HTML"), json=str(tmp_path / "walk.txt"))
+    with pytest.raises(UserError, match=r"--json .*walk\.csv: expected a file that ends in \.json$"):
+        check_outputs(json=str(tmp_path / "walk.csv"))
+    check_outputs(html=str(tmp_path / "walk.HTML"), json=str(tmp_path / "walk.JSON"))
+    check_outputs(html="/dev/null", json="-")
+    with pytest.raises(UserError, match=r"--plot /dev/null: expected a file that ends in \.png"):
+        check_outputs(plot="/dev/null")
+    assert main(["report", "a.json", "-o", str(tmp_path / "r.txt")]) == 2
+    with pytest.raises(UserError, match=r"page '.*w\.png': expected a file that ends in \.html or \.htm"):
+        pedzoo.rollout("go_to_goal", "circle:people=2", "compiled", 1).save(tmp_path / "w.png")

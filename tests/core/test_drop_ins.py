@@ -1,4 +1,4 @@
-"""One file each, from any folder: a robot with its scene, a physics backend, a loss, a reward, a metric."""
+"""One file each, from any folder: a robot with its scene, a physics backend, a loss, a reward."""
 
 from __future__ import annotations
 
@@ -13,13 +13,9 @@ from helpers.loop_training import module, train
 
 import pedzoo
 from pedzoo.cli.main import main
-from pedzoo.core import registry
 from pedzoo.core.bodies import UNICYCLE
 from pedzoo.core.errors import UserError
-from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.rollout import rollout
-from pedzoo.eval.suite import EvaluationOptions
-from pedzoo.metrics.closed_loop import NAMES, closed_loop
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.train.rl.rewards import Reward
 
@@ -119,26 +115,6 @@ REWARD = '''
         return slow(before, after).sum()
 '''
 
-METRICS = '''
-    """How long people are there."""
-
-    from pedzoo.metrics.ratios import Ratio, metric, share
-
-
-    def seconds_there(rollout):
-        return rollout.scored.sum((1, 2)) * 0.1, rollout.mask.sum(1)
-
-    @metric("ordinary")
-    def always_there(rollout) -> Ratio:
-        return share(rollout.scored[..., -1].all(1))
-
-    def success(rollout):
-        return rollout.mask.sum(1), rollout.mask.sum(1)
-
-    def of_people(rollout):
-        return rollout.mask, rollout.mask
-'''
-
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
@@ -147,7 +123,6 @@ def folder(tmp_path: Path) -> Path:
         "carts": PHYSICS,
         "loss": LOSS,
         "reward": REWARD,
-        "metrics": METRICS,
     }.items():
         (tmp_path / f"{name}.py").write_text(dedent(code))
     return tmp_path
@@ -248,57 +223,3 @@ def test_a_class_that_is_no_physics_is_refused(folder: Path) -> None:
         pedzoo.make_env("door", physics=f"{folder / 'robot.py'}:Drives")
     with pytest.raises(UserError, match="did you mean 'compiled'"):
         pedzoo.make_env("door", physics="compield")
-
-
-def test_a_metric_on_rollout(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The mean over people of the time that they are there, with an interval, in the table and in JSON."""
-    words = ["rollout", "go_to_goal", "--physics", "compiled", "--episodes", "5"]
-    metrics, report = f"{folder / 'metrics.py'}:seconds_there", folder / "out.json"
-    assert main([*words, "--metrics", metrics, "--json", str(report)]) == 0
-    (row,) = json.loads(report.read_text())["rows"]
-    walked, _ = pedzoo.rollout("go_to_goal", "door", "compiled", 5)
-    seconds = 0.1 * float(walked.scored.sum()) / int(walked.mask.sum())
-    assert row["metrics"]["seconds_there"] == pytest.approx(seconds)
-    low, high = row["ci95"]["seconds_there"]
-    assert low < seconds < high and {"success", "spl"} <= row["metrics"].keys()
-    everything = capsys.readouterr().out
-    assert main([*words, "--metrics", f"success,{metrics}"]) == 0
-    alone = capsys.readouterr().out
-    assert "seconds" in alone and "success" in alone and "spl" not in alone and "spl" in everything
-
-
-def test_metrics_on_evaluate(folder: Path) -> None:
-    """Of ordinary scenes and of replays, beside the real people, the same with two workers."""
-    metrics = [f"{folder / 'metrics.py'}:{name}" for name in ("seconds_there", "always_there")]
-    asked = {"episodes": 4, "quick": True, "metrics": [*metrics, "spl"]}
-    report = pedzoo.evaluate("go_to_goal", ["door", "replay"], **asked)
-    rows = {(row["table"], row["name"]): row["metrics"] for row in report["rows"]}
-    assert rows["door", "go_to_goal"].keys() >= {"seconds_there", "always_there"}
-    assert rows["replay all", "real"]["seconds_there"] > 0 < rows["replay all", "go_to_goal"]["seconds_there"]
-    assert "always_there" not in rows["replay all", "real"]  # people come and go there
-    assert report["summary"][0]["metrics"]["seconds_there"] == rows["door", "go_to_goal"]["seconds_there"]
-    again = pedzoo.evaluate("go_to_goal", ["door", "replay"], **asked, workers=2)
-    assert [row["metrics"] for row in again["rows"]] == [row["metrics"] for row in report["rows"]]
-    shown = Evaluation("go_to_goal", ["door"], EvaluationOptions(metrics=tuple(asked["metrics"]))).shown
-    assert shown["door"].columns[-3:] == ["spl", "seconds_there", "always_there"]
-
-
-def test_metrics_that_are_refused(folder: Path) -> None:
-    file = folder / "metrics.py"
-    with pytest.raises(UserError, match="there is a metric 'success' already"):
-        pedzoo.evaluate("go_to_goal", "door", metrics=[f"{file}:success"])
-    with pytest.raises(UserError, match="did you mean 'always_there'"):
-        pedzoo.evaluate("go_to_goal", "door", metrics=f"{file}:always_their")
-    with pytest.raises(UserError, match="unknown metric 'sucess': did you mean 'success'"):
-        pedzoo.evaluate("go_to_goal", "door", metrics=["sucess"])
-    walked, _ = pedzoo.rollout("go_to_goal", "door", "compiled", 2)
-    values, _ = pedzoo.measure(walked, [f"{file}:seconds_there"])
-    assert values["seconds_there"] > 0 and values["failed"] == 0
-    with pytest.raises(UserError, match=r"of_people: expected two sums per episode, .* \(2,\)"):
-        closed_loop(walked, [f"{file}:of_people"])
-
-
-def test_every_shipped_metric_says_what_it_is_without_an_import() -> None:
-    """The registry reads the files alone."""
-    assert {*NAMES} == {*registry.METRICS.names()} and len(NAMES) > 30
-    assert all(len(registry.METRICS.describe(name).split()) > 2 for name in NAMES)

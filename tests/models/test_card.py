@@ -109,7 +109,7 @@ def test_a_wrong_card_is_refused_with_the_reason(
         ("[1, 2]", "expected a mapping"),
         ("name: [", "cannot be read"),
         ("name: !!python/object/apply:os.mkdir [trapped]", "cannot be read: could not determine"),
-        ("[" * 100_000, "at most 20 levels"),
+        ("[" * 100_000, "at most 20 levels|maximum nesting depth"),
         ("\x00", "cannot be read"),
     ],
 )

@@ -489,7 +489,7 @@ def test_evaluate_from_python() -> None:
     crowd = "orca:share=0.5+go_to_goal"
     report = pedzoo.evaluate([crowd], suites=["door"], episodes=2, physics="compiled")
     assert {row["name"] for row in report["rows"]} == {crowd}
-    assert "rollout" in dir(pedzoo) and pedzoo.rollout is rollout
+    assert "rollout" in dir(pedzoo) and pedzoo.rollout.__wrapped__ is rollout
     assert {"orca", "sgan_goal_map.indoor", "bent_line"} <= set(pedzoo.list_policies())
     assert pedzoo.list_policies("orc*") == ["orca"]
 

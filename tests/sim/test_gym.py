@@ -106,6 +106,17 @@ def test_an_action_that_is_no_number_ends_its_scene_alone() -> None:
     assert all(np.isfinite(value).all() for value in seen.values())
 
 
+@pytest.mark.parametrize("name", ["pedzoo/Door-v0", "pedzoo/Goals-v0"])
+def test_an_action_that_is_no_number_truncates_the_episode(name: str) -> None:
+    env = made(name, robot="unicycle")
+    env.reset(seed=0)
+    with pytest.warns(UserWarning, match="the robot's policy gave"):
+        *_, terminated, truncated, info = env.step([float("nan"), 0.0])
+    assert truncated and not terminated and info["FAILED"]
+    env.reset()
+    assert not any(env.step([0.0, 0.0])[2:4])
+
+
 @pytest.mark.parametrize("people", [0, 100])
 def test_any_number_of_people(people: int) -> None:
     name = f"goals:map=office.7,people={people},pool=8"

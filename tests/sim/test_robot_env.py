@@ -206,14 +206,19 @@ def test_scenes_that_begin_anew_are_sensed_as_in_a_look_at_all() -> None:
     assert some > 2
 
 
-def test_an_action_that_is_no_number_ends_its_scene_alone() -> None:
-    one, other = made(), made()
+@pytest.mark.parametrize("robot", ["disc", "unicycle", "diff_drive"])
+@pytest.mark.parametrize("people", ["orca", "go_to_goal"])
+def test_an_action_that_is_no_number_ends_its_scene_alone(people: str, robot: str) -> None:
+    """ORCA's people decide twice in a decision of the robot: the scene fails in the first half."""
+    one, other = (made(people=people, robot=robot) for _ in range(2))
     seen, expected = one.reset(seed=0), other.reset(seed=0)
     seen["robots", "action"] = torch.zeros(4, 1, 2)
     expected["robots", "action"] = torch.zeros(4, 1, 2)
     seen["robots", "action"][1] = torch.nan
-    with pytest.warns(UserWarning, match="scene 1"):
+    last = one.prepared.people - 1
+    with pytest.warns(UserWarning, match=rf"robot's policy gave .*nan.* for agent {last} of scene 1"):
         seen = one.step(seen)["next"]
+    assert seen["robots", "info", "failed"][:, 0].tolist() == [False, True, False, False]
     expected = other.step(expected)["next"]
     assert seen["truncated"][:, 0].tolist() == [False, True, False, False]
     rest = [0, 2, 3]
@@ -248,6 +253,20 @@ def test_wrong_names_and_numbers_are_named() -> None:
         made("goals:map=flat,people=500")
     with pytest.raises(UserError, match="day is out of range"):
         made("goals:people=2026-11-99")
+    for settings, name in (({"robots": "disc"}, "robot"), ({"sead": 3}, "seed")):
+        with pytest.raises(UserError, match=f"argument of make_robot_env .* did you mean '{name}'"):
+            made(**settings)
+    with pytest.raises(UserError, match="argument of make_env 'num_env': did you mean 'num_envs'"):
+        pedzoo.make_env(OPEN, num_env=3)  # type: ignore[call-arg]
+
+
+@pytest.mark.parametrize("sensor", ["lidar:beams=5", build(SENSORS, "lidar:beams=5", Sensor)])
+def test_one_sensor_needs_no_list(sensor: Any) -> None:
+    one, several = (
+        made(OPEN, sensors=sensors).reset()["robots", "observation"] for sensors in (sensor, [sensor])
+    )
+    assert list(one.keys()) == list(several.keys()) == ["lidar"]
+    assert one["lidar"].shape[-1] == 5
     with pytest.raises(UserError, match="did you mean"):
         load_robot_policy("orcaa")
 

@@ -20,11 +20,15 @@ def run(argv: list[str]) -> int:
     parser.add_argument("--title", default="pedzoo report", help="the page's heading")
     options = parser.parse_args(argv)
 
-    from pedzoo.cli.output import check_outputs, write_text
+    from pedzoo.cli.output import check_output_ending, check_outputs, write_text
+    from pedzoo.core.endings import PAGES
+
+    check_outputs(out=options.out)
+    check_output_ending("out", options.out, PAGES)
+
     from pedzoo.viz.report.content import content_of
     from pedzoo.viz.report.page import page
 
-    check_outputs(out=options.out)
     content = content_of(options.results)
     text = page(content, options.title)
     write_text(options.out, text)

@@ -18,7 +18,6 @@ def run(argv: list[str]) -> int:
     from pedzoo.core.machine import versions
     from pedzoo.core.registry import METRICS, SCENARIOS
     from pedzoo.eval.comparison import Comparison
-    from pedzoo.metrics.closed_loop import NAMES
     from pedzoo.viz.report.episode import Replay
     from pedzoo.viz.video import check_video_path, film
 
@@ -67,9 +66,7 @@ def run(argv: list[str]) -> int:
     if options.video:
         check_video_path(options.video)
     check_outputs(json=options.json, plot=options.plot, video=options.video, html=options.html)
-    # without a shipped one, functions in files are shown beside all others
     only = [METRICS.get(name).__name__ for name in options.metrics]
-    only = only if set(only) & set(NAMES) else None
     if not 0 <= options.show < max(options.episodes, 1):
         raise UserError(f"--show {options.show}: expected 0 to {options.episodes - 1}, see --episodes")
 
@@ -78,7 +75,8 @@ def run(argv: list[str]) -> int:
 
         def tell(**more: bool) -> None:
             report = {"command": "rollout", **comparison.report(), "versions": versions(), **more}
-            write_and_print(report, options.json, lambda: print_report(report, only))
+            shown = None if comparison.refusal else only
+            write_and_print(report, options.json, lambda: print_report(report, shown))
 
         try:
             with progress_bar() as progress:
@@ -103,4 +101,6 @@ def run(argv: list[str]) -> int:
         if options.html:
             Replay(comparison.walked, options.scenario, options.seed).save(options.html)
             print(f"page:  {options.html}")
+        if comparison.refusal:
+            raise comparison.refusal
     return 0

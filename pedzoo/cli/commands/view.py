@@ -23,11 +23,11 @@ def run(argv: list[str]) -> int:
 
     from importlib.util import find_spec
 
-    from pedzoo.core.errors import UserError
+    from pedzoo.core.counts import at_least_one
     from pedzoo.viz.live import HOST, BulletWindow, Live, has_display
 
-    if options.episodes is not None and options.episodes < 1:
-        raise UserError(f"--episodes {options.episodes}: expected at least 1")
+    if options.episodes is not None:
+        at_least_one("--episodes", options.episodes)
     window = not options.serve and has_display() and find_spec("pybullet") is not None
     if not window and not options.serve:
         why = "pybullet is not installed" if has_display() else "there is no display (DISPLAY is not set)"

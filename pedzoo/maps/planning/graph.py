@@ -115,14 +115,15 @@ class OpenGraph:
         return row * self.shape[1] + column, np.asarray((place == nearest).all(axis=1))
 
     def settle(
-        self, points: NDArray[np.float64], snap: float, what: str
+        self, points: NDArray[np.float64], snap: float, what: str, origin: ArrayLike = 0.0
     ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
         """Return the open cells (M,) of map-frame points (M, 2), and the points.
 
         Those that are not in an open cell are moved to the centre of the nearest one, by ``snap`` at most.
 
         Raises:
-            UserError: A point would have to be moved farther; ``what`` says what it is.
+            UserError: A point would have to be moved farther; ``what`` says what it is. Places in the message
+                are in the caller's frame, in which the map's own has this ``origin`` (2,).
         """
         if not len(self):
             raise UserError(
@@ -139,9 +140,10 @@ class OpenGraph:
         if far.any():
             i = int(far.argmax())
             where = "is in a wall or too near to one" if inside[i] else "is outside the map"
+            given, free = (format_point(place[i] + origin) for place in (points, moved))
             raise UserError(
-                f"{what} {format_point(points[i])} {where} on map {self.grid.name!r}: the nearest point with "
-                f"clearance {self.clearance} m is {format_point(moved[i])}, more than {snap} m away"
+                f"{what} {given} {where} on map {self.grid.name!r}: the nearest point with "
+                f"clearance {self.clearance} m is {free}, more than {snap} m away"
             )
         return cell, moved
 

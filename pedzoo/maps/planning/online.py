@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from pedzoo.maps.bank import MapBank
@@ -34,9 +34,10 @@ class OnlinePlanner(Planner):
     Poses are those of the floor plan: scenes are not turned against it.
     """
 
-    def __init__(self, bank: MapBank, clearance: float = 0.25) -> None:
-        """Take the floor plan, and find its corners."""
+    def __init__(self, bank: MapBank, clearance: float = 0.25, origin: ArrayLike = 0.0) -> None:
+        """Take the floor plan, and find its corners; ``origin`` is that of its frame in the caller's."""
         super().__init__(bank, clearance)
+        self.origin = origin
         if bank.grids:
             _ = self.corners(0).matrix, bank.walls  # at the first step they would come too late
         self._clear()

@@ -36,6 +36,8 @@ class Planner:
     """
 
     compiled = True
+    origin: ArrayLike = 0.0
+    """Of the maps' frame in the caller's (2,), metres: messages name places in the caller's."""
 
     def __init__(
         self,
@@ -103,7 +105,7 @@ class Planner:
         ids = []
         cells = [-1] * len(places)
         if row >= 0 and len(places):
-            cells, places = self.graph(row).settle(places, self.snap, "goal")
+            cells, places = self.graph(row).settle(places, self.snap, "goal", self.origin)
         for (x, y), cell in zip(places.tolist(), cells, strict=True):
             key = (row, x, y)
             if key not in self._ids:

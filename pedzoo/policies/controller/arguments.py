@@ -1,7 +1,7 @@
 """Arguments of a controller: checked, and turned into arrays."""
 
 import numbers
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Mapping, Set
 from dataclasses import dataclass
 from hashlib import blake2b
 from typing import Any
@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, unknown
 
 PREF_SPEED = 1.3
 """Preferred speed of people without a given one, m/s."""
@@ -52,6 +52,35 @@ FARTHEST = 1e4
 """Metres from the scene's origin: float32 tells millimetres apart up to here."""
 
 ZERO = np.zeros(2)
+
+
+def by_id(given: Any, what: str) -> Mapping[Any, Any]:
+    """Return an argument that has a value for every id, an empty one for None; messages call it ``what``.
+
+    Raises:
+        UserError: It is no mapping.
+    """
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping):
+        raise UserError(f"{what} {given!r:.100}: expected a mapping by id, {what}={{'anna': ...}}")
+    return given
+
+
+def check_radius_ids(
+    radius: Mapping[Any, Any], people: Mapping[Any, Any], others: Mapping[Any, Any], before: Set[Any]
+) -> None:
+    """Check that radii are those of people, of other agents, or of ids from ``before`` who have left.
+
+    Raises:
+        UserError: An id is of none of them.
+    """
+    strange = radius.keys() - people.keys() - others.keys() - before
+    if strange:
+        one = next(one for one in radius if one in strange)
+        text = all(isinstance(each, str) for each in (one, *people, *others))
+        name = str if text else repr
+        raise unknown("id in radius", name(one), map(name, (*people, *others)))
 
 
 def origin_of(point: Any) -> NDArray[np.float64]:

@@ -1,5 +1,6 @@
 """Policies for any simulator: positions of people by id in, velocities by id out."""
 
+import warnings
 from collections.abc import Hashable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +24,16 @@ from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.named_plans import load_plan
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.maps.planning.online import OnlinePlanner
-from pedzoo.policies.controller.arguments import PREF_SPEED, ZERO, as_discs, as_places, as_points, origin_of
+from pedzoo.policies.controller.arguments import (
+    PREF_SPEED,
+    ZERO,
+    as_discs,
+    as_places,
+    as_points,
+    by_id,
+    check_radius_ids,
+    origin_of,
+)
 from pedzoo.policies.controller.clock import CallerClock, times
 from pedzoo.policies.controller.online_goals import OnlineGoals
 from pedzoo.policies.controller.roster import Roster
@@ -107,7 +117,8 @@ class Controller:
             origin, grid = origin_of(grid.origin[:2]), replace(grid, origin=(0.0, 0.0, grid.origin[2]))
         bank = MapBank([] if grid is None else [grid], unknown)
         self.policy, self.dt, self.pref_speed, self.deterministic = policy, dt, pref_speed, deterministic
-        self._online_goals = OnlineGoals(OnlinePlanner(bank, clearance), origin)
+        self._online_goals = OnlineGoals(OnlinePlanner(bank, clearance, origin), origin)
+        self._warned = False
         # with one call per decision there is nothing to blend
         self._ticks = 1 if calls == 1 else max(1, round(policy.decision_dt / TRACE_SECONDS))
         self.reset(seed)
@@ -122,6 +133,7 @@ class Controller:
         self._key = Draws.for_episodes(seed, torch.zeros(1, dtype=torch.long)).key
         self._clock = CallerClock(self.dt, self.policy.decision_dt)
         self._agents = Roster.empty(self._clock.length, self._ticks)
+        self._sized: set[Hashable] = set()
 
     @torch.inference_mode()  # a sixth less time than `torch.no_grad`
     def step(
@@ -140,6 +152,10 @@ class Controller:
         Coordinates are those of the floor plan, metres: tuples, lists, arrays or tensors. They may be
         anywhere, within 10 km of it, or without one of the first agent. A call that raises changes nothing.
 
+        People may brush walls, and walk onto the floor plan from outside. One who comes deeper in a wall, or
+        farther outside, than their radius is warned of, once per controller: they walk from the nearest free
+        place.
+
         Args:
             people: Where they are now, by id: any hashable values.
             goals: Where they are going, None to stand. Needed when a person is new, and then when the goal
@@ -149,7 +165,7 @@ class Controller:
             others: Where agents are that the caller moves, by id: (x, y), or (k, 2) for a body of several
                 discs. Each disc has its own history.
             radius: Radii of bodies by id, metres; once given they stay until they change. People have 0.15
-                else, others 0.3. All discs of an agent have the same.
+                else, others 0.3. All discs of an agent have the same. Ids who have left do not matter.
             groups: Which people walk in company, by id: any name, the same for all of a company, or None
                 for alone. Once given they stay until they change; people are alone else.
             time: Now, seconds by the caller's clock, at every call or at none. Calls may then come early or
@@ -158,16 +174,19 @@ class Controller:
 
         Raises:
             UserError: A value is not two finite numbers, or an id is in people and in others. A radius is
-                not above 0, or the time does not go forward. A person has no goal, or one in a wall, outside
-                the floor plan or out of reach. The policy's answer is not finite.
+                not above 0, or of nobody who is or was here. The time does not go forward. A person has no
+                goal, or one in a wall, outside the floor plan or out of reach. The policy's answer is not
+                finite.
         """
-        discs, velocities = as_discs(others or {}), velocities or {}
-        if both := [one for one in people if one in (others or {})]:
+        people, others, radius = by_id(people, "people"), by_id(others, "others"), by_id(radius, "radius")
+        discs, velocities = as_discs(others), by_id(velocities, "velocities")
+        check_radius_ids(radius, people, others, self._sized)
+        if both := [one for one in people if one in others]:
             raise UserError(f"{both[0]!r} is in people and in others: expected every id in one of them")
         clock, dropped = self._clock.called(time)
         present = {**people, **discs}
-        agents = self._agents.now(present, self.pref_speed).with_radius(radius or {})
-        agents = agents.with_groups(_of(people, groups))
+        agents = self._agents.now(present, self.pref_speed).with_radius(radius)
+        agents = agents.with_groups(_of(people, by_id(groups, "groups")))
         online_goals = self._online_goals
         if present and not (self._agents.row or online_goals.planner.bank.grids):
             online_goals = online_goals._replace(origin=origin_of(present[agents.ids[0]]))
@@ -175,11 +194,14 @@ class Controller:
         position[agents.rows(present)] = as_places(present, "position", online_goals.origin).float()
         # on the way since the last call, or at once for a new goal
         agents = agents.arrived(agents.past[:, -1], position)
-        asked, new = _of(people, goals), agents.is_new
+        asked, new = _of(people, by_id(goals, "goals")), agents.is_new
         comes = bool(new.any())
         if asked or comes:
             online_goals, with_goals = online_goals.with_goals(agents, position, asked)
             agents = agents if with_goals is agents else with_goals.arrived(position, position)
+        if comes and not self._warned and (misplaced := online_goals.misplaced(agents, position)):
+            warnings.warn(misplaced, stacklevel=3)  # beyond the wrapper of torch
+            self._warned = True
 
         past = torch.cat((agents.past[:, dropped:], position.unsqueeze(1)), dim=1)
         trace = torch.where(agents.walks[:, None, None], agents.trace, 0.0)
@@ -201,6 +223,7 @@ class Controller:
                 batch = self._batch(agents, velocity, guidance, clock)
                 agents = self._decided(agents, batch, decides, new)
         self._online_goals, self._agents, self._clock = online_goals, agents, clock
+        self._sized = set(radius)
         answer = (agents.trace * clock.parts(self._ticks).view(-1, 1)).sum(1).double().numpy()
         return {one: answer[agents.row[one]] for one in people}
 
@@ -256,6 +279,6 @@ class Controller:
         )
 
 
-def _of(present: Mapping[Any, Any], given: Mapping[Any, Any] | None) -> dict[Any, Any]:
+def _of(present: Mapping[Any, Any], given: Mapping[Any, Any]) -> dict[Any, Any]:
     """Return the entries of people who are present."""
-    return {one: value for one, value in (given or {}).items() if one in present}
+    return {one: value for one, value in given.items() if one in present}

@@ -13,6 +13,7 @@ from torch import Tensor
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose
 from pedzoo.core.types import AHEAD_SECONDS
+from pedzoo.maps.planning.graph import format_point
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.maps.planning.online import OnlinePlanner
 from pedzoo.policies.controller.arguments import as_places
@@ -91,6 +92,42 @@ class OnlineGoals(NamedTuple):
         goal_point = torch.where(fresh.unsqueeze(1), guidance.goal_point, goal_point)
         return online_goals, people._replace(goal_point=goal_point)
 
+    def misplaced(self, people: Roster, position: Tensor) -> str | None:
+        """Return the warning about new people in walls or outside the floor plan; None where all is well.
+
+        Nobody is warned of who is less deep in a wall, or less far outside, than their radius.
+
+        Args:
+            people: All agents that are here.
+            position: Where they are (N, 2), metres.
+        """
+        new = (people.is_new & ~people.other).nonzero()[:, 0]
+        if not len(new) or not self.planner.bank.grids or not len(graph := self.planner.graph(0)):
+            return None
+        points, radius = position[new].double().numpy(), people.radius[new].numpy()
+        column, row = graph.to_place(points).T
+        height, width = graph.shape
+        outside = np.hypot(_beyond(column, width), _beyond(row, height)) * graph.grid.resolution > radius
+        flat = graph.locate(points)[0]
+        wrong = outside | (graph.distance.ravel()[flat] < graph.grid.resolution - radius)
+        if not wrong.any():
+            return None
+        # at centres of cells the depth is known; what it is between them takes longer
+        map_id = torch.tensor([self.map_id])
+        room = self.planner.bank.closest_wall(position[new].unsqueeze(0), map_id, identity_pose(1))[0]
+        wrong = outside | (room[0].numpy() < -radius)
+        if not wrong.any():
+            return None
+        i = int(wrong.argmax())
+        cell = graph.nearest[flat[i]]
+        here, free = (format_point(place + self.origin) for place in (points[i], graph.xy[cell]))
+        more = f" (and {wrong.sum() - 1} more)" if wrong.sum() > 1 else ""
+        return (
+            f"{people.ids[int(new[i])]!r}{more} is at {here}, {'outside' if outside[i] else 'in a wall of'} "
+            f"map {graph.grid.name!r}: walks from the nearest free place, {free}; are positions in the floor "
+            "plan's frame, in metres?"
+        )
+
     def guide(self, people: Roster, position: Tensor) -> Guidance:
         """Return the carrots and desired velocities (N, 2) of agents at ``position`` (N, 2).
 
@@ -116,3 +153,8 @@ class OnlineGoals(NamedTuple):
                 except UserError as error:
                     raise UserError(f"goal of {people.ids[i]!r}: {error}") from None
             raise
+
+
+def _beyond(place: NDArray[np.float64], cells: int) -> NDArray[np.float64]:
+    """Return how many cells beyond a row of ``cells`` places are, whole at cell centres."""
+    return np.maximum(np.maximum(-0.5 - place, place - (cells - 0.5)), 0.0)

@@ -168,7 +168,7 @@ class RobotEnv(PedestrianEnv):
         first = self.view(before, guidance)
         action = cast("Tensor", tensordict["robots", "action"])
         command = self.fleet.commands(action, first.heading)
-        state, outcome, happened = before, None, []
+        state, outcome, happened, taken = before, None, [], []
         for _ in range(self._parts):
             seen = observed(state, guidance, self.bank)
             agents_of(seen)["command"] = torch.nn.functional.pad(
@@ -185,10 +185,12 @@ class RobotEnv(PedestrianEnv):
             after = after._replace(controlled=after.controlled & ~torch.cat((people, result.ended), 1))
             outcome = result if outcome is None else outcome.then(result)
             happened.append(events)
+            taken.append((velocity, state, after))
             state = after
         assert outcome is not None
         if bool((state.failed & ~before.failed).any()):
-            self._warn(velocity, before, state)
+            # of the first part that failed: what comes later moves nobody
+            self._warn(*next(part for part in taken if bool((part[2].failed & ~part[1].failed).any())))
         self._scenes = scenes._replace(state=state, guidance=guidance)
         together = Events(
             *(torch.cat(parts, 2) for parts in list(zip(*happened, strict=True))[:4]), *happened[-1][4:]

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pedzoo.core.bodies import RobotBody
+from pedzoo.core.errors import known_arguments
 from pedzoo.core.registry import ROBOTS, SENSORS
 from pedzoo.core.spec import Spec, build
 from pedzoo.core.types import BODY_RADIUS
@@ -13,6 +14,7 @@ from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.load import crowd_of
 from pedzoo.policies.policy import Policy
 from pedzoo.policies.teams import Crowd
+from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import CLEARANCE, make_physics
 from pedzoo.sim.robot_parts.env import RobotEnv
 from pedzoo.sim.robot_parts.reward import WeightedSum
@@ -27,12 +29,13 @@ GAP = 0.1
 """Metres that ways keep from walls beyond the radius of the widest robot, at least."""
 
 
+@known_arguments(PedestrianEnv.__init__, RobotEnv.__init__)
 def make_robot_env(
     scenario: str | Spec | PreparedScenario,
     robot: str | Spec | RobotBody | Sequence[str | RobotBody] = "disc",
     people: str | Policy | Walker | Crowd = "orca",
     num_envs: int = 1,
-    sensors: Sequence[str | Sensor] = SENSES,
+    sensors: str | Sensor | Sequence[str | Sensor] = SENSES,
     reward: Mapping[str, float] | WeightedSum | None = None,
     physics: str = "compiled",
     clearance: float | None = None,
@@ -51,7 +54,7 @@ def make_robot_env(
         people: The policy of the people, or its name, a mixed crowd, see
             `pedzoo.policies.load.load_policy`.
         num_envs: B, scenes that are run at once.
-        sensors: Names with settings, ``lidar:beams=64``, ``file.py:Class``, or sensors.
+        sensors: Names with settings, ``lidar:beams=64``, ``file.py:Class``, or sensors: one, or a list.
         reward: Weights of terms by name, ``{"progress": 1, "collision": 5}``; None for
             `pedzoo.sim.robot_parts.reward.USUAL`.
         physics: As in `pedzoo.make_env`.
@@ -72,11 +75,12 @@ def make_robot_env(
         bodies = [one if isinstance(one, RobotBody) else build(ROBOTS, one, RobotBody) for one in given]
         made = with_robots(scenario, bodies, robot_goals, present, body_radius)
         prepared = made.prepare(clearance_of(bodies) if clearance is None else clearance)
+    senses = [sensors] if isinstance(sensors, str | Sensor) else sensors
     return RobotEnv(
         prepared,
         make_physics(physics, prepared.bank, body_radius),
         crowd_of(people) if isinstance(people, str) else people,
-        [one if isinstance(one, Sensor) else build(SENSORS, one, Sensor) for one in sensors],
+        [one if isinstance(one, Sensor) else build(SENSORS, one, Sensor) for one in senses],
         reward if isinstance(reward, WeightedSum) else WeightedSum(reward),
         num_envs,
         **settings,

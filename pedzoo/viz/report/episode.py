@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from pedzoo.core.endings import PAGES, check_ending
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import write_whole
 from pedzoo.eval.comparison import PolicyRollout, row
@@ -42,8 +43,9 @@ class Replay:
         """Write the page, whole or not at all.
 
         Raises:
-            UserError: It cannot be written.
+            UserError: It does not end in .html or .htm, or cannot be written.
         """
+        check_ending(f"page {str(path)!r}", path, PAGES)
         try:
             write_whole(Path(path).resolve(), page(self._content(), self.name).encode())
         except OSError as error:
