@@ -23,8 +23,7 @@ from pedzoo.cli.output import check_outputs
 from pedzoo.cli.suggestions import NO_POLICIES, given, split_names, unknown_option, without_model
 from pedzoo.core import renamed
 from pedzoo.core.configs import read_config
-from pedzoo.core.counts import at_least_one
-from pedzoo.core.errors import UserError, need, unknown
+from pedzoo.core.errors import UserError, at_least_one, need, unknown
 from pedzoo.core.paths import expanded, find_config
 from pedzoo.core.registry import (
     METRICS,

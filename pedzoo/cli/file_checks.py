@@ -7,9 +7,8 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-from pedzoo.core.code_files import Kind, check_there
 from pedzoo.core.errors import UserError
-from pedzoo.core.paths import expanded
+from pedzoo.core.paths import Kind, check_there, expanded
 from pedzoo.core.registry import file_of_code, names_code
 from pedzoo.core.spec import name_of
 from pedzoo.data.text_format import TextFormat

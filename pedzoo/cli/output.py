@@ -9,9 +9,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pedzoo.core.endings import CODECS, PAGES, PLOTS, REPORTS, check_ending
 from pedzoo.core.errors import UserError
-from pedzoo.core.paths import write_whole
+from pedzoo.core.paths import CODECS, PAGES, PLOTS, REPORTS, check_ending, write_whole
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -100,7 +99,7 @@ def write_and_print(report: dict[str, Any], file: str | None, show: Callable[[],
 
 def print_report(report: dict[str, Any], only: Sequence[str] | None = None) -> None:
     """Print the rows of a report, with the metrics ``only``, in tables as wide as the terminal."""
-    from pedzoo.cli.console import plain_console
+    from pedzoo.cli.progress import plain_console
     from pedzoo.eval.results import ResultTable
 
     rows = report["rows"]
@@ -121,7 +120,7 @@ def print_pages(report: dict[str, Any], shown: Mapping[str, SuiteColumns]) -> No
 
     Where the terminal is narrow an interval is written below its number.
     """
-    from pedzoo.cli.console import plain_console
+    from pedzoo.cli.progress import plain_console
     from pedzoo.eval.results import pages, protocol_line
 
     console = plain_console()
@@ -132,7 +131,7 @@ def print_pages(report: dict[str, Any], shown: Mapping[str, SuiteColumns]) -> No
 
 def print_tables(pages: Iterable[ResultTable]) -> None:
     """Print tables: transposed where that needs fewer parts of the terminal's width than columns do."""
-    from pedzoo.cli.console import plain_console
+    from pedzoo.cli.progress import plain_console
 
     console = plain_console()
     for page in pages:

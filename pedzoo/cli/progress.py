@@ -1,4 +1,4 @@
-"""A progress bar for loops that say where they are."""
+"""The terminal: text as it is, and a progress bar for loops that say where they are."""
 
 from __future__ import annotations
 
@@ -6,12 +6,26 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
-
-from pedzoo.cli.console import plain_console
 
 if TYPE_CHECKING:
     from pedzoo.eval.workers.progress_meter import ProgressReport
+
+
+def plain_console(stderr: bool = False, width: int = 120) -> Console:
+    """Return a console that prints every text as it is.
+
+    Rich would read brackets as styles and ``:door:`` as a picture: names, paths and settings have both.
+
+    Args:
+        stderr: Write there instead of to the standard output.
+        width: Characters of a line where there is no terminal.
+    """
+    console = Console(stderr=stderr, markup=False, emoji=False, highlight=False)
+    if not console.is_terminal:
+        console.width = width
+    return console
 
 
 @contextmanager

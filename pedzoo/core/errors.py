@@ -62,6 +62,16 @@ def known_arguments(*further: Callable[..., Any]) -> Callable[[Function], Functi
     return checked
 
 
+def at_least_one(what: str, number: int) -> None:
+    """Refuse a number below 1.
+
+    Raises:
+        UserError: It is; the message begins with ``what``.
+    """
+    if number < 1:
+        raise UserError(f"{what} {number}: expected at least 1")
+
+
 @cache
 def installed(module: str) -> bool:
     """Return whether a module can be imported, without an import."""

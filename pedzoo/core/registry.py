@@ -21,8 +21,8 @@ from types import ModuleType
 from typing import Any
 from zlib import crc32
 
-from pedzoo.core.code_files import Kind, check_named, missing
 from pedzoo.core.errors import UserError, unknown
+from pedzoo.core.paths import Kind, check_named, missing
 
 _OF_FILES = "pedzoo_user_"
 """The prefix of module names of users' files."""

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pedzoo.core import renamed
-from pedzoo.core.counts import at_least_one
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, at_least_one
 from pedzoo.core.machine import usable
 from pedzoo.core.registry import SUITES
 from pedzoo.eval.packed_episodes import without_plans

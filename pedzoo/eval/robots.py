@@ -9,7 +9,7 @@ from torch import Tensor
 from torchrl.envs.utils import step_mdp
 
 from pedzoo.core.bodies import RobotBody
-from pedzoo.core.counts import at_least_one
+from pedzoo.core.errors import at_least_one
 from pedzoo.core.registry import ROBOTS
 from pedzoo.core.spec import Spec, build
 from pedzoo.core.types import TRACE_SECONDS

@@ -12,8 +12,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from pedzoo.core import renamed
 from pedzoo.core.batch import agents_of
-from pedzoo.core.counts import at_least_one
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, at_least_one
 from pedzoo.core.geometry import limit_speed
 from pedzoo.core.machine import usable
 from pedzoo.core.spec import Spec

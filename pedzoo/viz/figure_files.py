@@ -5,9 +5,8 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from pedzoo.core.endings import PLOTS, check_ending
 from pedzoo.core.errors import UserError
-from pedzoo.core.paths import write_whole
+from pedzoo.core.paths import PLOTS, check_ending, write_whole
 
 
 def check_plot_path(path: str | Path) -> None:
@@ -19,7 +18,7 @@ def write_figure(figure: Figure, path: str | Path, dpi: int = 130) -> None:
     """Write a picture, whole or not at all; its folder is made where it is missing.
 
     Raises:
-        UserError: Another ending than `pedzoo.core.endings.PLOTS`, or the file cannot be written.
+        UserError: Another ending than `pedzoo.core.paths.PLOTS`, or the file cannot be written.
     """
     check_plot_path(path)
     data = BytesIO()

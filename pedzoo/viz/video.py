@@ -13,9 +13,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from pedzoo.core.endings import CODECS, check_ending
 from pedzoo.core.errors import UserError, need
-from pedzoo.core.paths import whole
+from pedzoo.core.paths import CODECS, check_ending, whole
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.sim.physics_parts.bodies import Bodies

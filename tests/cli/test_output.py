@@ -12,9 +12,9 @@ from rich.console import Console
 
 import pedzoo
 from pedzoo.cli import output, progress
-from pedzoo.cli.console import plain_console
 from pedzoo.cli.main import main
 from pedzoo.cli.output import check_outputs, print_report, print_tables, write_and_print
+from pedzoo.cli.progress import plain_console
 from pedzoo.core.errors import UserError
 from pedzoo.eval.results import ResultTable
 from pedzoo.eval.workers.progress_meter import ProgressReport

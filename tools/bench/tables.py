@@ -9,7 +9,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from pedzoo.cli.console import plain_console
+from pedzoo.cli.progress import plain_console
 from tools.bench.compare import Comparison, title
 from tools.bench.figures import Measured, Row
 

@@ -55,7 +55,7 @@ def _card(name: str) -> ModelCard:
 
 
 def _print(card: ModelCard) -> None:
-    from pedzoo.cli.console import plain_console
+    from pedzoo.cli.progress import plain_console
     from pedzoo.eval.results import ResultTable
 
     console = plain_console(width=110)

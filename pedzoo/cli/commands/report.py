@@ -21,7 +21,7 @@ def run(argv: list[str]) -> int:
     options = parser.parse_args(argv)
 
     from pedzoo.cli.output import check_output_ending, check_outputs, write_text
-    from pedzoo.core.endings import PAGES
+    from pedzoo.core.paths import PAGES
 
     check_outputs(out=options.out)
     check_output_ending("out", options.out, PAGES)

@@ -23,7 +23,7 @@ def run(argv: list[str]) -> int:
 
     from importlib.util import find_spec
 
-    from pedzoo.core.counts import at_least_one
+    from pedzoo.core.errors import at_least_one
     from pedzoo.viz.live import HOST, BulletWindow, Live, has_display
 
     if options.episodes is not None:

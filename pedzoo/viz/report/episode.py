@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pedzoo.core.endings import PAGES, check_ending
 from pedzoo.core.errors import UserError
-from pedzoo.core.paths import write_whole
+from pedzoo.core.paths import PAGES, check_ending, write_whole
 from pedzoo.eval.comparison import PolicyRollout, row
 from pedzoo.eval.packed_episodes import packed_episodes
 from pedzoo.viz.report.content import add_report, shorten
