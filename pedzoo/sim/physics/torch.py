@@ -121,8 +121,8 @@ class Torch(Physics):
         )
 
 
-_AT_ONCE = 1 << 24
-"""Pairs of agents that are compared at once: bounds the memory."""
+_AT_ONCE = 1 << 17
+"""Pairs of agents that are compared at once: what they need stays in the cache of the processor."""
 
 
 @torch.no_grad()
@@ -139,18 +139,32 @@ def contacts_of(path: Tensor, gap: Tensor | None, present: Tensor, radius: Tenso
         wall = torch.zeros_like(path[0, :, 0], dtype=torch.bool)
     else:
         wall = (gap.amin(1) < radius) & present
+    if len(radius) > radius.shape[1]:
+        return Contacts(_of_pairs(path, present, radius).permute(1, 2, 0), wall.permute(1, 2, 0))
     both = radius.unsqueeze(1) + radius.unsqueeze(2)
-    least, others = torch.where(present.unsqueeze(1) & present.unsqueeze(2), both * both, -1.0), -1
+    least = torch.where(present.unsqueeze(1) & present.unsqueeze(2), both * both, -1.0)
     least.diagonal(dim1=1, dim2=2).fill_(-1.0)  # no agent touches itself
-    if len(radius) > radius.shape[1]:  # the longer dimension comes last: long runs of numbers
-        path, least, others = path.mT.contiguous(), least.permute(1, 2, 0).contiguous(), -2
     parts = path.split(max(1, _AT_ONCE // max(1, path.shape[2] * least.numel())), dim=1)
-    agent = torch.cat([_touching(part, least, others) for part in parts])
-    agent = agent if others == -1 else agent.mT
+    agent = torch.cat([_touching(part, least) for part in parts])
     return Contacts(agent.permute(1, 2, 0), wall.permute(1, 2, 0))
 
 
-def _touching(path: Tensor, least: Tensor, others: int) -> Tensor:
-    """Return which agents touch another one in each trace step; agents of ``path`` are before ``others``."""
-    x, y = path.unsqueeze(others) - path.unsqueeze(others - 1)
-    return (torch.addcmul(x * x, y, y).amin(1) < least).any(others)
+def _touching(path: Tensor, least: Tensor) -> Tensor:
+    """Return which agents (S, B, A) touch another one; ``least`` are the squared distances (B, A, A)."""
+    x, y = path.unsqueeze(-1) - path.unsqueeze(-2)
+    return (torch.addcmul(x * x, y, y).amin(1) < least).any(-1)
+
+
+def _of_pairs(path: Tensor, present: Tensor, radius: Tensor) -> Tensor:
+    """Return the same for many scenes of few agents, each pair once: long runs of numbers, scenes last."""
+    agents = radius.shape[1]
+    one, other = torch.triu_indices(agents, agents, 1, device=radius.device)
+    reach = torch.where(present, radius, torch.nan).mT
+    least = (reach.index_select(0, one) + reach.index_select(0, other)).square()
+    path, touching = path.mT.contiguous(), []
+    for part in path.split(max(1, _AT_ONCE // max(1, path.shape[2] * least.numel())), dim=1):
+        x, y = part.index_select(3, one) - part.index_select(3, other)
+        touching.append(torch.addcmul(x * x, y, y).amin(1) < least)
+    hits = torch.zeros_like(path[0, :, 0], dtype=torch.int16)
+    touches = torch.cat(touching).short()
+    return (hits.index_add(1, one, touches).index_add_(1, other, touches) > 0).mT
