@@ -220,7 +220,7 @@ class PedestrianEnv(EnvBase):
         self._number = self._first + torch.arange(self.batch_size[0])
         self._ahead: Scenes | None = None
         made = min(_MADE, _AGENTS_MADE // self.prepared.people)
-        self._depth = min(max(2, made // self.batch_size[0]), _DEEPEST)
+        self._depth = min(max(1, made // self.batch_size[0]), _DEEPEST)
         self._taken = torch.full(self.batch_size, self._depth)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
@@ -240,7 +240,7 @@ class PedestrianEnv(EnvBase):
         """Return the next episodes of some rows.
 
         A warm start costs as much for one scene as for a hundred. So the episodes of all rows without one are
-        made together as soon as one row needs its own. Several of each are made, for few rows more.
+        made together as soon as one row needs its own. For few rows several of each are made.
         """
         depth = self._depth
         if self._ahead is None or bool((self._taken[index] >= depth).any()):

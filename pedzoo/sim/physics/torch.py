@@ -144,9 +144,13 @@ def contacts_of(path: Tensor, gap: Tensor | None, present: Tensor, radius: Tenso
     both = radius.unsqueeze(1) + radius.unsqueeze(2)
     least = torch.where(present.unsqueeze(1) & present.unsqueeze(2), both * both, -1.0)
     least.diagonal(dim1=1, dim2=2).fill_(-1.0)  # no agent touches itself
-    parts = path.split(max(1, _AT_ONCE // max(1, path.shape[2] * least.numel())), dim=1)
-    agent = torch.cat([_touching(part, least) for part in parts])
+    agent = torch.cat([_touching(part, least) for part in _parts(path, least)])
     return Contacts(agent.permute(1, 2, 0), wall.permute(1, 2, 0))
+
+
+def _parts(path: Tensor, least: Tensor) -> tuple[Tensor, ...]:
+    """Return paths (2, S, M, ...) in parts of few trace steps, for as many pairs as ``least`` has."""
+    return path.split(max(1, _AT_ONCE // max(1, path.shape[2] * least.numel())), dim=1)
 
 
 def _touching(path: Tensor, least: Tensor) -> Tensor:
@@ -162,7 +166,7 @@ def _of_pairs(path: Tensor, present: Tensor, radius: Tensor) -> Tensor:
     reach = torch.where(present, radius, torch.nan).mT
     least = (reach.index_select(0, one) + reach.index_select(0, other)).square()
     path, touching = path.mT.contiguous(), []
-    for part in path.split(max(1, _AT_ONCE // max(1, path.shape[2] * least.numel())), dim=1):
+    for part in _parts(path, least):
         x, y = part.index_select(3, one) - part.index_select(3, other)
         touching.append(torch.addcmul(x * x, y, y).amin(1) < least)
     hits = torch.zeros_like(path[0, :, 0], dtype=torch.int16)
