@@ -22,7 +22,7 @@ from pedzoo.models.blocks.people.evasion import evasion
 from pedzoo.models.blocks.people.narrow import narrowness, turned
 from pedzoo.models.blocks.people.nearest import FEATURES, nearest
 from pedzoo.models.blocks.people.step_features import RAYS, WALLS, Situation
-from pedzoo.models.blocks.people.style import STYLE_DIM, held_of, jitter_of, kinks_of
+from pedzoo.models.blocks.people.style import STYLE_DIM, held_of, jitter_of, kink_of_change, kinks_of
 from pedzoo.models.blocks.timed_noise import timed_noise
 
 LASTING, SMOOTH, EVERY_STEP, JITTER = 3, (24.0, 8.0, 4.0, 2.0), 4, 2
@@ -204,7 +204,8 @@ class SocialWalker(Forecaster):
         step = z[..., -EVERY_STEP - JITTER : -JITTER]
         # seven steps say little of one person: the crowd counts twice
         usual = torch.lerp(style, crowd, 2 / 3) if a.style_prior else style
-        kinks, jitter = (size.unsqueeze(-1) / STEP_SECONDS for size in (kinks_of(style), jitter_of(usual)))
+        kink = kink_of_change(usual) if a.style_prior else kinks_of(style)
+        kinks, jitter = (size.unsqueeze(-1) / STEP_SECONDS for size in (kink, jitter_of(usual)))
         moves = change
         result = past[:, :, -1]
         if a.step_noise:

@@ -24,6 +24,10 @@ _FINEST, _FINE_CENTRE = 2e-4, 5.0
 """The same two of the smaller changes: tracks that were drawn in straight pieces have none."""
 
 
+_RAREST = 0.15
+"""At least this share of velocities changes."""
+
+
 def style_of(first: Tensor) -> Tensor:
     """Return the styles (..., 6) of people by their first places (..., T, 2), metres, 0.4 s apart.
 
@@ -50,6 +54,14 @@ def style_of(first: Tensor) -> Tensor:
 def kinks_of(style: Tensor) -> Tensor:
     """Return the mean second difference (...,) of people with a style (..., 6), metres."""
     return (style[..., 0] - _CENTRE).exp() - _FLOOR
+
+
+def kink_of_change(style: Tensor) -> Tensor:
+    """Return the mean second difference (...,) of the steps whose velocity is not held, metres.
+
+    Kinks of tracks drawn in straight pieces are rare and large: a mean over all steps hides their size.
+    """
+    return kinks_of(style) / (1 - held_of(style)).clamp_min(_RAREST)
 
 
 def jitter_of(style: Tensor) -> Tensor:
