@@ -132,7 +132,9 @@ class Episodes:
         position = past[:, :, -1]
         velocity = (position - past[:, :, -2]) / TRACE_SECONDS
         usual = torch.full_like(layout.pref_speed, self._physics.body_radius)
-        nothing = torch.zeros_like(usual)
+        nothing, later = torch.zeros_like(usual), opening.later
+        if later is None:
+            later = later_goals(self._prepared, key, layout.goal)
         return State.of(
             past,
             layout.mask,
@@ -158,7 +160,7 @@ class Episodes:
             turn_acceleration=layout.turn_acceleration,
             track=layout.track,
             goal_id=layout.goal,
-            later_goals=later_goals(self._prepared, key, layout.goal),
+            later_goals=later,
             goal_point=position,
             stands=filled(layout.stand, nothing).maximum(filled(layout.hold, nothing)),
         )

@@ -18,6 +18,7 @@ from torch import Tensor
 from pedzoo.core.bodies import HOLONOMIC
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import TURNS_FROM, blended, heading_of, limited
+from pedzoo.core.randomness import Draws
 from pedzoo.core.types import AHEAD_SECONDS, TRACE_SECONDS
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim.arrival import check_deadline, deadline, planned
@@ -35,6 +36,10 @@ class Playback(Protocol):
 
     def playback(self, state: State, failed: Tensor, points: int, substeps: int) -> Tensor:
         """Return the paths (B, A, S, M, 2) of agents that no policy moves."""
+        ...
+
+    def pauses(self, state: State) -> Tensor:
+        """Return how long people wait where their goals are (B, A), seconds."""
         ...
 
     def update_presence(self, before: State, after: State, points: int) -> tuple[State, Tensor]:
@@ -60,7 +65,7 @@ class Rules:
             stands.
         wheels: Some bodies have wheels or a limited acceleration; without it `State.drive` and both
             accelerations are not looked at.
-        waits: The scenario whose people wait at places; None for none.
+        waits: Says for how long people wait where their goals are (B, A), seconds; None where no person does.
         script: Plays recorded people back; None for none.
         deadline: Seconds for every goal; None as `pedzoo.sim.arrival.deadline` says.
     """
@@ -72,7 +77,7 @@ class Rules:
     leave: bool = True
     keep_goal: bool = False
     wheels: bool = False
-    waits: Scenario | None = None
+    waits: Callable[[State], Tensor] | None = None
     script: Playback | None = None
     deadline: float | None = None
 
@@ -96,9 +101,16 @@ def rules_of(
     guidance, leave = partial(_guidance, prepared), scenario.finished == "leave"
     if script is not None:
         script = script.to(device)
-    waits = scenario if scenario.waits else None
+    waits = None
+    if scenario.waits:
+        waits = partial(_pauses, scenario) if script is None else script.pauses
     fixed = ticks, substeps, scenario.goals, leave, False, scenario.wheels
     return Rules(guidance, *fixed, waits, script, deadline)
+
+
+def _pauses(scenario: Scenario, state: State) -> Tensor:
+    """Return how long people of a scenario wait where their goals are (B, A), seconds."""
+    return scenario.pauses(Draws(state.key), state.drawn)
 
 
 def _guidance(prepared: PreparedScenario, state: State) -> Guidance:
@@ -148,7 +160,8 @@ def step(state: State, commands: Tensor, physics: Physics, rules: Rules) -> tupl
     motion = physics.advance(state, velocity, moving, rules.substeps, played, command.movedim(0, -1))
     hits, waits = motion.reached, None
     if rules.waits is not None:
-        waits = waiting_update(rules.waits, state, hits, state.clock + rules.ticks * TRACE_SECONDS)
+        end = state.clock + rules.ticks * TRACE_SECONDS
+        waits = waiting_update(rules.waits(state), state, hits, end)
         hits = waits.hits
     hit = hits[..., -1]
     after, taken_over = _arrived(state, hits, motion.trace, failed, rules, waits)
@@ -241,11 +254,13 @@ def _arrived(
     )
     if waited is not None:
         after = after._replace(stands=waited.stands)
-        after = after._replace(deadline=after.deadline.masked_fill(after.holds, torch.inf))
         sets_out = sets_out | waited.moves_on
-    return (
-        (after, sets_out) if rules.script is None else rules.script.update_presence(state, after, rules.ticks)
-    )
+        if rules.script is None:  # recorded people have to be gone at a time of their recording
+            after = after._replace(deadline=after.deadline.masked_fill(after.holds, torch.inf))
+    if rules.script is None:
+        return after, sets_out
+    present, taken_over = rules.script.update_presence(state, after, rules.ticks)
+    return present, taken_over | (sets_out & (present.person == state.person))
 
 
 def _misses_deadline(state: State, clock: Tensor, hits: Tensor, goals: int) -> Tensor:

@@ -7,10 +7,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from pedzoo.core.randomness import Draws
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.maps.planning.guidance import Guidance
-from pedzoo.sim.scenario_parts.scenario import Scenario
 from pedzoo.sim.state import State
 from pedzoo.sim.step_result import CLOCK_ROUNDING
 
@@ -30,16 +28,15 @@ class WaitingUpdate(NamedTuple):
     stands: Tensor
 
 
-def waiting_update(scenario: Scenario, state: State, near: Tensor, clock: Tensor) -> WaitingUpdate:
+def waiting_update(pause: Tensor, state: State, near: Tensor, clock: Tensor) -> WaitingUpdate:
     """Return which people stop to wait and which move on.
 
     Args:
-        scenario: Says for how long people wait where: see `Scenario.pauses`.
+        pause: How long people wait at their goals (B, A), seconds: see `Scenario.pauses`.
         state: At the beginning of the decision.
         near: Which agents have come near their goal until each trace point (B, A, S) bool.
         clock: At its end (B,), seconds.
     """
-    pause = scenario.pauses(Draws(state.key), state.drawn)
     stops = near[..., -1] & (pause > 0)
     now = clock.unsqueeze(1)
     over = state.holds & (now + CLOCK_ROUNDING >= state.stands)

@@ -23,6 +23,9 @@ from pedzoo.policies.safety_layer.layer import safe
 
 _DETERMINISTIC = (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN)
 
+_WALKS = 0.99
+"""Of the speed that people like: whose desired velocity is less holds a place; the rest is rounding."""
+
 
 class StoredPrediction(NamedTuple):
     """Predictions that are being walked.
@@ -116,7 +119,7 @@ class Walker(NamedPolicy):
             step = self._predicted(tensordict, 1)[..., 0, :]
         else:
             step = self._of_stored(tensordict)
-        step = step + led_apart(tensordict)
+        step = holding_places(tensordict, step) + led_apart(tensordict)
         if self.safety:
             tensordict["agents", "asked"] = step / STEP_SECONDS
             step = safe(tensordict, step)
@@ -194,6 +197,24 @@ def check_interval(scenes: TensorDictBase, decision_dt: float, what: str) -> Non
             f"{what} decides every {decision_dt:g} s, not every {trace.shape[2] * TRACE_SECONDS:g} s: "
             f"make_env(..., decision_dt={decision_dt:g})"
         )
+
+
+def holding_places(batch: TensorDictBase, step: Tensor) -> Tensor:
+    """Return the steps (B, A, 2), metres, in which people who hold a place go to it instead.
+
+    People hold a place whose desired velocity is less than the speed that they like: it ends there in one
+    step. No model has learned to stand for as long as it is told to.
+
+    Args:
+        batch: The scenes.
+        step: What the model says (B, A, 2), metres.
+    """
+    agents = agents_of(batch)
+    if "desired_velocity" not in agents.keys():
+        return step
+    desired, liked = (cast("Tensor", agents[key]) for key in ("desired_velocity", "pref_speed"))
+    share = desired.norm(dim=-1, keepdim=True) / liked
+    return torch.where(share < _WALKS, torch.lerp(desired * STEP_SECONDS, step, share.clamp_max(1)), step)
 
 
 def extend_goals(batch: TensorDictBase) -> TensorDictBase:

@@ -16,10 +16,11 @@ from pedzoo.core.types import GOAL_RADIUS, OBS_LEN, STEP_SECONDS, TOP_SPEED_RATI
 from pedzoo.data.tracks import Tracks
 from pedzoo.maps.planning.planner import Planner
 from pedzoo.sim.replay.companions import companies
+from pedzoo.sim.replay.stops import STANDS, Stops, stops_of
 from pedzoo.sim.scenario_parts.scenario import SLOWEST
 
-USUAL, STANDS = 1.3, 0.1
-"""m/s: what people like where no person is seen to walk freely, and below which they stand."""
+USUAL = 1.3
+"""m/s: what people like where no person is seen to walk freely."""
 
 LONGEST = 2
 """People are taken out after so many times as long as they really took."""
@@ -60,6 +61,9 @@ class RecordedPeople(NamedTuple):
         pref_speed: The speed that they like (P,), m/s.
         group: Number of the company that they walk in (P,) long, -1 for alone; see `companies`.
         grouped: Frame that shows it (P,) long: nothing later is needed to know it.
+        stop_place: See `Stops.place` (P, K, 2), metres.
+        stop_pause: See `Stops.pause` (P, K), seconds.
+        stop_id: See `Stops.goal_id` (P, K) long.
     """
 
     recording: Tensor
@@ -75,6 +79,14 @@ class RecordedPeople(NamedTuple):
     pref_speed: Tensor
     group: Tensor
     grouped: Tensor
+    stop_place: Tensor
+    stop_pause: Tensor
+    stop_id: Tensor
+
+    @property
+    def stops(self) -> Stops:
+        """Where people pause on their way, which is nowhere where that was not asked for."""
+        return Stops(self.stop_place, self.stop_pause, self.stop_id)
 
     @property
     def controlled(self) -> Tensor:
@@ -114,6 +126,7 @@ def people_of(
     planner: Planner,
     share: float = 1.0,
     speed: SpeedOf = "observed",
+    stops: bool = False,
 ) -> tuple[RecordedPeople, Tensor]:
     """Return the people of recordings, and all rows of their tracks (N, 2), person after person.
 
@@ -124,24 +137,27 @@ def people_of(
         share: People who could be taken over later than this share of a recording's time are played back.
         speed: ``observed`` for the mean speed of the first 8 rows, ``track`` for that of all, and
             ``estimated`` for what `_estimated` makes of the first 8.
+        stops: Whether people have the places where they stopped as goals, too; see `stops_of`.
     """
-    people, xy = without_goals(recordings, share, speed)
+    people, xy = without_goals(recordings, share, speed, stops)
     for number, row in enumerate(rows):
         people = _with_goals(people, people.recording == number, row, planner)
-    return people, xy
+    return _with_stops(people, rows, planner) if stops else people, xy
 
 
 def without_goals(
-    recordings: Sequence[Tracks], share: float = 1.0, speed: SpeedOf = "observed"
+    recordings: Sequence[Tracks], share: float = 1.0, speed: SpeedOf = "observed", stops: bool = False
 ) -> tuple[RecordedPeople, Tensor]:
     """Return what `people_of` returns, before any path is planned: exits are goals, and none is blocked."""
-    per_recording = [_of(number, tracks, share, speed) for number, tracks in enumerate(recordings)]
-    people = RecordedPeople(*(torch.cat(parts) for parts in zip(*per_recording, strict=True)))
+    per_recording = [_of(number, tracks, share, speed, stops) for number, tracks in enumerate(recordings)]
+    stopped = Stops.joined([people.stops for people in per_recording])
+    columns = [torch.cat(parts) for parts in list(zip(*per_recording, strict=True))[: -len(stopped)]]
+    people = RecordedPeople(*[*columns, *stopped])
     xy = torch.cat([torch.from_numpy(tracks.xy) for tracks in recordings])
     return people, xy.float()
 
 
-def _of(number: int, tracks: Tracks, share: float, speed: SpeedOf) -> RecordedPeople:
+def _of(number: int, tracks: Tracks, share: float, speed: SpeedOf, stops: bool) -> RecordedPeople:
     """Return the people of one recording without goals."""
     agent, begin, count = np.unique(tracks.agent, return_index=True, return_counts=True)
     end = begin + count - 1
@@ -175,7 +191,13 @@ def _of(number: int, tracks: Tracks, share: float, speed: SpeedOf) -> RecordedPe
         pref_speed=torch.from_numpy(liked).clamp_min(SLOWEST).float(),
         group=group,
         grouped=grouped,
+        **_columns(stops_of(tracks, begin, taken) if stops else Stops.none(len(agent))),
     )
+
+
+def _columns(stops: Stops) -> dict[str, Tensor]:
+    """Return stops as columns of `RecordedPeople`."""
+    return {"stop_place": stops.place, "stop_pause": stops.pause, "stop_id": stops.goal_id}
 
 
 def _estimated(tracks: Tracks, begin: np.ndarray, taken: np.ndarray) -> np.ndarray:
@@ -235,3 +257,36 @@ def _with_goals(people: RecordedPeople, mine: Tensor, row: int, planner: Planner
         goal_id=torch.where(lost, -1, goal_id),
         path_length=torch.where(lost, 0.0, path_length).to(people.path_length),
     )
+
+
+def _with_stops(people: RecordedPeople, rows: Sequence[int], planner: Planner) -> RecordedPeople:
+    """Return the people with stops as goals, and the lengths of their ways along all of them.
+
+    Places near walls move as exits do; stops that are too near, or that no path leads to, are left out.
+    """
+    place, goal_id = people.stop_place.clone(), people.stop_id.clone()
+    wanted = (people.stop_pause > 0) & people.controlled.unsqueeze(1)
+    at = torch.tensor([planner.bank.grids[row].map_id if row >= 0 else -1 for row in rows])
+    for number, row in enumerate(rows):
+        mine = wanted & (people.recording == number).unsqueeze(1)
+        if row >= 0 and mine.any():
+            moved = torch.from_numpy(planner.graph(row).settle(place[mine].numpy(), torch.inf, "stop")[1])
+            wanted[mine] = (moved - place[mine]).norm(dim=1) <= planner.snap
+            place[mine] = moved.to(place)
+        mine &= wanted
+        goal_id[mine] = planner.add_goals(row, place[mine])
+
+    def ways(begin: Tensor, goal: Tensor) -> Tensor:
+        there = goal >= 0
+        length = torch.zeros(there.shape)
+        begin, maps = begin[there], at[people.recording].unsqueeze(1).expand_as(goal)[there]
+        pose = identity_pose(len(begin))
+        length[there] = planner.next_waypoints(begin, goal[there], maps, pose).distance
+        return length
+
+    start = people.start.float().unsqueeze(1)
+    reached = ways(start.expand_as(place), goal_id).isfinite()
+    stops = Stops(place, people.stop_pause, goal_id).only(wanted & reached)
+    legs = ways(torch.cat((start, stops.place), 1), stops.goals(people.goal_id)[:, :-1])
+    path_length = torch.where(people.controlled, legs.sum(1).to(people.path_length), people.path_length)
+    return people._replace(path_length=path_length, **_columns(stops))

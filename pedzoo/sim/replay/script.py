@@ -47,6 +47,7 @@ class SceneStarts(NamedTuple):
         group: Numbers of their companies (B, A) long, -1 for alone; None: all are.
         velocity: Theirs (B, A, 2), m/s; None for that of the last 0.1 s.
         deadline: Until when they have to arrive (B, A), seconds on the clock; None for the usual time limit.
+        later: Their goals after the first (B, A, G) long, -1 for none; None: the scenario draws them.
     """
 
     scene: Tensor
@@ -56,6 +57,7 @@ class SceneStarts(NamedTuple):
     group: Tensor | None = None
     velocity: Tensor | None = None
     deadline: Tensor | None = None
+    later: Tensor | None = None
 
     def to(self, device: torch.device) -> SceneStarts:
         """Return the opening on a device."""
@@ -87,6 +89,8 @@ class Script:
         self.people, self.xy, self.occupants, self.scenes = people, xy, occupants, scenes
         self._begin = torch.cumsum(people.last - people.first + 1, 0) - (people.last - people.first + 1)
         self._pref_speed = people.pref_speed.float()
+        self.goals = people.stops.goals(people.goal_id)
+        self._pause = torch.nn.functional.pad(people.stop_pause, (0, 1))
 
     def to(self, device: torch.device | str) -> Script:
         """Return the script on a device: itself where it is there already."""
@@ -162,6 +166,7 @@ class Script:
             group=self._group(person, at),
             velocity=(following - last) / STEP_SECONDS,
             deadline=self._deadline(scene, person),
+            later=self.goals[person, 1:],
         ), torch.where(there[..., None, None], history, 0.0)
 
     def scored(self, scene: Tensor, person: Tensor) -> Tensor:
@@ -182,6 +187,11 @@ class Script:
     def _deadline(self, scene: Tensor, person: Tensor) -> Tensor:
         steps = self.people.until[person] - self.scenes.origin[scene].unsqueeze(1)
         return (steps * TRACE_PER_STEP) * TRACE_SECONDS
+
+    def pauses(self, state: State) -> Tensor:
+        """Return how long people wait where their present goal is (B, A), seconds; 0 at exits."""
+        pause = self._pause[state.person, state.drawn.clamp_max(self._pause.shape[1] - 1)]
+        return torch.where(state.person >= 0, pause, 0.0)
 
     def playback(self, state: State, failed: Tensor, points: int, substeps: int) -> Tensor:
         """Return the recorded ways (B, A, S, M, 2) of people; in scenes that ``failed`` (B,) they stay."""
@@ -220,8 +230,10 @@ class Script:
             velocity=torch.where(come, velocity, after.velocity),
             pref_speed=torch.where(comes, self._pref_speed[scheduled], after.pref_speed),
             top_speed=torch.where(comes, top_speed_of(self._pref_speed[scheduled]), after.top_speed),
-            goal_id=torch.where(comes, self.people.goal_id[scheduled], after.goal_id),
+            goal_id=torch.where(comes, self.goals[scheduled, 0], after.goal_id),
+            later_goals=torch.where(come, self.goals[scheduled, 1:], after.later_goals),
             drawn=after.drawn.masked_fill(comes, 0),
+            stands=after.stands.masked_fill(comes, 0.0),
             reached=after.reached.masked_fill(comes, 0),
             deadline=torch.where(comes, self._deadline(after.scene, scheduled), after.deadline),
             overdue=torch.where(sharp, overdue & ~comes, after.overdue),

@@ -62,6 +62,7 @@ class Replay(Scenario):
         simulated: Simulated = "all",
         share: float = 1.0,
         speed: SpeedOf = "observed",
+        stops: bool = False,
     ) -> None:
         """Set the recordings that `prepare` will read.
 
@@ -79,6 +80,8 @@ class Replay(Scenario):
             speed: The speed that people like: ``observed`` in their first 8 steps; ``estimated`` from those
                 of them in which no person is near, for recordings of queues; or that of the whole ``track``,
                 which uses the future. At least 0.3 m/s.
+            stops: People have the places where they stood for 2 s or more as goals before their exit, and
+                stay there as long as they did. That uses the future, as exits do.
 
         Raises:
             UserError: There are no such recordings, or a setting is out of range.
@@ -97,10 +100,11 @@ class Replay(Scenario):
         self.simulated: Simulated = simulated
         self.share = share
         self.speed_of: SpeedOf = speed
+        self.waits = self.stops = stops
         self._source: OpenFold | OwnFiles = (
             OwnFiles(files, dt, "0,0,1", map, homography) if files else open_fold(fold, root, "true")
         )
-        self._data = (fold, root, files, dt, map, homography, share, speed)
+        self._data = (fold, root, files, dt, map, homography, share, speed, stops)
 
     def plans(self) -> list[OccupancyGrid]:
         """Return the floor plans of the recordings."""
@@ -127,7 +131,8 @@ class Replay(Scenario):
         bank = MapBank([grid for grid in grids if grid is not None], self.unknown)
         planner = Planner(bank, clearance, cell=CELL, share=SHARE)
         map_id = torch.tensor([grid.map_id if grid else -1 for grid in grids])
-        people, xy = people_of(tracks, bank.index(map_id).tolist(), planner, self.share, self.speed_of)
+        rows = bank.index(map_id).tolist()
+        people, xy = people_of(tracks, rows, planner, self.share, self.speed_of, self.stops)
         if not people.controlled.any():
             raise UserError(f"replay: no person in {self.name!r} can be simulated: {people.counts}")
         home = torch.from_numpy(np.stack([scene.home for scene in recorded]))
@@ -171,7 +176,7 @@ class Replay(Scenario):
         kinds = ", ".join(f"{count} {name}" for name, count in people.counts.items())
         print(
             f"replay {name or self.name}: {len(people.agent)} people in {result.scenes} scenes of at most "
-            f"{result.people}: {kinds}"
+            f"{result.people}: {kinds}" + f"; {int((people.stop_pause > 0).sum())} stops" * self.stops
         )
         return result
 
@@ -190,7 +195,7 @@ class Replay(Scenario):
             mask=there,
             pref_speed=pref_speed,
             top_speed=top_speed_of(pref_speed),
-            goal=torch.where(there, script.people.goal_id[opening.person], -1),
+            goal=torch.where(there, script.goals[opening.person, 0], -1),
             history=history,
             opening=opening,
         )
