@@ -89,6 +89,12 @@ RARE_HALT = 4.0
 HALT_PERIOD = LASTING + SMOOTH.index(8.0)
 """Number of the noise that begins and ends lasting halts: before training one lasts for some 5 s."""
 
+CALM = 0.95
+"""Of the changes that are drawn for people with a style: before training they are a third of those seen.
+
+The rest of what is seen is what the way, the neighbours and the jitter change.
+"""
+
 BRAKING = 0.35
 """m/s: how much slower people who halt get in a step."""
 
@@ -204,12 +210,12 @@ class SocialWalker(Forecaster):
         step = z[..., -EVERY_STEP - JITTER : -JITTER]
         # seven steps say little of one person: the crowd counts twice
         usual = torch.lerp(style, crowd, 2 / 3) if a.style_prior else style
-        kink = kink_of_change(usual) if a.style_prior else kinks_of(style)
+        kink, calm = (kink_of_change(usual), CALM) if a.style_prior else (kinks_of(style), 0.0)
         kinks, jitter = (size.unsqueeze(-1) / STEP_SECONDS for size in (kink, jitter_of(usual)))
         moves = change
         result = past[:, :, -1]
         if a.step_noise:
-            moves = change + (kinks + 0.03) * functional.softplus(out[..., 11:13]) * step[..., 1:3]
+            moves = change + (kinks + 0.03) * functional.softplus(out[..., 11:13] - calm) * step[..., 1:3]
             result = result + jitter * functional.softplus(out[..., 13:15] - 0.5) * z[..., -JITTER:]
         if a.held:
             log_patience = self.patience[0] + self.patience[1] * now.stood + self.patience[2] * z[..., 0]
