@@ -47,7 +47,8 @@ def run(argv: list[str]) -> int:
 
     data = options.data
     against = Reference(options.against, data.dt, data.map, data.homography, data.root)
-    settings = {key: options[key] for key in ("rollouts", "seed", "dt", "physics", "likelihood", "opening")}
+    names = "rollouts", "seed", "dt", "physics", "likelihood", "stops", "opening"
+    settings = {key: options[key] for key in names}
     with progress_bar() as progress:
         report = score(options.crowds, against, progress=progress, **settings)
     report = {"command": "score", **report, "versions": versions()}

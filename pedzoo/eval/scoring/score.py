@@ -50,17 +50,21 @@ class Reference(NamedTuple):
     homography: str | None = None
     root: str | None = None
 
-    def prepared(self) -> PreparedReplay:
+    def prepared(self, stops: bool = False) -> PreparedReplay:
         """Return the recording as a replay.
+
+        Args:
+            stops: Whether people have the places where they stopped as goals, too, see `Replay`.
 
         Raises:
             UserError: There is no such recording, or its file is refused.
         """
         if is_recording(self.recording):
             files: dict[str, Any] = {"files": [self.recording], "dt": self.dt}
-            made = Replay(**files, map=self.map, homography=self.homography)
+            made = Replay(**files, map=self.map, homography=self.homography, stops=stops)
         else:
-            made = Replay(self.recording, self.root, dt=self.dt, map=self.map, homography=self.homography)
+            place: dict[str, Any] = {"dt": self.dt, "map": self.map, "homography": self.homography}
+            made = Replay(self.recording, self.root, **place, stops=stops)
         return cast(PreparedReplay, prepare_scenario(made))
 
 
@@ -72,6 +76,7 @@ def score(
     dt: float | None = None,
     physics: str = "compiled",
     likelihood: bool = True,
+    stops: bool = False,
     opening: Sequence[float] = (),
     progress: Progress | None = None,
 ) -> dict[str, Any]:
@@ -87,6 +92,8 @@ def score(
             0.4 s apart.
         physics: In which policies walk.
         likelihood: Also walk the joint rollouts of 8 s; see `pedzoo.eval.scoring.wosac`.
+        stops: People whom policies move have the places where the recorded ones stood for 2 s or more as goals,
+            and stay there as long. In the joint rollouts of 8 s they have their exits alone.
         opening: A door, whose flow and headways are measured: its centre x and y, the normal x and y of its
             wall, and its clear width; metres.
         progress: Called with a policy, its episodes that are over and episodes in all.
@@ -104,7 +111,7 @@ def score(
         if not is_recording(name):
             load_policy(weights)  # misspelt names are refused before anything is measured
     gate = _gate(opening)
-    prepared = against.prepared()
+    prepared = against.prepared(stops)
     real = recorded_crowd(prepared)
     rows, notes = real_rows(real), []
     if gate is not None:
@@ -135,7 +142,12 @@ def score(
             result["case"][SEEN] = "yes"
         rows.append(result)
     return {
-        "protocol": {"against": against.recording, "version": VERSION, "resamples": RESAMPLES},
+        "protocol": {
+            "against": against.recording,
+            "version": VERSION,
+            "resamples": RESAMPLES,
+            "stops": stops,
+        },
         "seeds": [seed],
         "notes": notes,
         "rows": rows,

@@ -189,7 +189,7 @@ def with_robots(
     places = cls.place_of_robot
     settings = {key: values[0] for key, values in places.items()} | dict(spec.settings)
     if places:
-        if len(bodies) > 1 or any(settings[key] not in values for key, values in places.items()):
+        if len(bodies) > 1 or any(str(settings[key]).lower() not in values for key, values in places.items()):
             given = ", ".join(f"{key}={settings[key]}" for key in places)
             expected = ", ".join(f"{key}={' or '.join(values)}" for key, values in places.items())
             raise UserError(

@@ -49,7 +49,10 @@ class Replay(Scenario):
     """
 
     unknown: Unknown = "free"
-    place_of_robot: ClassVar[Mapping[str, tuple[str, ...]]] = {"simulated": ("one", "around")}
+    place_of_robot: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        "simulated": ("one", "around"),
+        "stops": ("false",),
+    }
 
     def __init__(
         self,
