@@ -60,6 +60,7 @@ def test_a_new_goal_begins_a_new_way_but_not_a_new_style() -> None:
     assert torch.equal(later["first_history"], begun["first_history"])
     assert later["elapsed"][0, :, 0].tolist() == [0.0, torch.tensor(0.4).item()]
     assert later["progress"][0, :, 0].tolist() == [0.0, 1.0]
+    assert not begun["called"].any() and later["called"][0, :, 0].tolist() == [True, False]
 
 
 def test_a_scene_that_is_walked_again_begins_anew() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,8 +17,8 @@ from pedzoo.maps.files.ros import write_ros
 from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
 from pedzoo.policies.learned.walker import holding_places
 from pedzoo.sim.replay.stops import Stops, stops_of
-from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.robot_parts.make import make_robot_env
+from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.scenarios.replay import PreparedReplay, Replay
 
 GRID = np.full((80, 120), FREE, dtype=np.uint8)
@@ -125,16 +126,18 @@ def test_a_scene_without_stops_is_as_before(folder: Path, tmp_path: Path) -> Non
     rows = [row for row in sorted(ROWS) if row[1] == WALKER]
     file = tmp_path / "walker.txt"
     file.write_text("".join(f"{f} {a} {x:.4f} {y:.4f}\n" for f, a, x, y in rows))
-    traces = [
-        rollout("go_to_goal", Replay(files=[str(file)], dt=0.4, stops=stops).prepare(0.25), "compiled", 1)[0]
-        for stops in (False, True)
+    scenes: list[Any] = [
+        Replay(files=[str(file)], dt=0.4, stops=stops).prepare(0.25) for stops in (False, True)
     ]
-    assert torch.equal(traces[0].trace, traces[1].trace)
+    without, stops = (rollout("go_to_goal", scene, "compiled", 1)[0] for scene in scenes)
+    assert torch.equal(without.trace, stops.trace)
 
 
 def test_people_who_hold_a_place_go_there_and_others_as_the_model_says() -> None:
     desired = torch.tensor([[[1.3, 0.0], [0.0, 0.65], [0.0, 0.0]]])
-    batch = TensorDict({"agents": {"desired_velocity": desired, "pref_speed": torch.full((1, 3, 1), 1.3)}}, [1])
+    batch = TensorDict(
+        {"agents": {"desired_velocity": desired, "pref_speed": torch.full((1, 3, 1), 1.3)}}, [1]
+    )
     step = torch.tensor([[[0.1, 0.2], [0.4, 0.0], [0.3, 0.3]]])
     # half of the usual speed: half of the model's step and half of what leads to the place
     assert holding_places(batch, step)[0].tolist() == [
@@ -146,5 +149,5 @@ def test_people_who_hold_a_place_go_there_and_others_as_the_model_says() -> None
 
 def test_robots_are_refused(folder: Path) -> None:
     name = f"replay:files={folder / 'first.txt'},dt=0.4,stops=true"
-    with pytest.raises(UserError, match="stops=true: expected one robot .* stops=false"):
+    with pytest.raises(UserError, match=r"stops=true: expected one robot .* stops=false"):
         make_robot_env(name)

@@ -92,8 +92,8 @@ def score(
             0.4 s apart.
         physics: In which policies walk.
         likelihood: Also walk the joint rollouts of 8 s; see `pedzoo.eval.scoring.wosac`.
-        stops: People whom policies move have the places where the recorded ones stood for 2 s or more as goals,
-            and stay there as long. In the joint rollouts of 8 s they have their exits alone.
+        stops: People whom policies move have the places where the recorded ones stood for 2 s or more as
+            goals, and stay there as long. In the joint rollouts of 8 s they have their exits alone.
         opening: A door, whose flow and headways are measured: its centre x and y, the normal x and y of its
             wall, and its clear width; metres.
         progress: Called with a policy, its episodes that are over and episodes in all.

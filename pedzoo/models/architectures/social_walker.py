@@ -83,6 +83,9 @@ USUAL_GATE = 2.0
 HELD_STANDING = 4.5
 """Of the gate, for people who stand: before training they set out in 7 % of steps."""
 
+SETTING_OUT = 20.0
+"""Of the gate: people who stand set out at once when they get another goal."""
+
 RARE_HALT = 4.0
 """Of another gate: before training 1 % of the steps of people who walk is a halt."""
 
@@ -90,10 +93,7 @@ HALT_PERIOD = LASTING + SMOOTH.index(8.0)
 """Number of the noise that begins and ends lasting halts: before training one lasts for some 5 s."""
 
 CALM = 0.95
-"""Of the changes that are drawn for people with a style: before training they are a third of those seen.
-
-The rest of what is seen is what the way, the neighbours and the jitter change.
-"""
+"""Of drawn changes: before training they are a third of those seen; ways and neighbours make the rest."""
 
 BRAKING = 0.35
 """m/s: how much slower people who halt get in a step."""
@@ -133,9 +133,7 @@ class SocialWalker(Forecaster):
         if a.hidden_dim:
             self._add_layers(a)
         self.head = nn.Linear(a.hidden_dim or OWN, OUTPUTS + AVOIDING * a.avoids)
-        self.patience = nn.Parameter(
-            torch.tensor([1.1, 1.5, 0.3])
-        )  # usual, of those who stood, and by chance
+        self.patience = nn.Parameter(torch.tensor([1.1, 1.5, 0.3]))  # usual, of those who stood, by chance
         with torch.no_grad():  # the untrained network walks to the waypoint
             self.head.weight.mul_(0.2 if a.hidden_dim else 0.0)
             self.head.bias.zero_()
@@ -220,7 +218,7 @@ class SocialWalker(Forecaster):
         if a.held:
             log_patience = self.patience[0] + self.patience[1] * now.stood + self.patience[2] * z[..., 0]
             late = 2 * (2 * (now.late - log_patience.exp())).sigmoid()
-            setting_out = -HELD_STANDING * stands
+            setting_out = (SETTING_OUT * now.called - HELD_STANDING) * stands
             often: Tensor | float = USUAL_GATE
             if a.style_prior:
                 off = (smooth_norm(past[:, :, -1] - want) / now.pref_speed - ASTRAY).clamp_min(0)

@@ -36,11 +36,12 @@ class FirstSeen(NamedTuple):
 
 
 class FirstSeenMemory:
-    """Adds ``first_history``, ``elapsed`` and ``progress`` to scene batches.
+    """Adds ``first_history``, ``elapsed``, ``progress`` and ``called`` to scene batches.
 
     * ``agents/first_history`` (B, A, 8, 2): the first 8 known positions, metres.
     * ``agents/elapsed`` (B, A, 1): seconds since then, or since the present goal was given.
     * ``agents/progress`` (B, A, 1): metres by which the path to the goal has become shorter since then.
+    * ``agents/called`` (B, A, 1) bool: whether another goal was given since the last decision.
 
     Batches that have them already stay as they are.
     """
@@ -79,4 +80,5 @@ class FirstSeenMemory:
         seen["first_history"] = first.history
         seen["elapsed"] = (time - first.time).unsqueeze(-1)
         seen["progress"] = (first.path - left).unsqueeze(-1)
+        seen["called"] = (known & ~on_way).unsqueeze(-1)
         return result

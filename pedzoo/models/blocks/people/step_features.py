@@ -29,6 +29,7 @@ class Situation(NamedTuple):
         pref_speed: The speeds that they like (B, A), m/s.
         remaining: What is left of the path (B, A), metres.
         late: By how much they are behind a walk at that speed (B, A), seconds.
+        called: 1 for people who have just got another goal, else 0 (B, A).
         stood: In which share of the steps that are seen first they stood (B, A).
         style: Their styles (B, A, 6), and ...
         crowd_style: ... the mean over the agents of the scene (B, 1, 6).
@@ -44,6 +45,7 @@ class Situation(NamedTuple):
     pref_speed: Tensor
     remaining: Tensor
     late: Tensor
+    called: Tensor
     stood: Tensor
     style: Tensor
     crowd_style: Tensor
@@ -55,7 +57,7 @@ class Situation(NamedTuple):
     def of(cls, batch: TensorDict, walls: bool = True) -> Self:
         """Return the situation of a scene batch, with walls or without.
 
-        ``first_history``, ``elapsed`` and ``progress`` are a policy's memory, see
+        ``first_history``, ``elapsed``, ``progress`` and ``called`` are a policy's memory, see
         `pedzoo.policies.learned.first_seen`. Without them people are seen for the first time.
         """
         agents = agents_of(batch)
@@ -73,6 +75,8 @@ class Situation(NamedTuple):
         late = torch.zeros_like(pref_speed)
         if "elapsed" in agents.keys():
             late = agents["elapsed"][..., 0] - agents["progress"][..., 0] / pref_speed
+        called = agents.get("called", None)
+        called = torch.zeros_like(late) if called is None else called[..., 0].to(late.dtype)
         style = style_of(first)
         stood = (first.diff(dim=2).square().sum(-1) < (0.1 * STEP_SECONDS) ** 2).to(style.dtype).mean(2)
         known = (there & agents["valid"].all(-1)).unsqueeze(-1)
@@ -80,7 +84,7 @@ class Situation(NamedTuple):
         around = _walls(batch, history[:, :, -1], ahead) if walls else late.unsqueeze(-1)
         late = torch.where(there, late, 0.0)
         remaining = torch.where(there & remaining.isfinite(), remaining, 0.0)
-        manner = pref_speed, remaining, late, stood, style, crowd
+        manner = pref_speed, remaining, late, called, stood, style, crowd
         company = companions_of(batch)
         return cls(history, there, ahead, *manner, agents["radius"][..., 0], around, company)
 
@@ -94,6 +98,7 @@ class Situation(NamedTuple):
             ahead=functional.normalize(target - position, dim=-1),
             remaining=(self.remaining - done).clamp_min(0),
             late=self.late + STEP_SECONDS - done / self.pref_speed,
+            called=torch.zeros_like(self.called),
         )
 
 
