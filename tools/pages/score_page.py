@@ -3,8 +3,9 @@
 pedzoo score social_walker.eth social_force:preset=indoor --against eth --json score_eth.json
 python -m tools.pages.score_page score_*.json
 
-Reports of one recording are joined: a row of a later one takes the place of an earlier one's. So a crowd is
-added to the page by ``python -m tools.pages.score_page checkpoints/results/SCORES.json score_eth.json``.
+Reports of one recording and protocol are joined: a row of a later one takes the place of an earlier one's.
+So a crowd is added to the page by
+``python -m tools.pages.score_page checkpoints/results/SCORES.json score_eth.json``.
 """
 
 import argparse
@@ -39,6 +40,10 @@ over blocks of time. `real halves`: two halves of the real people, as near as pe
 distinguish them) and minADE. More is better for likelihood. Ratios are best at 1, standing and touches as
 those of `real`. Companions near: of the steps that recorded companions share, those within 1.5 m."""
 
+WITH_STOPS = """`pedzoo score --stops`: people also have the places where the recorded ones stood for 2 s or
+more as goals, in turn, and wait there as long. That tells policies more of the future than exits alone do.
+Compare these rows with each other only."""
+
 
 def main() -> None:
     """Read the reports and write the page."""
@@ -53,8 +58,9 @@ def main() -> None:
         content = json.loads(file.read_text())
         # a page's own file has one report of each recording
         for report in [content] if "rows" in content else content.values():
-            against = report["protocol"]["against"]
-            reports[against] = joined(reports.get(against), report)
+            report["protocol"] = {"stops": False} | report["protocol"]  # reports of before there were any
+            name = report["protocol"]["against"] + ", with stops" * report["protocol"]["stops"]
+            reports[name] = joined(reports.get(name), report)
     given.out.write_text("\n".join(page(reports)) + "\n")
     given.out.with_suffix(".json").write_text(json.dumps(reports, indent=1) + "\n")
 
@@ -78,17 +84,34 @@ def joined(before: dict[str, Any] | None, report: dict[str, Any]) -> dict[str, A
 def page(reports: dict[str, dict[str, Any]]) -> Iterator[str]:
     """Yield the lines of the page."""
     yield from ("# How near simulated crowds are to real ones", "", INTRO, "")
+    for stops in (False, True):
+        mine = {name: report for name, report in reports.items() if report["protocol"]["stops"] == stops}
+        if mine and stops:
+            yield from ("## With stops", "", WITH_STOPS, "")
+        if mine:
+            yield from means(mine)
+            yield from each(mine)
+
+
+def means(reports: dict[str, dict[str, Any]]) -> Iterator[str]:
+    """Yield the table of the means of crowds that are scored against all recordings."""
     kinds: dict[str, list[dict[str, Any]]] = {}
     for report in reports.values():
         for row in report["rows"]:
             kinds.setdefault(kind(row["name"], report["protocol"]["against"]), []).append(row)
     complete = {name: rows for name, rows in kinds.items() if len(rows) == len(reports)}
-    yield from (f"## Mean of {', '.join(reports)}", "")
-    means = [
+    names = ", ".join(report["protocol"]["against"] for report in reports.values())
+    stops = any(report["protocol"]["stops"] for report in reports.values())
+    yield from (f"## Mean of {names}" + ", with stops" * stops, "")
+    rows = [
         [name, *(mean([row["metrics"].get(key) for row in rows]) for key in COLUMNS)]
         for name, rows in complete.items()
     ]
-    yield table(["crowd", *COLUMNS.values()], means)
+    yield table(["crowd", *COLUMNS.values()], rows)
+
+
+def each(reports: dict[str, dict[str, Any]]) -> Iterator[str]:
+    """Yield one table of every recording."""
     for against, report in reports.items():
         yield from (f"## {against}", "")
         by_commit: dict[str, list[str]] = {}
