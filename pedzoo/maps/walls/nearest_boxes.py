@@ -55,7 +55,7 @@ def nearest_boxes(walls: NDArray[np.bool_]) -> NearestBoxes:
     count = 0
     for sign, side in ((1, walls), (-1, ~walls)):
         box = merge_cells(side)
-        label = _nearest_box(box, side.shape)
+        label, gap = _nearest_box(box, side.shape)
         corners = (label[:-1, :-1], label[:-1, 1:], label[1:, :-1], label[1:, 1:])
         mine = np.repeat(np.repeat(~side, 2, axis=0), 2, axis=1)
         mixed = mine & np.any([corner != corners[0] for corner in corners[1:]], axis=0)
@@ -69,7 +69,7 @@ def nearest_boxes(walls: NDArray[np.bool_]) -> NearestBoxes:
             sets.append(_unbeaten(near, box, row, column) + count)
         parts.append(box if len(box) else np.full((1, 4), FAR))
         signs.append(np.full(len(parts[-1]), float(sign)))
-        least[mine] = _least(_gaps(label, parts[-1]), sign)[mine]
+        least[mine] = _least(gap, sign)[mine]
         count += len(parts[-1])
     row, column = (np.concatenate(axis) for axis in zip(*mixed_places, strict=True))
     choices[row, column] = count + np.arange(len(row))
@@ -82,26 +82,22 @@ def nearest_boxes(walls: NDArray[np.bool_]) -> NearestBoxes:
     )
 
 
-def _nearest_box(box: NDArray[np.int64], shape: tuple[int, ...]) -> NDArray[np.int64]:
-    """Return which box is nearest to each corner of the quarters of cells (2H + 1, 2W + 1)."""
+def _nearest_box(
+    box: NDArray[np.int64], shape: tuple[int, ...]
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """Return the box nearest to each corner of quarters (2H + 1, 2W + 1), and its distance in cells."""
     from scipy.ndimage import distance_transform_edt
 
+    size = [2 * side + 1 for side in shape]
     if not len(box):
-        return np.zeros([2 * size + 1 for size in shape], dtype=np.int64)
-    label = np.full([2 * size + 1 for size in shape], -1)
+        return np.zeros(size, dtype=np.int32), np.full(size, math.hypot(FAR, FAR), dtype=np.float32)
+    label = np.full(size, -1, dtype=np.int32)
     for number, (x0, y0, x1, y1) in enumerate(2 * box):
         label[y0 : y1 + 1, x0 : x1 + 1] = number  # closed boxes: the corners on their edges are theirs
     row, column = np.asarray(distance_transform_edt(label < 0, return_distances=False, return_indices=True))
-    return label[row, column]
-
-
-def _gaps(label: NDArray[np.int64], box: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return the distance from each corner of a quarter (2H + 1, 2W + 1) to its nearest box, in cells."""
-    row, column = (np.arange(size, dtype=np.float32) / 2 for size in label.shape)
-    x0, y0, x1, y1 = (values[label] for values in box.T.astype(np.float32))
-    x = np.maximum(x0 - column, column - x1)
-    y = np.maximum(y0 - row[:, None], row[:, None] - y1)
-    return np.hypot(np.maximum(x, 0), np.maximum(y, 0))
+    y = (row - np.arange(size[0], dtype=np.int32)[:, None]).astype(np.float32)
+    x = (column - np.arange(size[1], dtype=np.int32)).astype(np.float32)
+    return label[row, column], np.hypot(x, y, out=x) / 2  # a box's nearest point is a corner of a quarter
 
 
 def _least(gap: NDArray[np.float32], sign: int) -> NDArray[np.float32]:
@@ -115,7 +111,7 @@ def _least(gap: NDArray[np.float32], sign: int) -> NDArray[np.float32]:
 
 
 def _unbeaten(
-    near: NDArray[np.int64], box: NDArray[np.int64], row: NDArray[np.int64], column: NDArray[np.int64]
+    near: NDArray[np.int32], box: NDArray[np.int64], row: NDArray[np.int64], column: NDArray[np.int64]
 ) -> NDArray[np.int64]:
     """Return the boxes (N, CANDIDATES) among ``near`` (N, 16) that no other beats all over each place."""
     near = np.sort(near, axis=1)
