@@ -38,10 +38,6 @@ class Playback(Protocol):
         """Return the paths (B, A, S, M, 2) of agents that no policy moves."""
         ...
 
-    def pauses(self, state: State) -> Tensor:
-        """Return how long people wait where their goals are (B, A), seconds."""
-        ...
-
     def update_presence(self, before: State, after: State, points: int) -> tuple[State, Tensor]:
         """Let agents come, go and be taken over; return which were taken over, too (B, A) bool."""
         ...
