@@ -14,13 +14,16 @@ from pedzoo.core.geometry import rotate
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.models.architectures.social_walker import BRAKING, EVERY_STEP, HALT_PERIOD, JITTER, SocialWalker
 from pedzoo.models.blocks.people.evasion import evasion
-from pedzoo.models.blocks.people.narrow import narrowness, turned
+from pedzoo.models.blocks.people.narrow import narrowness
 from pedzoo.models.blocks.people.nearest import Neighbours, nearest
 from pedzoo.models.blocks.people.step_features import Situation
-from pedzoo.models.blocks.people.style import held_of, jitter_of, kinks_of, style_of
+from pedzoo.models.blocks.people.style import USUAL, held_of, jitter_of, kinks_of, style_of, unless_even
 from pedzoo.models.blocks.timed_noise import timed_noise
 from pedzoo.models.zoo.loading import load
 from tests.helpers.batches import changed, make_batch
+
+WIGGLE = 0.0013 * torch.tensor([[1.0, 0.0], [-1.0, 0.0]]).repeat(4, 1)[:7]
+"""Changes of steps as small as those of held velocities, and as large as in recordings."""
 
 AGENTS = torch.arange(400).expand(5, -1)
 KEYS = torch.arange(5).view(-1, 1)
@@ -186,6 +189,7 @@ def test_velocities_away_from_the_way_are_hardly_held() -> None:
     model = drawn(style_prior=True, halts=False)
     model.head.weight.zero_()
     steps = torch.tensor([[0.5, 0.0], [-0.5, 0.0], [0.0, 0.0]]).view(1, 3, 1, 2).expand(1, 3, 7, 2)
+    steps = steps + WIGGLE
     history = torch.nn.functional.pad(steps.cumsum(2), (0, 0, 1, 0)) + 30 * torch.arange(3.0).view(1, 3, 1, 1)
     along = torch.tensor([1.0, 0.0]).expand(1, 3, 2)
     places = {"history": history, "goal": history[:, :, -1] + 50 * along, "desired_velocity": along}
@@ -348,13 +352,48 @@ def test_people_who_evade_pass_each_other() -> None:
     assert apart[True] > 0.4 > apart[False] + 0.2
 
 
-def test_places_are_narrow_by_the_nearest_wall_and_turns_by_angle_and_speed() -> None:
+def test_places_are_narrow_by_the_nearest_wall() -> None:
     walls = torch.tensor([[[1.5, 0.3], [0.175, 1.0], [0.05, 0.4], [-0.2, 1.5]]])
     assert narrowness(walls)[0].tolist() == pytest.approx([0.0, 0.5, 1.0, 1.0], abs=1e-6)
-    velocity = torch.tensor([[[1.2, 0.0], [1.2, 0.0], [-1.2, 0.0], [0.6, 0.0], [0.0, 0.0]]])
-    want = torch.tensor([[[1.2, 0.0], [0.6, 0.6 * math.sqrt(3)], [1.2, 0.0], [0.0, 1.2], [1.2, 0.0]]])
-    off = turned(velocity, want, torch.full((1, 5), 1.2))
-    assert off[0].tolist() == pytest.approx([0.0, 0.5, 1.0, 0.25, 0.0], abs=1e-3)
+
+
+@torch.no_grad()
+def test_people_in_narrow_places_turn_to_their_way_at_once() -> None:
+    """They walk across it; where their velocity changes, most of it is along the way near walls."""
+    model = SocialWalker.of(hidden_dim=0, style_prior=True, avoids=True, halts=False).eval()
+    steps = torch.tensor([0.0, 0.5]).expand(1, 1, 7, 2)
+    history = torch.nn.functional.pad(steps.cumsum(2), (0, 0, 1, 0))
+    along = torch.tensor([[[1.0, 0.0]]])
+    speed = torch.full((1, 1, 1), 1.25)
+    places = {"history": history, "goal": history[:, :, -1] + 50 * along, "desired_velocity": along}
+    now = Situation.of(changed(make_batch((1,), padding=0.0), **places, pref_speed=speed), walls=False)
+    noise = torch.zeros(1, 1, model.noise_dim)
+    noise[..., -EVERY_STEP - JITTER] = 5.0  # it changes
+    along_way = {}
+    for wall in (0.0, 1.5):
+        velocity = model.velocity(now._replace(walls=torch.full((1, 1, 17), wall)), noise)
+        along_way[wall] = float(velocity[0, 0, 0]) / 1.25
+    assert along_way[0.0] > 0.8 and along_way[1.5] < 0.3
+
+
+def test_people_who_walk_more_evenly_than_recorded_ones_have_the_usual_style() -> None:
+    """What stands says nothing of that; styles of a scene with one shaky walk stay to the bit."""
+    torch.manual_seed(0)
+    line = 0.5 * torch.arange(8.0).view(8, 1) * torch.tensor([1.0, 0.0])
+    shaky = line + 0.02 * torch.randn(8, 2)
+    usual = torch.tensor(USUAL)
+    for other, same in ((line, False), (torch.zeros(8, 2), False), (shaky, True)):
+        history = torch.stack((line, other + torch.tensor([0.0, 5.0]))).unsqueeze(0)
+        now = Situation.of(changed(make_batch((2,), padding=0.0), history=history), walls=False)
+        expected = now.style if same else usual.expand_as(now.style)
+        assert torch.equal(unless_even(now.style, now.crowd_change), expected)
+        assert same or torch.equal(now.usual_style, expected)
+    stand = torch.zeros(1, 2, 8, 2) + torch.tensor([0.0, 5.0])
+    now = Situation.of(changed(make_batch((2,), padding=0.0), history=stand), walls=False)
+    assert torch.equal(unless_even(now.style, now.crowd_change), now.style)
+    assert float(held_of(usual)) == pytest.approx(0.1)
+    assert float(kinks_of(usual)) == pytest.approx(0.01, abs=1e-4)
+    assert float(jitter_of(usual)) == pytest.approx(5e-4, abs=1e-5)
 
 
 @torch.no_grad()
@@ -362,6 +401,7 @@ def test_people_who_were_stopped_near_a_wall_set_out_again() -> None:
     """They have walked straight until then, and would hold their last velocity: none."""
     model = SocialWalker.of(hidden_dim=0, style_prior=True, avoids=True, halts=False).eval()
     back = 0.5 * torch.arange(-7.0, 1.0).view(1, 1, 8, 1) * torch.tensor([1.0, 0.0])
+    back = back + torch.nn.functional.pad(WIGGLE.cumsum(0), (0, 0, 1, 0))
     batch = changed(make_batch((1,), padding=0.0), history=torch.zeros(1, 1, 8, 2))
     agents_of(batch)["first_history"] = back
     gone = {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 from tensordict import TensorDict
 from torch import Tensor
@@ -80,3 +81,14 @@ def test_people_who_are_not_known_for_eight_rows_wait_for_them() -> None:
     history = agents_of(scenes(1, left))["history"]
     assert torch.equal(later["first_history"][:, 0], history[:, 0])
     assert torch.equal(later["first_history"][:, 1], agents_of(FIRST)["history"][:, 1])
+
+
+def test_people_who_are_moved_from_now_on_are_called() -> None:
+    """They may have been seen before, as those who stand in a door for a while."""
+    memory, left = FirstSeenMemory(), torch.tensor([9.0, 6.0])
+    for step, expected in ((0, [False, False]), (1, [False, False]), (2, [True, False]), (3, [False, False])):
+        batch = scenes(step, left)
+        agents_of(batch)["controlled"] = torch.tensor([step >= 2, True]).expand(2, -1)
+        seen = agents_of(memory.added(batch))
+        assert seen["called"][0, :, 0].tolist() == expected
+    assert seen["elapsed"][0, :, 0].tolist() == pytest.approx([0.4, 1.2])

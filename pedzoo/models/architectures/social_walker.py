@@ -19,7 +19,7 @@ from pedzoo.core.geometry import rotate, smooth_norm, unrotate
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS, GoalProtocol
 from pedzoo.models.base import Forecaster, Walking, known_displacements, true_displacements
 from pedzoo.models.blocks.people.evasion import evasion
-from pedzoo.models.blocks.people.narrow import narrowness, turned
+from pedzoo.models.blocks.people.narrow import narrowness
 from pedzoo.models.blocks.people.nearest import FEATURES, nearest
 from pedzoo.models.blocks.people.step_features import RAYS, WALLS, Situation
 from pedzoo.models.blocks.people.style import STYLE_DIM, held_of, jitter_of, kink_of_change, kinks_of
@@ -199,15 +199,13 @@ class SocialWalker(Forecaster):
         if a.avoids:
             rate = rate + (1 - rate) * out[..., 18:19].sigmoid() * urgent
             narrow = narrowness(now.walls) if a.walls else torch.zeros_like(stands)
-            corner = narrow * turned(past[:, :, -1], want, now.pref_speed)
-            rate = rate + (1 - rate) * 0.8 * corner.unsqueeze(-1)
+            rate = rate + (1 - rate) * 0.8 * narrow.unsqueeze(-1)
         push = 0.8 * (out[..., 8:10] / 2).tanh() * (1 - 0.7 * close)
         closer = 0.3 * out[..., 10:11].tanh() * with_me[0]
         change = base - past[:, :, -1] + rate * (want - base) + push + closer
 
         step = z[..., -EVERY_STEP - JITTER : -JITTER]
-        # seven steps say little of one person: the crowd counts twice
-        usual = torch.lerp(style, crowd, 2 / 3) if a.style_prior else style
+        usual = now.usual_style * float(a.style) if a.style_prior else style
         kink, calm = (kink_of_change(usual), CALM) if a.style_prior else (kinks_of(style), 0.0)
         kinks, jitter = (size.unsqueeze(-1) / STEP_SECONDS for size in (kink, jitter_of(usual)))
         moves = change

@@ -25,6 +25,7 @@ class FirstSeen(NamedTuple):
         time: When its way to the present goal began (S, A), seconds.
         path: Length of that way then (S, A), metres.
         left: Length of the rest at the last decision (S, A), metres.
+        controlled: Whether the policy moved it then (S, A) bool.
     """
 
     key: Tensor
@@ -33,6 +34,7 @@ class FirstSeen(NamedTuple):
     time: Tensor
     path: Tensor
     left: Tensor
+    controlled: Tensor
 
 
 class FirstSeenMemory:
@@ -41,7 +43,8 @@ class FirstSeenMemory:
     * ``agents/first_history`` (B, A, 8, 2): the first 8 known positions, metres.
     * ``agents/elapsed`` (B, A, 1): seconds since then, or since the present goal was given.
     * ``agents/progress`` (B, A, 1): metres by which the path to the goal has become shorter since then.
-    * ``agents/called`` (B, A, 1) bool: whether another goal was given since the last decision.
+    * ``agents/called`` (B, A, 1) bool: whether another goal was given since the last decision, or the
+      policy moves an agent now that it did not move then.
 
     Batches that have them already stay as they are.
     """
@@ -61,11 +64,13 @@ class FirstSeenMemory:
         key = randomness.join(cast("Tensor", scenes["scene_key"]), scenes["map_id"])[:, 0]
         time = cast("Tensor", scenes["time"]).expand(person.shape)
         history, path = cast("Tensor", agents["history"]).detach(), left.detach()
-        now = FirstSeen(key, person, history, time, path, path)
+        controlled = cast("Tensor", agents["controlled"])
+        now = FirstSeen(key, person, history, time, path, path, controlled)
         before = self._memory.recall(now._replace(person=torch.full_like(person, -1)), person)
         # a scene that is walked a second time has the same key
         known = (before.person == person) & complete & (before.time <= time + 1e-3)
-        on_way = known & (path < before.left + _OTHER_GOAL)
+        sets_out = controlled & ~before.controlled
+        on_way = known & (path < before.left + _OTHER_GOAL) & ~sets_out
         first = FirstSeen(
             key,
             person,
@@ -73,6 +78,7 @@ class FirstSeenMemory:
             torch.where(on_way, before.time, time),
             torch.where(on_way, before.path, path),
             path,
+            controlled,
         )
         self._memory.keep(first)
         result = copied(scenes)

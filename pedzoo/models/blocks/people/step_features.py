@@ -10,7 +10,7 @@ from torch.nn import functional
 from pedzoo.core.batch import agents_of, companions_of, goals_of, maps_of
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.models.blocks.floor_plan.map_encoder import distances_at, rings
-from pedzoo.models.blocks.people.style import style_of
+from pedzoo.models.blocks.people.style import kinks_of, style_of, unless_even
 
 WALLS, RAYS = (0.4, 0.9), 8
 """Radii of the rings on which walls are asked for, metres, and points of each."""
@@ -29,10 +29,12 @@ class Situation(NamedTuple):
         pref_speed: The speeds that they like (B, A), m/s.
         remaining: What is left of the path (B, A), metres.
         late: By how much they are behind a walk at that speed (B, A), seconds.
-        called: 1 for people who have just got another goal, else 0 (B, A).
+        called: 1 for people who have just got another goal, or are moved from now on, else 0 (B, A).
         stood: In which share of the steps that are seen first they stood (B, A).
         style: Their styles (B, A, 6), and ...
         crowd_style: ... the mean over the agents of the scene (B, 1, 6).
+        crowd_change: Mean second difference of those who walk in the steps seen first (B, 1, 1), metres;
+            infinite where none does.
         radius: Radii of their bodies (B, A), metres.
         walls: Distances to walls around them (B, A, 17), metres, in the frame of ``ahead``; anything where
             the network sees none.
@@ -49,6 +51,7 @@ class Situation(NamedTuple):
     stood: Tensor
     style: Tensor
     crowd_style: Tensor
+    crowd_change: Tensor
     radius: Tensor
     walls: Tensor
     companions: Tensor
@@ -81,12 +84,23 @@ class Situation(NamedTuple):
         stood = (first.diff(dim=2).square().sum(-1) < (0.1 * STEP_SECONDS) ** 2).to(style.dtype).mean(2)
         known = (there & agents["valid"].all(-1)).unsqueeze(-1)
         crowd = torch.where(known, style, 0.0).sum(1, keepdim=True) / known.sum(1, keepdim=True).clamp_min(1)
+        walks = known & (stood < 0.5).unsqueeze(-1)
+        change = torch.where(walks, kinks_of(style).unsqueeze(-1), 0.0).sum(1, keepdim=True)
+        change = torch.where(walks.any(1, keepdim=True), change / walks.sum(1, keepdim=True), torch.inf)
         around = _walls(batch, history[:, :, -1], ahead) if walls else late.unsqueeze(-1)
         late = torch.where(there, late, 0.0)
         remaining = torch.where(there & remaining.isfinite(), remaining, 0.0)
-        manner = pref_speed, remaining, late, called, stood, style, crowd
+        manner = pref_speed, remaining, late, called, stood, style, crowd, change
         company = companions_of(batch)
         return cls(history, there, ahead, *manner, agents["radius"][..., 0], around, company)
+
+    @property
+    def usual_style(self) -> Tensor:
+        """Styles (B, A, 6) as far as the first steps show them.
+
+        Seven steps say little of one person: the crowd counts twice.
+        """
+        return unless_even(torch.lerp(self.style, self.crowd_style, 2 / 3), self.crowd_change)
 
     def after(self, step: Tensor) -> Self:
         """Return the situation after a step (B, A, 2), metres; walls stay as they were seen."""
