@@ -92,3 +92,14 @@ def test_people_who_are_moved_from_now_on_are_called() -> None:
         seen = agents_of(memory.added(batch))
         assert seen["called"][0, :, 0].tolist() == expected
     assert seen["elapsed"][0, :, 0].tolist() == pytest.approx([0.4, 1.2])
+
+
+def test_people_who_held_a_place_and_move_on_are_called() -> None:
+    """The next place of a queue may be so near that the way to it is hardly longer."""
+    memory, left = FirstSeenMemory(), torch.tensor([0.2, 6.0])
+    for step, holds in ((0, False), (1, True), (2, False), (3, False)):
+        batch = scenes(step, left)
+        agents = agents_of(batch)
+        agents["desired_velocity"] = agents["pref_speed"] * torch.tensor([1.0, 0.0])
+        agents["desired_velocity"][:, 0] *= 0.3 if holds else 1.0
+        assert agents_of(memory.added(batch))["called"][0, :, 0].tolist() == [step == 2, False]

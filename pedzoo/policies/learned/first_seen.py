@@ -9,6 +9,7 @@ from torch import Tensor
 from pedzoo.core import randomness
 from pedzoo.core.adapters import copied
 from pedzoo.core.batch import agents_of, ids_of
+from pedzoo.policies.learned.holding import goes_on
 from pedzoo.policies.scene_memory import SceneMemory
 
 _OTHER_GOAL = 1.0
@@ -25,7 +26,7 @@ class FirstSeen(NamedTuple):
         time: When its way to the present goal began (S, A), seconds.
         path: Length of that way then (S, A), metres.
         left: Length of the rest at the last decision (S, A), metres.
-        controlled: Whether the policy moved it then (S, A) bool.
+        goes_on: Whether the policy moved it on then (S, A) bool; not where it held a place.
     """
 
     key: Tensor
@@ -34,7 +35,7 @@ class FirstSeen(NamedTuple):
     time: Tensor
     path: Tensor
     left: Tensor
-    controlled: Tensor
+    goes_on: Tensor
 
 
 class FirstSeenMemory:
@@ -44,7 +45,7 @@ class FirstSeenMemory:
     * ``agents/elapsed`` (B, A, 1): seconds since then, or since the present goal was given.
     * ``agents/progress`` (B, A, 1): metres by which the path to the goal has become shorter since then.
     * ``agents/called`` (B, A, 1) bool: whether another goal was given since the last decision, or the
-      policy moves an agent now that it did not move then.
+      policy moves an agent on now that it did not move on then.
 
     Batches that have them already stay as they are.
     """
@@ -64,12 +65,12 @@ class FirstSeenMemory:
         key = randomness.join(cast("Tensor", scenes["scene_key"]), scenes["map_id"])[:, 0]
         time = cast("Tensor", scenes["time"]).expand(person.shape)
         history, path = cast("Tensor", agents["history"]).detach(), left.detach()
-        controlled = cast("Tensor", agents["controlled"])
-        now = FirstSeen(key, person, history, time, path, path, controlled)
+        moves = goes_on(scenes)
+        now = FirstSeen(key, person, history, time, path, path, moves)
         before = self._memory.recall(now._replace(person=torch.full_like(person, -1)), person)
         # a scene that is walked a second time has the same key
         known = (before.person == person) & complete & (before.time <= time + 1e-3)
-        sets_out = controlled & ~before.controlled
+        sets_out = moves & ~before.goes_on
         on_way = known & (path < before.left + _OTHER_GOAL) & ~sets_out
         first = FirstSeen(
             key,
@@ -78,7 +79,7 @@ class FirstSeenMemory:
             torch.where(on_way, before.time, time),
             torch.where(on_way, before.path, path),
             path,
-            controlled,
+            moves,
         )
         self._memory.keep(first)
         result = copied(scenes)

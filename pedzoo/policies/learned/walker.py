@@ -18,13 +18,11 @@ from pedzoo.models.base import Forecaster, Noise
 from pedzoo.models.blocks.timed_noise import timed_noise
 from pedzoo.policies.base import NamedPolicy
 from pedzoo.policies.learned.first_seen import FirstSeenMemory
+from pedzoo.policies.learned.holding import holding_places
 from pedzoo.policies.learned.same_spot import led_apart
 from pedzoo.policies.safety_layer.layer import safe
 
 _DETERMINISTIC = (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN)
-
-_WALKS = 0.99
-"""Of the speed that people like: whose desired velocity is less holds a place; the rest is rounding."""
 
 
 class StoredPrediction(NamedTuple):
@@ -197,24 +195,6 @@ def check_interval(scenes: TensorDictBase, decision_dt: float, what: str) -> Non
             f"{what} decides every {decision_dt:g} s, not every {trace.shape[2] * TRACE_SECONDS:g} s: "
             f"make_env(..., decision_dt={decision_dt:g})"
         )
-
-
-def holding_places(batch: TensorDictBase, step: Tensor) -> Tensor:
-    """Return the steps (B, A, 2), metres, in which people who hold a place go to it instead.
-
-    People hold a place whose desired velocity is less than the speed that they like: it ends there in one
-    step. No model has learned to stand for as long as it is told to.
-
-    Args:
-        batch: The scenes.
-        step: What the model says (B, A, 2), metres.
-    """
-    agents = agents_of(batch)
-    if "desired_velocity" not in agents.keys():
-        return step
-    desired, liked = (cast("Tensor", agents[key]) for key in ("desired_velocity", "pref_speed"))
-    share = desired.norm(dim=-1, keepdim=True) / liked
-    return torch.where(share < _WALKS, torch.lerp(desired * STEP_SECONDS, step, share.clamp_max(1)), step)
 
 
 def extend_goals(batch: TensorDictBase) -> TensorDictBase:
