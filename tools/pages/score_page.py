@@ -6,10 +6,14 @@ python -m tools.pages.score_page score_*.json
 Reports of one recording and protocol are joined: a row of a later one takes the place of an earlier one's.
 So a crowd is added to the page by
 ``python -m tools.pages.score_page checkpoints/results/SCORES.json score_eth.json``.
+Rows of checkpoints, which are called by their paths, get a name by ``--named``:
+``python -m tools.pages.score_page checkpoints/results/SCORES.json score_*.json --named
+social_walker.styled_SCENE-seed1``.
 """
 
 import argparse
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -51,6 +55,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("files", type=Path, nargs="+", help="Reports of pedzoo score --json.")
+    parser.add_argument("--named", help="What checkpoints are called; SCENE stands for the recording.")
     parser.add_argument("--out", type=Path, default=RESULTS / "SCORES.md")
     given = parser.parse_args()
     reports: dict[str, dict[str, Any]] = {}
@@ -58,11 +63,20 @@ def main() -> None:
         content = json.loads(file.read_text())
         # a page's own file has one report of each recording
         for report in [content] if "rows" in content else content.values():
+            if given.named:
+                rename(report, given.named)
             report["protocol"] = {"stops": False} | report["protocol"]  # reports of before there were any
             name = report["protocol"]["against"] + ", with stops" * report["protocol"]["stops"]
             reports[name] = joined(reports.get(name), report)
     given.out.write_text("\n".join(page(reports)) + "\n")
     given.out.with_suffix(".json").write_text(json.dumps(reports, indent=1) + "\n")
+
+
+def rename(report: dict[str, Any], name: str) -> None:
+    """Give the rows of checkpoints a name, in which SCENE stands for the recording."""
+    for row in report["rows"]:
+        if row["name"].endswith(".ckpt"):
+            row["name"] = name.replace("SCENE", report["protocol"]["against"])
 
 
 def joined(before: dict[str, Any] | None, report: dict[str, Any]) -> dict[str, Any]:
@@ -103,11 +117,27 @@ def means(reports: dict[str, dict[str, Any]]) -> Iterator[str]:
     names = ", ".join(report["protocol"]["against"] for report in reports.values())
     stops = any(report["protocol"]["stops"] for report in reports.values())
     yield from (f"## Mean of {names}" + ", with stops" * stops, "")
-    rows = [
-        [name, *(mean([row["metrics"].get(key) for row in rows]) for key in COLUMNS)]
-        for name, rows in complete.items()
-    ]
+    rows = [[name, *(number(mean_of(rows, key)) for key in COLUMNS)] for name, rows in complete.items()]
     yield table(["crowd", *COLUMNS.values()], rows)
+    yield from over_seeds(complete)
+
+
+def over_seeds(kinds: dict[str, list[dict[str, Any]]]) -> Iterator[str]:
+    """Yield a table of how much the means of crowds differ between seeds, if there are several of any."""
+    seeds: dict[str, list[list[dict[str, Any]]]] = {}
+    for name, rows in kinds.items():
+        seeds.setdefault(re.sub(r"-seed\d+$", "", name), []).append(rows)
+    several = {name: each for name, each in seeds.items() if len(each) > 1}
+    if several:
+        rows = [
+            [
+                f"{name}, {len(each)} seeds",
+                *(spread([mean_of(rows, key) for rows in each]) for key in COLUMNS),
+            ]
+            for name, each in several.items()
+        ]
+        yield from ("", "Over seeds: the mean of their means, and the least and the greatest one.", "")
+        yield table(["crowd", *COLUMNS.values()], rows)
 
 
 def each(reports: dict[str, dict[str, Any]]) -> Iterator[str]:
@@ -126,13 +156,26 @@ def each(reports: dict[str, dict[str, Any]]) -> Iterator[str]:
 
 def kind(name: str, against: str) -> str:
     """Return what a row of one recording is called for all of them."""
-    return name.removesuffix(against) + "SCENE" if name.endswith(against) and name != against else name
+    return re.sub(rf"(?<=.){re.escape(against)}(?=(-seed\d+)?$)", "SCENE", name)
 
 
-def mean(values: list[float | None]) -> str:
-    """Return the mean, or - where a value lacks."""
+def mean_of(rows: list[dict[str, Any]], key: str) -> float | None:
+    """Return the mean of a metric over rows, None where a value lacks."""
+    values = [row["metrics"].get(key) for row in rows]
+    return None if None in values else sum(values) / len(values)
+
+
+def number(value: float | None) -> str:
+    """Return a number as it stands in a table."""
+    return "-" if value is None else f"{value:.3f}"
+
+
+def spread(values: list[float | None]) -> str:
+    """Return the mean of values, and the least and the greatest one."""
     known = [value for value in values if value is not None]
-    return f"{sum(known) / len(known):.3f}" if len(known) == len(values) else "-"
+    if len(known) < len(values):
+        return "-"
+    return f"{sum(known) / len(known):.3f} ({min(known):.3f} to {max(known):.3f})"
 
 
 def cell(row: dict[str, Any], key: str) -> str:
