@@ -136,7 +136,7 @@ def over_seeds(kinds: dict[str, list[dict[str, Any]]]) -> Iterator[str]:
             ]
             for name, each in several.items()
         ]
-        yield from ("", "Over seeds: the mean of their means, and the least and the greatest one.", "")
+        yield from ("Over seeds: the mean of their means, and the least and the greatest one.", "")
         yield table(["crowd", *COLUMNS.values()], rows)
 
 
