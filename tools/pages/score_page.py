@@ -127,17 +127,14 @@ def over_seeds(kinds: dict[str, list[dict[str, Any]]]) -> Iterator[str]:
     seeds: dict[str, list[list[dict[str, Any]]]] = {}
     for name, rows in kinds.items():
         seeds.setdefault(re.sub(r"-seed\d+$", "", name), []).append(rows)
-    several = {name: each for name, each in seeds.items() if len(each) > 1}
-    if several:
-        rows = [
-            [
-                f"{name}, {len(each)} seeds",
-                *(spread([mean_of(rows, key) for rows in each]) for key in COLUMNS),
-            ]
-            for name, each in several.items()
-        ]
+    lines = [
+        [f"{name}, {len(runs)} seeds", *(spread([mean_of(rows, key) for rows in runs]) for key in COLUMNS)]
+        for name, runs in seeds.items()
+        if len(runs) > 1
+    ]
+    if lines:
         yield from ("Over seeds: the mean of their means, and the least and the greatest one.", "")
-        yield table(["crowd", *COLUMNS.values()], rows)
+        yield table(["crowd", *COLUMNS.values()], lines)
 
 
 def each(reports: dict[str, dict[str, Any]]) -> Iterator[str]:
