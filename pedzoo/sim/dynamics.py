@@ -14,6 +14,7 @@ from torch import Tensor
 from pedzoo.core.bodies import HOLONOMIC, speed_and_turn
 from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
 from pedzoo.maps.walls.local_walls import LocalWalls
+from pedzoo.maps.walls.strides import Keeping, walls_ahead
 from pedzoo.sim.state import State
 
 SKIN = 0.01
@@ -27,8 +28,6 @@ CREEP = 0.02
 
 STRIDE = 2
 """Sub-steps of a stride: walls are looked up where a stride ends, contacts are checked after each half."""
-
-_NO_WALL = 1e6
 
 
 def substeps(fastest: float, body_radius: float = BODY_RADIUS) -> int:
@@ -107,38 +106,24 @@ def integrate(
     reach = radius - SKIN
     wanted = velocity * seconds
     length = (wanted.square().sum(0) + 1e-12).sqrt()
-    slowest, fastest = CREEP / length, torch.ones_like(reach)
-    here, near = position, radius + reach  # no stride is longer than the reach
-    # what the nearest wall leaves free, and what the wall does that the last stride ran into
-    wall = walls.half_planes(here, near)
-    allowed = wall[0].minimum(reach)
-    wall[1].add_(allowed)
-    no_wall = wall.new_zeros(4, 1, 1)
-    no_wall[1] = -_NO_WALL
-    blocked, places, gaps = no_wall, [here], []
-    for tick_wanted, tick_length, least in zip(wanted.unbind(1), length, slowest, strict=True):
+    keeping = Keeping(reach, radius + reach, ROUNDING, CREEP)  # no stride is longer than the reach
+    here, places = position, [position]
+    ahead = walls_ahead(walls, here, keeping, wanted.shape[1] * strides)
+    for tick_wanted, tick_length in zip(wanted.unbind(1), length.unbind(), strict=True):
         for _ in range(strides):
-            # near a wall strides are short: a straight line between two places must not cut a corner
-            share = (allowed / tick_length).clamp(least, fastest)
-            target = _kept_off(_kept_off(torch.addcmul(here, tick_wanted, share), wall), blocked)
-            new_wall = walls.half_planes(target, near)
-            new_gap = new_wall[0]
-            stuck = new_gap < allowed - ROUNDING
-            allowed = new_gap.clamp(allowed, reach)
-            new_wall[1].add_(allowed)
-            blocked, wall = torch.where(stuck, new_wall, no_wall), torch.where(stuck, wall, new_wall)
-            here = torch.where(stuck, here, target)
+            limits = ahead.limits
+            share = (limits.length / tick_length).clamp_max(1)
+            free = _kept_off(torch.addcmul(here, tick_wanted, share), limits.bound, limits.normal)
+            target = _kept_off(free, limits.blocked_bound, limits.blocked_normal)
+            here = torch.where(ahead.stuck_at(target), here, target)
             places.append(here)
-            gaps.append(wall[0])
     ends = torch.stack(places, dim=1)
     middle = 0.5 * (ends[:, :-1] + ends[:, 1:])
     path = torch.stack((middle, ends[:, 1:]), dim=2).flatten(1, 2)
     between = walls.half_planes(middle, radius)[0]
-    return path, torch.stack((between, torch.stack(gaps)), dim=1).flatten(0, 1)
+    return path, torch.stack((between, ahead.gaps()), dim=1).flatten(0, 1)
 
 
-def _kept_off(place: Tensor, wall: Tensor) -> Tensor:
-    """Return places (2, B, A) moved straight out of walls (4, B, A), which `LocalWalls.half_planes` gives."""
-    normal = wall[2:]
-    along = place * normal
-    return torch.addcmul(place, (wall[1] - (along[0] + along[1])).relu(), normal)
+def _kept_off(place: Tensor, bound: Tensor, normal: Tensor) -> Tensor:
+    """Return places (2, B, A) moved straight out of walls: see `StrideLimits`."""
+    return torch.addcmul(place, (bound - (place * normal).sum(0)).relu(), normal)

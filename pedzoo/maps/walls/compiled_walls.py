@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from pedzoo.maps.walls.compiled import compiled, jit, quarter, wall_gap
-from pedzoo.maps.walls.constants import BUCKET, HALF, INTO, ROUNDED, WALL
+from pedzoo.maps.walls.constants import BUCKET, HALF, INTO, NO_WALL, ROUNDED, WALL
 
 
 @jit
@@ -130,6 +130,44 @@ def look(points, within, frames, places, choice, option, least, limit, result):
                     gap, away_x, away_y = wall_gap(x, y, frame, place, choice, option, limit)
                 result[0, k, b, a], result[1, k, b, a] = gap, x * away_x + y * away_y - gap
                 result[2, k, b, a], result[3, k, b, a] = away_x, away_y
+
+
+@compiled(
+    "void(i8, f4[:,:,:], f4[:,:], f4[:,:], f4[:,:], f4, f4,"
+    " f4[:,:,:], i4[:,:,:], i4[:], f4[:,:], f4[:], f8, f4[:,:,:,::1], b1[:,:,::1])"
+)
+def ahead(
+    stride, points, within, reach, allowed, rounding, creep,
+    frames, places, choice, option, least, limit, columns, stuck,
+):  # fmt: skip
+    """Write the limits of a stride (8, N, B, A) that begins at points (2, B, A): see `WallsAhead.stuck_at`.
+
+    Operations are those of torch, in their order and precision. Stride 0 is the first.
+    """
+    frame, place = np.empty(7), np.empty(3, np.int64)
+    length, gap, bound, blocked, normal_x, normal_y, blocked_x, blocked_y = columns
+    n, before = stride, max(stride - 1, 0)
+    for b in range(points.shape[1]):
+        frame[:], place[:] = frames[:, b, 0], places[:, b, 0]
+        for a in range(points.shape[2]):
+            x, y = points[0, b, a], points[1, b, a]
+            _, _, index = quarter(x, y, frame, place)
+            new_gap, away_x, away_y = float(least[index]), 0.0, 0.0
+            if not new_gap > within[b, a]:
+                new_gap, away_x, away_y = wall_gap(x, y, frame, place, choice, option, limit)
+            line, free = np.float32(x * away_x + y * away_y - new_gap), np.float32(new_gap)
+            hits = n > 0 and free < allowed[b, a] - rounding
+            allowed[b, a] = min(max(free, allowed[b, a]), reach[b, a]) if n > 0 else min(free, reach[b, a])
+            length[n, b, a], stuck[n, b, a] = max(allowed[b, a], creep), hits
+            line += allowed[b, a]
+            blocked[n, b, a], blocked_x[n, b, a], blocked_y[n, b, a] = -NO_WALL, 0.0, 0.0
+            if hits:
+                blocked[n, b, a], blocked_x[n, b, a], blocked_y[n, b, a] = line, away_x, away_y
+                gap[n, b, a], bound[n, b, a] = gap[before, b, a], bound[before, b, a]
+                normal_x[n, b, a], normal_y[n, b, a] = normal_x[before, b, a], normal_y[before, b, a]
+            else:
+                gap[n, b, a], bound[n, b, a] = free, line
+                normal_x[n, b, a], normal_y[n, b, a] = away_x, away_y
 
 
 @compiled("void(f8[:,:,:], f8[:,:,:], f4[:], i4[:,:], f8[:], f8, f8[:,:])")

@@ -8,6 +8,9 @@ INTO = 1e-5
 WALL = -0.2
 """Half cells: lower bounds of distances are below it in walls only."""
 
+NO_WALL = 1e6
+"""Metres: agents without a wall in their way may go so far."""
+
 BUCKET = 0.5
 """Metres: the side of a bucket."""
 

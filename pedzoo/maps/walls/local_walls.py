@@ -153,7 +153,7 @@ class LocalWalls:
             from pedzoo.maps.walls.compiled_walls import look
 
             result = points.new_empty(4, *points.shape[1:])
-            look(points.numpy(), within.numpy(), *self._arrays, result.numpy())
+            look(points.numpy(), within.numpy(), *self.arrays, result.numpy())
         else:
             gap, away = self.look(points, edges=False)
             result = torch.cat((torch.stack((gap, (points * away).sum(0) - gap)), away))
@@ -208,8 +208,8 @@ class LocalWalls:
         return self.frame[:6].float().view(3, 2, 1, *self.frame.shape[1:]).unbind()
 
     @cached_property
-    def _arrays(self) -> tuple[Any, ...]:
-        """What the compiled look-up reads: frames of scenes (7, B, 1), places (3, B, 1), and tables."""
+    def arrays(self) -> tuple[Any, ...]:
+        """What compiled look-ups read: frames of scenes (7, B, 1), places (3, B, 1), and tables."""
         return self.frame.numpy(), self.place.numpy(), *self.walls.arrays
 
     @cached_property

@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from pedzoo.maps.walls.compiled import compiled, quarter, wall_gap
-
-_NO_WALL = 1e6
+from pedzoo.maps.walls.constants import NO_WALL
 
 
 @compiled(
@@ -47,11 +46,11 @@ def advance(
             frame[:], place[:] = frames[b], places[b]
         for a in range(agents):
             x, y, body = float(position[b, a, 0]), float(position[b, a, 1]), radius[b, a]
-            blocked_gap, blocked_x, blocked_y, blocked_away_x, blocked_away_y = _NO_WALL, x, y, 0.0, 0.0
+            blocked_gap, blocked_x, blocked_y, blocked_away_x, blocked_away_y = NO_WALL, x, y, 0.0, 0.0
             gap, away_x, away_y = np.nan, 0.0, 0.0  # looked up where a wall can matter
             allowed = body - skin
             # no wall is nearer than this, from any point of this quarter of a cell
-            room = _NO_WALL
+            room = NO_WALL
             if has_walls and moved[b, a]:
                 _, _, index = quarter(x, y, frame, place)
                 room = least[index] - 3 * frame[6]
@@ -93,7 +92,7 @@ def advance(
                             x, y = old_x + full_x, old_y + full_y
                             if has_slopes:
                                 n00, n11 = n00 + seconds, n11 + seconds
-                            gap, blocked_gap, allowed = np.nan, _NO_WALL, body - skin
+                            gap, blocked_gap, allowed = np.nan, NO_WALL, body - skin
                         else:
                             if math.isnan(gap):
                                 gap, away_x, away_y = wall_gap(
@@ -108,7 +107,7 @@ def advance(
                             if lacking > 0:
                                 p00, p01, p11 = 1 - away_x**2, -away_x * away_y, 1 - away_y**2
                             p10 = p01
-                            if blocked_gap < _NO_WALL:
+                            if blocked_gap < NO_WALL:
                                 bx, by = blocked_away_x, blocked_away_y
                                 ahead = blocked_gap + (to_x - blocked_x) * bx + (to_y - blocked_y) * by
                                 lacking = max(allowed - ahead, 0.0)
@@ -126,7 +125,7 @@ def advance(
                                 blocked_gap, blocked_x, blocked_y = new_gap, to_x, to_y
                                 blocked_away_x, blocked_away_y = new_x, new_y
                             else:
-                                blocked_gap, x, y = _NO_WALL, to_x, to_y
+                                blocked_gap, x, y = NO_WALL, to_x, to_y
                                 gap, away_x, away_y = new_gap, new_x, new_y
                                 allowed = max(min(new_gap, body - skin), allowed)
                                 if has_slopes:
