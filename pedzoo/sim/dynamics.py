@@ -113,9 +113,10 @@ def integrate(
         for _ in range(strides):
             limits = ahead.limits
             share = (limits.length / tick_length).clamp_max(1)
-            free = _kept_off(torch.addcmul(here, tick_wanted, share), limits.bound, limits.normal)
-            target = _kept_off(free, limits.blocked_bound, limits.blocked_normal)
-            here = torch.where(ahead.stuck_at(target), here, target)
+            target = _kept_off(torch.addcmul(here, tick_wanted, share), limits.bound, limits.normal)
+            if limits.blocked_bound is not None:
+                target = _kept_off(target, limits.blocked_bound, limits.blocked_normal)
+            here = torch.lerp(here, target, ahead.arrive(target))  # all of it is exactly the target
             places.append(here)
     ends = torch.stack(places, dim=1)
     middle = 0.5 * (ends[:, :-1] + ends[:, 1:])

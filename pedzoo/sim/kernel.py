@@ -138,18 +138,19 @@ def step(state: State, commands: Tensor, physics: Physics, rules: Rules) -> tupl
     """
     if physics.compiled and step_compiles(state, commands, rules):
         return step_compiled(state, commands, physics.bank, rules)
-    finite = commands.isfinite().all(-1) | ~state.controlled
+    finite = (commands.abs().amax(-1) < torch.inf) | ~state.controlled
     failed = state.failed | ~finite.all(1)
     running = ~failed.unsqueeze(1)
     moving = state.controlled & running
     walking = moving & (state.goal_id >= 0)
-    command = torch.where(walking.unsqueeze(-1), commands, 0.0).clamp(-1e6, 1e6).movedim(-1, 0)
+    command = torch.where(walking, commands.movedim(-1, 0), 0.0).clamp(-1e6, 1e6).contiguous()
+    now = state.velocity.movedim(-1, 0).contiguous()
     if rules.wheels:
-        holonomic = blended(state.velocity.movedim(-1, 0), limited(command, state.top_speed), rules.ticks)
+        holonomic = blended(now, limited(command, state.top_speed), rules.ticks)
         velocity, heading, turn_rate = driven(state, command, limited(holonomic, state.top_speed))
     else:
         command = limited(command, state.top_speed)
-        velocity = limited(blended(state.velocity.movedim(-1, 0), command, rules.ticks), state.top_speed)
+        velocity = limited(blended(now, command, rules.ticks), state.top_speed)
         heading, turn_rate = state.heading, state.turn_rate
     script = rules.script
     played = None if script is None else script.playback(state, failed, rules.ticks, rules.substeps)
@@ -172,7 +173,7 @@ def step(state: State, commands: Tensor, physics: Physics, rules: Rules) -> tupl
 
     guidance = rules.guidance(after)
     # an agent that has squeezed into a corner that no planned way leads out of is as far as before
-    remaining_path = torch.where(guidance.distance.isfinite(), guidance.distance, after.remaining_path)
+    remaining_path = torch.where(guidance.distance < torch.inf, guidance.distance, after.remaining_path)
     progress = state.remaining_path - torch.where(hit | taken_over, 0.0, remaining_path)
     reached = state.reached.unsqueeze(-1) + hits
     done = reached[..., -1] >= rules.goals
@@ -227,7 +228,7 @@ def _arrived(
     takes = hit if waited is None else hit | waited.moves_on
     renew = takes & (later >= 0) if rules.keep_goal else takes
     reached = state.reached + hit
-    overdue = state.overdue | (_misses_deadline(state, clock, hits, rules.goals) & state.controlled)
+    overdue = state.overdue | (_misses_deadline(state, hits, rules.goals) & state.controlled)
     waits = state.mask & ~state.controlled & (state.stands > 0)
     sets_out = waits & (clock.unsqueeze(1) + CLOCK_ROUNDING >= state.stands)
     mask, controlled = state.mask, state.controlled | sets_out
@@ -259,9 +260,10 @@ def _arrived(
     return present, taken_over | (sets_out & (present.person == state.person))
 
 
-def _misses_deadline(state: State, clock: Tensor, hits: Tensor, goals: int) -> Tensor:
+def _misses_deadline(state: State, hits: Tensor, goals: int) -> Tensor:
     """Return which agents are late for their goal (B, A) bool; a goal reached in time on the trace counts."""
-    until = state.deadline + CLOCK_ROUNDING
-    when = TRACE_SECONDS * torch.arange(1, hits.shape[2] + 1, device=clock.device)
-    in_time = (hits & (state.clock[:, None, None] + when <= until.unsqueeze(-1))).any(-1)
-    return (clock.unsqueeze(1) > until) & ~in_time & (state.reached < goals)
+    # a goal that was not reached counts as reached at the end, which is late, too
+    before = hits.shape[2] - hits.sum(2).clamp_min(1)
+    when = state.clock.unsqueeze(1) + TRACE_SECONDS * (before + 1)
+    late = when > state.deadline + CLOCK_ROUNDING
+    return late & (state.reached < goals)

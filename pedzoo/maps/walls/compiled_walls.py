@@ -133,20 +133,22 @@ def look(points, within, frames, places, choice, option, least, limit, result):
 
 
 @compiled(
-    "void(i8, f4[:,:,:], f4[:,:], f4[:,:], f4[:,:], f4, f4,"
-    " f4[:,:,:], i4[:,:,:], i4[:], f4[:,:], f4[:], f8, f4[:,:,:,::1], b1[:,:,::1])"
+    "b1(i8, f4[:,:,:], f4[:,:], f4[:,:], f4[:,:], f4, f4,"
+    " f4[:,:,:], i4[:,:,:], i4[:], f4[:,:], f4[:], f8, f4[:,:,:,::1])"
 )
 def ahead(
     stride, points, within, reach, allowed, rounding, creep,
-    frames, places, choice, option, least, limit, columns, stuck,
+    frames, places, choice, option, least, limit, columns,
 ):  # fmt: skip
-    """Write the limits of a stride (8, N, B, A) that begins at points (2, B, A): see `WallsAhead.stuck_at`.
+    """Write the numbers (9, N, B, A) of a stride that begins at points (2, B, A): see `WallsAhead.arrive`.
 
+    They are its length, the gap, the bounds of both walls, what `arrive` returns, and both normals.
     Operations are those of torch, in their order and precision. Stride 0 is the first.
+    Returns whether any agent has run into a wall.
     """
     frame, place = np.empty(7), np.empty(3, np.int64)
-    length, gap, bound, blocked, normal_x, normal_y, blocked_x, blocked_y = columns
-    n, before = stride, max(stride - 1, 0)
+    length, gap, bound, blocked, gets_there, normal_x, normal_y, blocked_x, blocked_y = columns
+    n, before, stuck = stride, max(stride - 1, 0), False
     for b in range(points.shape[1]):
         frame[:], place[:] = frames[:, b, 0], places[:, b, 0]
         for a in range(points.shape[2]):
@@ -158,9 +160,10 @@ def ahead(
             line, free = np.float32(x * away_x + y * away_y - new_gap), np.float32(new_gap)
             hits = n > 0 and free < allowed[b, a] - rounding
             allowed[b, a] = min(max(free, allowed[b, a]), reach[b, a]) if n > 0 else min(free, reach[b, a])
-            length[n, b, a], stuck[n, b, a] = max(allowed[b, a], creep), hits
+            length[n, b, a], gets_there[n, b, a] = max(allowed[b, a], creep), 1.0 - hits
             line += allowed[b, a]
             blocked[n, b, a], blocked_x[n, b, a], blocked_y[n, b, a] = -NO_WALL, 0.0, 0.0
+            stuck |= hits
             if hits:
                 blocked[n, b, a], blocked_x[n, b, a], blocked_y[n, b, a] = line, away_x, away_y
                 gap[n, b, a], bound[n, b, a] = gap[before, b, a], bound[before, b, a]
@@ -168,6 +171,7 @@ def ahead(
             else:
                 gap[n, b, a], bound[n, b, a] = free, line
                 normal_x[n, b, a], normal_y[n, b, a] = away_x, away_y
+    return stuck
 
 
 @compiled("void(f8[:,:,:], f8[:,:,:], f4[:], i4[:,:], f8[:], f8, f8[:,:])")

@@ -12,8 +12,8 @@ from pedzoo.core.machine import compiles
 from pedzoo.maps.walls.constants import NO_WALL
 from pedzoo.maps.walls.local_walls import LocalWalls
 
-_CHANNELS = 8
-"""Numbers that compiled loops write for every stride: length, gap, then bound and normal of two walls."""
+_CHANNELS = 9
+"""Numbers that compiled loops write for every stride: see `ahead`."""
 
 
 class StrideLimits(NamedTuple):
@@ -23,14 +23,15 @@ class StrideLimits(NamedTuple):
         length: How long it may be (B, A), metres: near a wall a straight line must not cut a corner.
         bound: c of the nearest wall (B, A), metres.
         normal: Its n (2, B, A), away from the wall.
-        blocked_bound: c of the wall that the last stride ran into (B, A), metres.
+        blocked_bound: c of the wall that the last stride ran into (B, A), metres; None where it is known that
+            no agent did.
         blocked_normal: Its n (2, B, A).
     """
 
     length: Tensor
     bound: Tensor
     normal: Tensor
-    blocked_bound: Tensor
+    blocked_bound: Tensor | None
     blocked_normal: Tensor
 
 
@@ -77,8 +78,12 @@ class WallsAhead:
         self._no_wall[1] = -NO_WALL
         self._limit(self._no_wall.expand_as(self._wall))
 
-    def stuck_at(self, place: Tensor) -> Tensor:
-        """Return which agents (B, A) bool cannot end a stride there (2, B, A), and limit the next stride."""
+    def arrive(self, place: Tensor) -> Tensor:
+        """Limit the next stride of agents whose stride ended at a place (2, B, A).
+
+        Returns:
+            1 for agents that may be there, 0 for those that are too near to a wall and go back (B, A).
+        """
         keeping, allowed = self._keeping, self._allowed
         wall = self._walls.half_planes(place, keeping.within)
         gap = wall[0]
@@ -89,7 +94,7 @@ class WallsAhead:
         self._wall = torch.where(stuck, self._wall, wall)
         self._gaps.append(self._wall[0])
         self._limit(blocked)
-        return stuck
+        return (~stuck).to(place.dtype)
 
     def gaps(self) -> Tensor:
         """Return the distances to the nearest wall where strides ended (N, B, A), metres."""
@@ -110,23 +115,23 @@ class CompiledWallsAhead(WallsAhead):
         size = keeping.reach.shape
         # a column for each stride: what autograd has saved of one stays as it is
         columns = place.new_empty(_CHANNELS, strides + 1, *size)
-        stuck = torch.empty(strides + 1, *size, dtype=torch.bool)
-        length, gap, bound, blocked = columns[:4].unbind()
-        normal, blocked_normal = columns[4:6].unbind(1), columns[6:].unbind(1)
+        length, gap, bound, blocked, gets_there = columns[:5].unbind()
+        normal, blocked_normal = columns[5:7].unbind(1), columns[7:].unbind(1)
         parts = length.unbind(), bound.unbind(), normal, blocked.unbind(), blocked_normal
         self._limits = [StrideLimits(*part) for part in zip(*parts, strict=True)]
-        self._stuck, self._gap, self._done = stuck.unbind(), gap, -1
+        self._gets_there, self._gap, self._done = gets_there.unbind(), gap, -1
         kept = (keeping.within.detach(), keeping.reach.detach(), torch.empty(size))
         arrays = (*(part.numpy() for part in kept), keeping.rounding, keeping.creep)
-        self._look, self._arrays = ahead, (*arrays, *walls.arrays, columns.numpy(), stuck.numpy())
-        self.stuck_at(place)
+        self._look, self._arrays = ahead, (*arrays, *walls.arrays, columns.numpy())
+        self.arrive(place)
 
-    def stuck_at(self, place: Tensor) -> Tensor:
-        """See `WallsAhead.stuck_at`."""
+    def arrive(self, place: Tensor) -> Tensor:
+        """See `WallsAhead.arrive`."""
         self._done += 1
-        self._look(self._done, place.detach().numpy(), *self._arrays)
-        self.limits = self._limits[self._done]
-        return self._stuck[self._done]
+        stuck = self._look(self._done, place.detach().numpy(), *self._arrays)
+        limits = self._limits[self._done]
+        self.limits = limits if stuck else limits._replace(blocked_bound=None)
+        return self._gets_there[self._done]
 
     def gaps(self) -> Tensor:
         """See `WallsAhead.gaps`."""

@@ -154,7 +154,7 @@ class Physics(ABC):
     def _integrated(self, state: State, inputs: MotionInput) -> tuple[Tensor, Tensor | None]:
         """Return paths (2, S * M, B, A), and their distances to walls (S * M, B, A) or None: `integrate`."""
         walls = self.bank.to(state.past.device).walls_of_state(state.wall_frame, state.wall_place)
-        position, velocity = state.position.movedim(-1, 0), inputs.velocity * inputs.moving
+        position, velocity = state.position.movedim(-1, 0).contiguous(), inputs.velocity * inputs.moving
         path, gap = integrate(position, velocity, state.radius, inputs.substeps, walls)
         if inputs.played is not None:
             given = inputs.played.flatten(2, 3).permute(3, 2, 0, 1).to(path.dtype)
