@@ -75,8 +75,8 @@ def driven(state: State, command: Tensor, velocity: Tensor) -> tuple[Tensor, Ten
 
 def integrate(
     position: Tensor, velocity: Tensor, radius: Tensor, steps: int, walls: LocalWalls | None
-) -> tuple[Tensor, Tensor | None]:
-    """Return paths (2, S * M, B, A) of S trace steps of M sub-steps, and how far from walls they stay.
+) -> Tensor:
+    """Return paths (2, S * M, B, A), metres, of S trace steps of M sub-steps.
 
     Walls stop agents, and they slide along. An agent that starts inside a wall, or nearer than its body, may
     only move out. Agents are not pushed apart.
@@ -91,9 +91,6 @@ def integrate(
         radius: Of bodies (B, A), metres.
         steps: M, a multiple of `STRIDE`.
         walls: As agents see them, None for none.
-
-    Returns:
-        Paths, and distances to the nearest wall at all of their points (S * M, B, A), None without walls.
     """
     strides = steps // STRIDE
     seconds = TRACE_SECONDS / strides
@@ -102,7 +99,7 @@ def integrate(
         moved = (velocity * TRACE_SECONDS).cumsum(1)
         begin = position.unsqueeze(1) + moved - velocity * TRACE_SECONDS
         time = time.view(1, 1, -1, 1, 1) * (TRACE_SECONDS / steps)
-        return (begin.unsqueeze(2) + velocity.unsqueeze(2) * time).flatten(1, 2), None
+        return (begin.unsqueeze(2) + velocity.unsqueeze(2) * time).flatten(1, 2)
     reach = radius - SKIN
     wanted = velocity * seconds
     length = (wanted.square().sum(0) + 1e-12).sqrt()
@@ -120,9 +117,7 @@ def integrate(
             places.append(here)
     ends = torch.stack(places, dim=1)
     middle = 0.5 * (ends[:, :-1] + ends[:, 1:])
-    path = torch.stack((middle, ends[:, 1:]), dim=2).flatten(1, 2)
-    between = walls.half_planes(middle, radius)[0]
-    return path, torch.stack((between, ahead.gaps()), dim=1).flatten(0, 1)
+    return torch.stack((middle, ends[:, 1:]), dim=2).flatten(1, 2)
 
 
 def _kept_off(place: Tensor, bound: Tensor, normal: Tensor) -> Tensor:

@@ -34,7 +34,7 @@ def walk(
     ticks = round(seconds / 0.1)
     wanted = velocity.movedim(-1, 0).unsqueeze(1).expand(2, ticks, *velocity.shape[:2])
     radius = torch.full(position.shape[:2], BODY_RADIUS)
-    path, _ = dynamics.integrate(position.movedim(-1, 0), wanted, radius, steps // ticks, walls)
+    path = dynamics.integrate(position.movedim(-1, 0), wanted, radius, steps // ticks, walls)
     return path.permute(2, 3, 1, 0)
 
 

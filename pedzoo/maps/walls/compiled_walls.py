@@ -140,14 +140,14 @@ def ahead(
     stride, points, within, reach, allowed, rounding, creep,
     frames, places, choice, option, least, limit, columns,
 ):  # fmt: skip
-    """Write the numbers (9, N, B, A) of a stride that begins at points (2, B, A): see `WallsAhead.arrive`.
+    """Write the numbers (8, N, B, A) of a stride that begins at points (2, B, A): see `WallsAhead.arrive`.
 
-    They are its length, the gap, the bounds of both walls, what `arrive` returns, and both normals.
+    They are its length, the bounds of both walls, what `arrive` returns, and both normals.
     Operations are those of torch, in their order and precision. Stride 0 is the first.
     Returns whether any agent has run into a wall.
     """
     frame, place = np.empty(7), np.empty(3, np.int64)
-    length, gap, bound, blocked, gets_there, normal_x, normal_y, blocked_x, blocked_y = columns
+    length, bound, blocked, gets_there, normal_x, normal_y, blocked_x, blocked_y = columns
     n, before, stuck = stride, max(stride - 1, 0), False
     for b in range(points.shape[1]):
         frame[:], place[:] = frames[:, b, 0], places[:, b, 0]
@@ -166,10 +166,10 @@ def ahead(
             stuck |= hits
             if hits:
                 blocked[n, b, a], blocked_x[n, b, a], blocked_y[n, b, a] = line, away_x, away_y
-                gap[n, b, a], bound[n, b, a] = gap[before, b, a], bound[before, b, a]
+                bound[n, b, a] = bound[before, b, a]
                 normal_x[n, b, a], normal_y[n, b, a] = normal_x[before, b, a], normal_y[before, b, a]
             else:
-                gap[n, b, a], bound[n, b, a] = free, line
+                bound[n, b, a] = line
                 normal_x[n, b, a], normal_y[n, b, a] = away_x, away_y
     return stuck
 

@@ -12,7 +12,7 @@ from pedzoo.core.machine import compiles
 from pedzoo.maps.walls.constants import NO_WALL
 from pedzoo.maps.walls.local_walls import LocalWalls
 
-_CHANNELS = 9
+_CHANNELS = 8
 """Numbers that compiled loops write for every stride: see `ahead`."""
 
 
@@ -70,7 +70,6 @@ class WallsAhead:
     def __init__(self, walls: LocalWalls, place: Tensor, keeping: Keeping, strides: int) -> None:
         """Look at the place where agents begin (2, B, A); ``strides`` says how many they will take."""
         self._walls, self._keeping = walls, keeping
-        self._gaps: list[Tensor] = []
         self._wall = walls.half_planes(place, keeping.within)
         self._allowed = self._wall[0].minimum(keeping.reach)
         self._wall[1].add_(self._allowed)
@@ -92,13 +91,8 @@ class WallsAhead:
         wall[1].add_(self._allowed)
         blocked = torch.where(stuck, wall, self._no_wall)
         self._wall = torch.where(stuck, self._wall, wall)
-        self._gaps.append(self._wall[0])
         self._limit(blocked)
         return (~stuck).to(place.dtype)
-
-    def gaps(self) -> Tensor:
-        """Return the distances to the nearest wall where strides ended (N, B, A), metres."""
-        return torch.stack(self._gaps)
 
     def _limit(self, blocked: Tensor) -> None:
         length = self._allowed.clamp_min(self._keeping.creep)
@@ -115,11 +109,11 @@ class CompiledWallsAhead(WallsAhead):
         size = keeping.reach.shape
         # a column for each stride: what autograd has saved of one stays as it is
         columns = place.new_empty(_CHANNELS, strides + 1, *size)
-        length, gap, bound, blocked, gets_there = columns[:5].unbind()
-        normal, blocked_normal = columns[5:7].unbind(1), columns[7:].unbind(1)
+        length, bound, blocked, gets_there = columns[:4].unbind()
+        normal, blocked_normal = columns[4:6].unbind(1), columns[6:].unbind(1)
         parts = length.unbind(), bound.unbind(), normal, blocked.unbind(), blocked_normal
         self._limits = [StrideLimits(*part) for part in zip(*parts, strict=True)]
-        self._gets_there, self._gap, self._done = gets_there.unbind(), gap, -1
+        self._gets_there, self._done = gets_there.unbind(), -1
         kept = (keeping.within.detach(), keeping.reach.detach(), torch.empty(size))
         arrays = (*(part.numpy() for part in kept), keeping.rounding, keeping.creep)
         self._look, self._arrays = ahead, (*arrays, *walls.arrays, columns.numpy())
@@ -132,7 +126,3 @@ class CompiledWallsAhead(WallsAhead):
         limits = self._limits[self._done]
         self.limits = limits if stuck else limits._replace(blocked_bound=None)
         return self._gets_there[self._done]
-
-    def gaps(self) -> Tensor:
-        """See `WallsAhead.gaps`."""
-        return self._gap[1 : self._done + 1]

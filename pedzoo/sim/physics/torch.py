@@ -7,10 +7,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from pedzoo.core.machine import compiles
 from pedzoo.sim.arrival import arrived
 from pedzoo.sim.physics_parts.base import REACH, Physics
 from pedzoo.sim.physics_parts.bodies import Bodies
 from pedzoo.sim.physics_parts.camera import Camera
+from pedzoo.sim.physics_parts.compiled import events_compiled
 from pedzoo.sim.physics_parts.top_view import draw_top_view
 from pedzoo.sim.state import State
 from pedzoo.sim.step_result import Contacts, Distances, Motion, MotionInput
@@ -48,20 +50,18 @@ class Torch(Physics):
 
     def _advance(self, state: State, inputs: MotionInput) -> Motion:
         """See `Physics.advance`."""
-        if torch.is_grad_enabled():
-            return self._moved(state, inputs)
         # hundreds of short operations: not to track them at all saves a sixth
-        with torch.inference_mode():
-            trace, agent_contact, wall_contact, reached, *_ = self._moved(state, inputs)
-        return Motion(trace.clone(), agent_contact.clone(), wall_contact.clone(), reached.clone())
-
-    def _moved(self, state: State, inputs: MotionInput) -> Motion:
-        """Return the motion; contacts come from the distances that the path has looked up already."""
-        path, gap = self._integrated(state, inputs)
+        with torch.inference_mode(not torch.is_grad_enabled()):
+            path = self._integrated(state, inputs)
         steps = path.unflatten(1, (-1, inputs.substeps))
-        gap = gap if gap is None else gap.view(steps.shape[1:])
-        contacts = contacts_of(steps.detach(), gap, state.mask, state.radius)
-        return Motion(steps[:, :, -1].permute(2, 3, 1, 0), *contacts, arrived(path, state.goal_point, inputs))
+        trace = steps[:, :, -1].permute(2, 3, 1, 0)
+        trace = trace.clone() if path.is_inference() else trace
+        if compiles(path):
+            return Motion(trace, *events_compiled(self.bank, path, state, inputs))
+        steps, walls = steps.detach(), self._walls(state)
+        gap = None if walls is None else walls.half_planes(steps, state.radius)[0]
+        contacts = contacts_of(steps, gap, state.mask, state.radius)
+        return Motion(trace, *contacts, arrived(path, state.goal_point, inputs))
 
     @torch.no_grad()
     def contacts(self, path: Tensor, people: Bodies) -> Contacts:

@@ -17,6 +17,7 @@ from pedzoo.core.machine import compiles
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.walls.local_walls import LocalWalls
 from pedzoo.sim.arrival import arrived
 from pedzoo.sim.dynamics import SKIN, integrate
 from pedzoo.sim.physics_parts.bodies import Bodies
@@ -142,7 +143,7 @@ class Physics(ABC):
             paths = torch.empty(*inputs.moving.shape, inputs.velocity.shape[1], inputs.substeps, 2)
             integrated = advance_compiled(self.bank, state, inputs, paths)
             return Motion(integrated.trace, *self._touched(state, paths, inputs), integrated.reached)
-        path, _ = self._integrated(state, inputs)
+        path = self._integrated(state, inputs)
         steps = path.permute(2, 3, 1, 0).unflatten(2, (-1, inputs.substeps))
         contacts = self._touched(state, steps.detach(), inputs)
         return Motion(steps[:, :, :, -1], *contacts, arrived(path, state.goal_point, inputs))
@@ -151,18 +152,19 @@ class Physics(ABC):
         """Return which agents touch something on their paths (B, A, S, M, 2); see `contacts`."""
         return self.contacts(path, Bodies.of(state))
 
-    def _integrated(self, state: State, inputs: MotionInput) -> tuple[Tensor, Tensor | None]:
-        """Return paths (2, S * M, B, A), and their distances to walls (S * M, B, A) or None: `integrate`."""
-        walls = self.bank.to(state.past.device).walls_of_state(state.wall_frame, state.wall_place)
+    def _walls(self, state: State) -> LocalWalls | None:
+        """Return the walls as the agents of each scene see them; None for scenes in the open."""
+        return self.bank.to(state.past.device).walls_of_state(state.wall_frame, state.wall_place)
+
+    def _integrated(self, state: State, inputs: MotionInput) -> Tensor:
+        """Return paths (2, S * M, B, A), metres: `integrate`."""
         position, velocity = state.position.movedim(-1, 0).contiguous(), inputs.velocity * inputs.moving
-        path, gap = integrate(position, velocity, state.radius, inputs.substeps, walls)
+        path = integrate(position, velocity, state.radius, inputs.substeps, self._walls(state))
         if inputs.played is not None:
             given = inputs.played.flatten(2, 3).permute(3, 2, 0, 1).to(path.dtype)
             scripted = state.mask & ~inputs.moving
             path = torch.where(scripted, given, path)
-            if walls is not None and gap is not None:
-                gap = torch.where(scripted, walls.half_planes(given, state.radius)[0], gap)
-        return path, gap
+        return path
 
     @abstractmethod
     def distances(self, people: Bodies, reach: float = REACH) -> Distances:

@@ -84,6 +84,29 @@ def contacts_compiled(
     return Contacts(motion.agent_contact, motion.wall_contact)
 
 
+def events_compiled(
+    bank: MapBank, path: Tensor, state: State, inputs: MotionInput
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return contacts with agents and with walls, and goals reached (B, A, S) bool.
+
+    Args:
+        bank: The floor plans.
+        path: Sub-steps (2, S * M, B, A), metres.
+        state: At the beginning.
+        inputs: Says which agents may reach their goals.
+    """
+    from pedzoo.sim.physics_parts.compiled_loops import events
+
+    scenes, agents = state.mask.shape
+    result = torch.empty(3, scenes, agents, path.shape[1] // inputs.substeps, dtype=torch.bool)
+    given = path, state.mask, state.radius, state.goal_point, inputs.wanted
+    paths, *arrays = (value.detach().numpy() for value in given)
+    walls = _walls(bank, (state.wall_frame, state.wall_place))
+    events(paths, *arrays, GOAL_RADIUS, inputs.substeps, *walls, *result.numpy())
+    agent, wall, reached = result.unbind()
+    return agent, wall, reached
+
+
 def body_rays_compiled(
     position: Tensor, radius: Tensor, present: Tensor, origin: Tensor, direction: Tensor, reach: float
 ) -> Tensor:
@@ -127,6 +150,11 @@ def integration(bank: MapBank, walls: tuple[Tensor, Tensor], substeps: int) -> t
         walls: Frames (B, 7) and places (B, 3) of `LocalWalls`, in rows.
         substeps: M, sub-steps of every 0.1 s.
     """
-    frames, places = (part.numpy() for part in walls) if bank.grids else _NO_FRAMES
     numbers = substeps, max(1, substeps // STRIDE), SKIN, ROUNDING, CREEP, TRACE_SECONDS
-    return GOAL_RADIUS**2, *numbers, frames, places, *bank.walls.arrays
+    return GOAL_RADIUS, *numbers, *_walls(bank, walls)
+
+
+def _walls(bank: MapBank, walls: tuple[Tensor, Tensor]) -> tuple[Any, ...]:
+    """Return what loops know of walls: how they lie in scenes, and tables."""
+    frames, places = (part.numpy() for part in walls) if bank.grids else _NO_FRAMES
+    return frames, places, *bank.walls.arrays

@@ -6,8 +6,53 @@ import math
 
 import numpy as np
 
-from pedzoo.maps.walls.compiled import compiled, quarter, wall_gap
+from pedzoo.maps.walls.compiled import compiled, jit, quarter, wall_gap
 from pedzoo.maps.walls.constants import NO_WALL
+
+
+@jit
+def _extent(path, a):
+    """Return how far the path of an agent (A, K, 2) leads from its first point, metres."""
+    farthest = 0.0
+    for k in range(path.shape[1]):
+        dx, dy = path[a, k, 0] - path[a, 0, 0], path[a, k, 1] - path[a, 0, 1]
+        farthest = max(farthest, dx * dx + dy * dy)
+    return math.sqrt(farthest)
+
+
+@jit
+def _reaches(path, extent, goal_x, goal_y, goal_radius, steps, reached, b, a):
+    """Set in which trace steps (B, A, S) an agent on its path (A, S * M, 2) has been at its goal."""
+    dx, dy = path[a, 0, 0] - goal_x, path[a, 0, 1] - goal_y
+    if dx * dx + dy * dy > (goal_radius + extent) ** 2:
+        return
+    for k in range(path.shape[1]):
+        dx, dy = path[a, k, 0] - goal_x, path[a, k, 1] - goal_y
+        if dx * dx + dy * dy < goal_radius * goal_radius:
+            for s in range(k // steps, reached.shape[2]):
+                reached[b, a, s] = True
+            return
+
+
+@jit
+def _touch(path, extent, present, radius, steps, contact, b):
+    """Set in which trace steps (B, A, S) agents of a scene on paths (A, S * M, 2) touch another one."""
+    for a in range(1, len(path)):
+        if not present[b, a]:
+            continue
+        x, y, body, way = path[a, 0, 0], path[a, 0, 1], radius[b, a], extent[a]
+        for other in range(a):
+            both = body + radius[b, other]
+            far = both + way + extent[other]
+            dx, dy = x - path[other, 0, 0], y - path[other, 0, 1]
+            if dx * dx + dy * dy > far * far or not present[b, other]:
+                continue
+            for s in range(contact.shape[2]):
+                for k in range(s * steps, (s + 1) * steps):
+                    dx, dy = path[a, k, 0] - path[other, k, 0], path[a, k, 1] - path[other, k, 1]
+                    if dx * dx + dy * dy < both * both:
+                        contact[b, a, s], contact[b, other, s] = True, True
+                        break
 
 
 @compiled(
@@ -16,7 +61,7 @@ from pedzoo.maps.walls.constants import NO_WALL
     " f4[:,:,:,:], b1[:,:,:], b1[:,:,:], b1[:,:,:], f4[:,:,:,:,:], f4[:,:,:,:])"
 )
 def advance(
-    position, velocity, radius, present, moved, played, goal, wanted, goal_radius2,
+    position, velocity, radius, present, moved, played, goal, wanted, goal_radius,
     steps, strides, skin, rounding, creep, tick_seconds,
     frames, places, choice, option, least, limit,
     trace, agent_contact, wall_contact, reached, paths, slopes,
@@ -40,7 +85,7 @@ def advance(
     points = ticks * steps
     path, extent = np.empty((agents, points, 2)), np.empty(agents)
     frame, place = np.empty(7), np.empty(3, np.int64)
-    seconds, goal_radius = tick_seconds / strides, math.sqrt(goal_radius2)
+    seconds = tick_seconds / strides
     for b in range(scenes):
         if has_walls:
             frame[:], place[:] = frames[b], places[b]
@@ -148,37 +193,45 @@ def advance(
                         for i, value in enumerate((m00, m01, m10, m11, n00, n01, n10, n11)):
                             slopes[b, a, s, i] = value
                 trace[b, a, s, 0], trace[b, a, s, 1] = x, y
-                wall_contact[b, a, s], agent_contact[b, a, s] = touches, False
+                wall_contact[b, a, s], agent_contact[b, a, s], reached[b, a, s] = touches, False, False
             if paths.size > 0:
                 paths[b, a] = path[a].reshape((ticks, steps, 2))
-            farthest, done = 0.0, False
-            for k in range(points):
-                dx, dy = path[a, k, 0] - path[a, 0, 0], path[a, k, 1] - path[a, 0, 1]
-                farthest = max(farthest, dx * dx + dy * dy)
-            extent[a] = math.sqrt(farthest)
-            dx, dy = path[a, 0, 0] - goal[b, a, 0], path[a, 0, 1] - goal[b, a, 1]
-            comes_near = wanted[b, a] and dx * dx + dy * dy <= (goal_radius + extent[a]) ** 2
-            for s in range(ticks):
-                if comes_near and not done:
-                    for k in range(s * steps, (s + 1) * steps):
-                        dx, dy = path[a, k, 0] - goal[b, a, 0], path[a, k, 1] - goal[b, a, 1]
-                        done = done or dx * dx + dy * dy < goal_radius2
-                reached[b, a, s] = done
+            extent[a] = _extent(path, a)
+            if wanted[b, a]:
+                _reaches(path, extent[a], goal[b, a, 0], goal[b, a, 1], goal_radius, steps, reached, b, a)
+        _touch(path, extent, present, radius, steps, agent_contact, b)
+
+
+@compiled(
+    "void(f4[:,:,:,:], b1[:,:], f4[:,:], f4[:,:,:], b1[:,:], f8, i8,"
+    " f4[:,:], i4[:,:], i4[:], f4[:,:], f4[:], f8, b1[:,:,:], b1[:,:,:], b1[:,:,:])"
+)
+def events(
+    paths, present, radius, goal, wanted, goal_radius, steps,
+    frames, places, choice, option, least, limit, agent_contact, wall_contact, reached,
+):  # fmt: skip
+    """Write contacts and goals reached (B, A, S) on paths (2, S * M, B, A); all else is as in `advance`."""
+    points, scenes, agents = paths.shape[1:]
+    path, extent = np.empty((agents, points, 2)), np.empty(agents)
+    frame, place = np.empty(7), np.empty(3, np.int64)
+    for b in range(scenes):
+        if len(frames):
+            frame[:], place[:] = frames[b], places[b]
         for a in range(agents):
-            for other in range(a):
-                if not (present[b, a] and present[b, other]):
-                    continue
-                both = radius[b, a] + radius[b, other]
-                far = both + extent[a] + extent[other]
-                dx, dy = path[a, 0, 0] - path[other, 0, 0], path[a, 0, 1] - path[other, 0, 1]
-                if dx * dx + dy * dy > far * far:
-                    continue
-                for s in range(ticks):
-                    for k in range(s * steps, (s + 1) * steps):
-                        dx, dy = path[a, k, 0] - path[other, k, 0], path[a, k, 1] - path[other, k, 1]
-                        if dx * dx + dy * dy < both * both:
-                            agent_contact[b, a, s], agent_contact[b, other, s] = True, True
-                            break
+            for k in range(points):
+                path[a, k, 0], path[a, k, 1] = paths[0, k, b, a], paths[1, k, b, a]
+            for s in range(points // steps):
+                agent_contact[b, a, s], wall_contact[b, a, s], reached[b, a, s] = False, False, False
+            for k in range(points if len(frames) and present[b, a] else 0):
+                x, y, body = path[a, k, 0], path[a, k, 1], radius[b, a]
+                _, _, index = quarter(x, y, frame, place)
+                if least[index] < body:
+                    touches = wall_gap(x, y, frame, place, choice, option, limit)[0] < body
+                    wall_contact[b, a, k // steps] |= touches
+            extent[a] = _extent(path, a)
+            if wanted[b, a]:
+                _reaches(path, extent[a], goal[b, a, 0], goal[b, a, 1], goal_radius, steps, reached, b, a)
+        _touch(path, extent, present, radius, steps, agent_contact, b)
 
 
 @compiled("void(f4[:,:,:], f4[:,:], b1[:,:], f4[:,:,:], f4[:,:,:], f4[:,:])")

@@ -59,7 +59,7 @@ def _blended(old_x, old_y, x, y, top_speed, velocity, b, a):
 def move(
     commands, failed, mask, controlled, goal_id, later_goals, person, drawn, reached, past,
     velocity, heading, top_speed, radius, goal_point, clock, deadline, stands, overdue,
-    ticks, goals, leave, keep_goal, rounding, turns_from, goal_radius2,
+    ticks, goals, leave, keep_goal, rounding, turns_from, goal_radius,
     steps, strides, skin, wall_rounding, creep, tick_seconds,
     frames, places, choice, option, least, limit,
     new_past, events, new_clock, new_failed, flags, counts, new_velocity, new_heading,
@@ -107,7 +107,7 @@ def move(
         advance(
             past[first:last, :, length - 1], speeds[:, :, first:last], radius[first:last], mask[first:last],
             moving[first:last], np.empty((0, 0, 0, 0, 2), np.float32), goal_point[first:last],
-            walking[first:last], goal_radius2, steps, strides, skin, wall_rounding, creep, tick_seconds,
+            walking[first:last], goal_radius, steps, strides, skin, wall_rounding, creep, tick_seconds,
             frames[first:last], places[first:last], choice, option, least, limit,
             new_past[first:last, :, length - ticks :], events[0, first:last], events[1, first:last],
             events[2, first:last], np.empty((0, 0, 0, 0, 2), np.float32), np.empty((0, 0, 0, 8), np.float32),

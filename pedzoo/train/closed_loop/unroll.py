@@ -189,7 +189,7 @@ class OpenFloor(Torch):
         super().__init__(MapBank())
 
     def _advance(self, state: State, inputs: MotionInput) -> Motion:
-        path, _ = self._integrated(state, inputs)
+        path = self._integrated(state, inputs)
         trace = path[:, inputs.substeps - 1 :: inputs.substeps].permute(2, 3, 1, 0)
         nothing = torch.zeros_like(trace[..., 0], dtype=torch.bool)
         return Motion(trace, nothing, nothing, arrived(path, state.goal_point, inputs))

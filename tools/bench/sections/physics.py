@@ -94,7 +94,7 @@ def walks(physics: base.Physics, people: Bodies) -> Tensor:
     walls = physics.bank.walls_of_state(*physics.bank.walls_of_scenes(row, people.pose))
     radius = torch.full(people.mask.shape, physics.body_radius)
     wanted = velocity.movedim(-1, 0).unsqueeze(1).expand(-1, TRACE, -1, -1)
-    path, _ = integrate(people.position.movedim(-1, 0), wanted, radius, STEPS, walls)
+    path = integrate(people.position.movedim(-1, 0), wanted, radius, STEPS, walls)
     return path.permute(2, 3, 1, 0).unflatten(2, (TRACE, STEPS))
 
 
