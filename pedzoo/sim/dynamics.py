@@ -105,15 +105,19 @@ def integrate(
     length = (wanted.square().sum(0) + 1e-12).sqrt()
     keeping = Keeping(reach, radius + reach, ROUNDING, CREEP)  # no stride is longer than the reach
     here, places = position, [position]
-    ahead = walls_ahead(walls, here, keeping, wanted.shape[1] * strides)
+    ahead = walls_ahead(walls, here, keeping, length, strides)
     for tick_wanted, tick_length in zip(wanted.unbind(1), length.unbind(), strict=True):
         for _ in range(strides):
             limits = ahead.limits
-            share = (limits.length / tick_length).clamp_max(1)
-            target = _kept_off(torch.addcmul(here, tick_wanted, share), limits.bound, limits.normal)
+            if limits.length is None:
+                target = here + tick_wanted
+            else:
+                target = torch.addcmul(here, tick_wanted, (limits.length / tick_length).clamp_max(1))
+            target = _kept_off(target, limits.bound, limits.normal)
             if limits.blocked_bound is not None:
                 target = _kept_off(target, limits.blocked_bound, limits.blocked_normal)
-            here = torch.lerp(here, target, ahead.arrive(target))  # all of it is exactly the target
+            gets_there = ahead.arrive(target)
+            here = target if gets_there is None else torch.lerp(here, target, gets_there)
             places.append(here)
     ends = torch.stack(places, dim=1)
     middle = 0.5 * (ends[:, :-1] + ends[:, 1:])

@@ -16,23 +16,20 @@ from pedzoo.core.adapters import copied, put, tensordict_of
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.machine import usable
-from pedzoo.core.randomness import Draws
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim import kernel
 from pedzoo.sim.dynamics import substeps
+from pedzoo.sim.episode_queue import EpisodeQueue, Scenes
 from pedzoo.sim.episodes import Episodes
 from pedzoo.sim.observation import action_spec, done_spec, observation_spec, observed, reward_spec
 from pedzoo.sim.physics_parts.base import Physics
 from pedzoo.sim.physics_parts.state_picture import picture_of
 from pedzoo.sim.scenario_parts.scenario import WARM_SECONDS, PreparedScenario, Scenario
-from pedzoo.sim.state import TRACE_PER_STEP, Scenes, State
+from pedzoo.sim.state import TRACE_PER_STEP, State
 from pedzoo.sim.step_result import Events
 from pedzoo.sim.warm_start import WarmStart
-
-_MADE, _AGENTS_MADE, _DEEPEST = 512, 2560, 128
-"""Limits of what is begun together when scenes end one by one: episodes, agents, and episodes of one row."""
 
 
 class PedestrianEnv(EnvBase):
@@ -217,48 +214,20 @@ class PedestrianEnv(EnvBase):
 
     def _set_seed(self, seed: int | None) -> None:
         self.seed = seed or 0
-        self._number = self._first + torch.arange(self.batch_size[0])
-        self._ahead: Scenes | None = None
-        made = min(_MADE, _AGENTS_MADE // self.prepared.people)
-        self._depth = min(max(1, made // self.batch_size[0]), _DEEPEST)
-        self._taken = torch.full(self.batch_size, self._depth)
+        people, rows = self.prepared.people, self.batch_size[0]
+        numbers = self.seed, rows, self._first, self._stride
+        self._queue = EpisodeQueue(self._episodes, self.rules, people, *numbers)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         flags = None if tensordict is None else tensordict.get("_reset", None)
         if flags is None or self._scenes is None:
-            everything = torch.arange(self.batch_size[0])
-            self._scenes = self._begin(everything, 1) if self._ahead is None else self._next(everything)
+            self._scenes = self._queue.begin_all()
         elif bool(flags.any()):
-            index = flags.view(-1).nonzero().view(-1)
-            self._scenes = self._scenes.with_scenes(index, self._next(index.cpu()))
+            self._scenes = self._queue.begin_some(self._scenes, flags.view(-1))
         observation = self._observation(*self._scenes)
         never = torch.zeros(3, *self.batch_size, 1, dtype=torch.bool, device=self.device)
         put(observation, dict(zip(("done", "terminated", "truncated"), never.unbind(), strict=True)))
         return observation
-
-    def _next(self, index: Tensor) -> Scenes:
-        """Return the next episodes of some rows.
-
-        A warm start costs as much for one scene as for a hundred. So the episodes of all rows without one are
-        made together as soon as one row needs its own. For few rows several of each are made.
-        """
-        depth = self._depth
-        if self._ahead is None or bool((self._taken[index] >= depth).any()):
-            empty = (self._taken >= depth).nonzero().view(-1)
-            made = self._begin(empty, depth)
-            place = (empty.unsqueeze(1) * depth + torch.arange(depth)).view(-1).to(self.device)
-            self._ahead = made if self._ahead is None else self._ahead.replaced(place, made)
-            self._taken.index_fill_(0, empty, 0)
-        place = index * depth + self._taken[index]
-        self._taken.index_add_(0, index, torch.ones_like(index))
-        return self._ahead.select(place.to(self.device))
-
-    def _begin(self, index: Tensor, episodes: int) -> Scenes:
-        """Return the next ``episodes`` of some rows, those of a row one after the other."""
-        number = self._number[index].unsqueeze(1) + self._stride * torch.arange(episodes)
-        self._number = self._number.index_add(0, index, torch.full_like(index, episodes * self._stride))
-        state = self._episodes.begin(Draws.for_episodes(self.seed, number.view(-1)))
-        return Scenes(state, self.rules.guidance(state))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         before = self.state

@@ -174,14 +174,15 @@ def step(state: State, commands: Tensor, physics: Physics, rules: Rules) -> tupl
     guidance = rules.guidance(after)
     # an agent that has squeezed into a corner that no planned way leads out of is as far as before
     remaining_path = torch.where(guidance.distance < torch.inf, guidance.distance, after.remaining_path)
-    progress = state.remaining_path - torch.where(hit | taken_over, 0.0, remaining_path)
+    begins = hit | taken_over
+    progress = state.remaining_path - torch.where(begins, 0.0, remaining_path)
     reached = state.reached.unsqueeze(-1) + hits
     done = reached[..., -1] >= rules.goals
     if script is None:
         given = deadline(after.clock, remaining_path.detach(), after.pref_speed, rules.deadline)
-        until = torch.where(hit | taken_over, given, after.deadline)
-        ended = (done | ~state.mask).all(1)
-        over = done | after.overdue | ~state.mask
+        until = torch.where(begins, given, after.deadline)
+        over = done | ~state.mask
+        ended, over = over.all(1), over | after.overdue
         settled = (over if waits is None else over | after.stands.isinf()).all(1) | failed
     else:
         until, ended, settled = after.deadline, script.ended(after), failed

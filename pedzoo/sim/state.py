@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
-from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim.step_result import CLOCK_ROUNDING
 
 TRACE_PER_STEP = round(STEP_SECONDS / TRACE_SECONDS)
@@ -160,39 +159,8 @@ class State(NamedTuple):
         """Return some of the scenes."""
         return State(*(value.index_select(0, index) for value in self))
 
-    def with_scenes(self, index: Tensor, other: State) -> State:
-        """Return a state in which the scenes at ``index`` are those of ``other``."""
-        if len(index) == len(self.key):
-            return other.select(index.argsort())
-        pairs = zip(self, other, strict=True)
-        return State(*(mine.index_copy(0, index, theirs) for mine, theirs in pairs))
-
     def to(self, device: torch.device | str) -> State:
         """Return the state on a device."""
         return (
             self if self.key.device == torch.device(device) else State(*(value.to(device) for value in self))
         )
-
-
-class Scenes(NamedTuple):
-    """B scenes, and the planner's answer for them."""
-
-    state: State
-    guidance: Guidance
-
-    def select(self, index: Tensor) -> Scenes:
-        """Return some of the scenes."""
-        guidance = Guidance(*(value.index_select(0, index) for value in self.guidance))
-        return Scenes(self.state.select(index), guidance)
-
-    def replaced(self, index: Tensor, other: Scenes) -> Scenes:
-        """Return the scenes with those at ``index`` replaced in place; no copy of them is in use."""
-        for mine, theirs in zip((*self.state, *self.guidance), (*other.state, *other.guidance), strict=True):
-            mine.index_copy_(0, index, theirs)
-        return self
-
-    def with_scenes(self, index: Tensor, other: Scenes) -> Scenes:
-        """Return the scenes with those at ``index`` replaced."""
-        pairs = zip(self.guidance, other.guidance, strict=True)
-        guidance = Guidance(*(mine.index_copy(0, index, theirs) for mine, theirs in pairs))
-        return Scenes(self.state.with_scenes(index, other.state), guidance)

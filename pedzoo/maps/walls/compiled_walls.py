@@ -133,22 +133,23 @@ def look(points, within, frames, places, choice, option, least, limit, result):
 
 
 @compiled(
-    "b1(i8, f4[:,:,:], f4[:,:], f4[:,:], f4[:,:], f4, f4,"
+    "UniTuple(b1, 2)(i8, f4[:,:,:], f4[:,:], f4[:,:], f4[:,:], f4[:,:,:], i8, f4, f4,"
     " f4[:,:,:], i4[:,:,:], i4[:], f4[:,:], f4[:], f8, f4[:,:,:,::1])"
 )
 def ahead(
-    stride, points, within, reach, allowed, rounding, creep,
+    stride, points, within, reach, allowed, wanted, each, rounding, creep,
     frames, places, choice, option, least, limit, columns,
 ):  # fmt: skip
     """Write the numbers (8, N, B, A) of a stride that begins at points (2, B, A): see `WallsAhead.arrive`.
 
     They are its length, the bounds of both walls, what `arrive` returns, and both normals.
     Operations are those of torch, in their order and precision. Stride 0 is the first.
-    Returns whether any agent has run into a wall.
+    Returns whether any agent has run into a wall, and whether any wants more than the stride's length.
     """
     frame, place = np.empty(7), np.empty(3, np.int64)
     length, bound, blocked, gets_there, normal_x, normal_y, blocked_x, blocked_y = columns
-    n, before, stuck = stride, max(stride - 1, 0), False
+    n, before, stuck, short = stride, max(stride - 1, 0), False, False
+    tick = min(n // each, len(wanted) - 1)
     for b in range(points.shape[1]):
         frame[:], place[:] = frames[:, b, 0], places[:, b, 0]
         for a in range(points.shape[2]):
@@ -161,6 +162,7 @@ def ahead(
             hits = n > 0 and free < allowed[b, a] - rounding
             allowed[b, a] = min(max(free, allowed[b, a]), reach[b, a]) if n > 0 else min(free, reach[b, a])
             length[n, b, a], gets_there[n, b, a] = max(allowed[b, a], creep), 1.0 - hits
+            short |= length[n, b, a] < wanted[tick, b, a]
             line += allowed[b, a]
             blocked[n, b, a], blocked_x[n, b, a], blocked_y[n, b, a] = -NO_WALL, 0.0, 0.0
             stuck |= hits
@@ -171,7 +173,7 @@ def ahead(
             else:
                 bound[n, b, a] = line
                 normal_x[n, b, a], normal_y[n, b, a] = away_x, away_y
-    return stuck
+    return stuck, short
 
 
 @compiled("void(f8[:,:,:], f8[:,:,:], f4[:], i4[:,:], f8[:], f8, f8[:,:])")
