@@ -216,7 +216,11 @@ class PedestrianEnv(EnvBase):
         self.seed = seed or 0
         people, rows = self.prepared.people, self.batch_size[0]
         numbers = self.seed, rows, self._first, self._stride
-        self._queue = EpisodeQueue(self._episodes, self.rules, people, *numbers)
+        self._queue = EpisodeQueue(self._episodes, self.rules, self._opened, people, *numbers)
+
+    def _opened(self, state: State) -> State:
+        """Return the first state of episodes as this environment begins them."""
+        return state
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         flags = None if tensordict is None else tensordict.get("_reset", None)

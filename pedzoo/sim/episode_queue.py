@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -23,6 +24,11 @@ class Scenes(NamedTuple):
     state: State
     guidance: Guidance
 
+    def select(self, index: Tensor) -> Scenes:
+        """Return some of the scenes."""
+        guidance = Guidance(*(value.index_select(0, index) for value in self.guidance))
+        return Scenes(self.state.select(index), guidance)
+
 
 class EpisodeQueue:
     """Begins the episodes of a seed, those of B rows ``stride`` numbers apart.
@@ -32,20 +38,30 @@ class EpisodeQueue:
     """
 
     def __init__(
-        self, episodes: Episodes, rules: Rules, people: int, seed: int, rows: int, first: int, stride: int
+        self,
+        episodes: Episodes,
+        rules: Rules,
+        opened: Callable[[State], State],
+        people: int,
+        seed: int,
+        rows: int,
+        first: int,
+        stride: int,
     ) -> None:
         """Take what makes episodes.
 
         Args:
             episodes: Makes first states.
             rules: Of the scenes.
+            opened: Changes what environments change of them.
             people: A, agents in every scene.
             seed: Of all episodes.
             rows: B.
             first: Number of the first episode of row 0.
             stride: From an episode to the next one of its row.
         """
-        self._episodes, self._rules, self._seed, self._stride = episodes, rules, seed, stride
+        self._episodes, self._rules, self._opened = episodes, rules, opened
+        self._seed, self._stride = seed, stride
         self._number = first + torch.arange(rows)
         made = min(_MADE, _AGENTS_MADE // people)
         self._depth = min(max(1, made // rows), _DEEPEST)
@@ -101,7 +117,7 @@ class EpisodeQueue:
         number = self._number[rows].unsqueeze(1) + self._stride * torch.arange(episodes)
         self._number.index_add_(0, rows, torch.full_like(rows, episodes * self._stride))
         state = self._episodes.begin(Draws.for_episodes(self._seed, number.view(-1)))
-        return (*state, *self._rules.guidance(state))
+        return (*self._opened(state), *self._rules.guidance(state))
 
 
 def _still_same(same: Tensor | None, made: Tensor) -> Tensor | None:

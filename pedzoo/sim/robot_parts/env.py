@@ -147,18 +147,16 @@ class RobotEnv(PedestrianEnv):
         self._set_ends(observation, over, over & self.state.overdue[:, -self.robots :])
         return observation
 
-    def _begin(self, index: Tensor, episodes: int) -> Any:
-        scenes = super()._begin(index, episodes)
+    def _opened(self, state: State) -> State:
         if self.scenes.present:
-            return scenes
-        state, agents = scenes.state, self.prepared.people
+            return state
+        agents = self.prepared.people
         there = torch.arange(agents, device=self.device) < agents - self.robots
-        state = state._replace(
+        return state._replace(
             mask=state.mask & there,
             controlled=state.controlled & there,
             person=torch.where(there, state.person, -1),
         )
-        return scenes._replace(state=state)
 
     @torch.no_grad()
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
