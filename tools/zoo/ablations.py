@@ -114,9 +114,14 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=Path("runs/ablations"))
     parser.add_argument("--fold", default="zara1", help="the recording that no training sees")
     parser.add_argument("--epochs", type=int, default=6, help="of 100 updates")
+    parser.add_argument(
+        "--parts", nargs="+", choices=[*PARTS], help="train and score these alone, and write no page"
+    )
     options = parser.parse_args()
     rows, real = [], {}
     for name, settings in PARTS.items():
+        if options.parts and name not in options.parts:
+            continue
         root = options.runs / f"{options.epochs}_epochs" / name.replace(" ", "_").replace(",", "")
         given = {
             "config": CONFIG, "data.fold": options.fold, "seed_everything": "0", "runs": str(root),
@@ -130,6 +135,8 @@ def main() -> None:
         versions = report["versions"]
         rows.append(walker | {"name": name, "unlike": f"{unlike:.3f}", "commit": versions["commit"]})
         print(f"{name}: val/unlike {unlike:.3f}", flush=True)
+    if options.parts:
+        return
     out = shipped("checkpoints") / "results" / "ABLATIONS.md"
     out.write_text("\n".join(page([*rows, real], options.fold, options.epochs)) + "\n")
     out.with_suffix(".json").write_text(json.dumps([*rows, real], indent=1) + "\n")
