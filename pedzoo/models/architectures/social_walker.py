@@ -21,6 +21,7 @@ from pedzoo.models.base import Forecaster, Walking, known_displacements, true_di
 from pedzoo.models.blocks.people.evasion import evasion
 from pedzoo.models.blocks.people.narrow import narrowness
 from pedzoo.models.blocks.people.nearest import FEATURES, nearest
+from pedzoo.models.blocks.people.setting_out import setting_out
 from pedzoo.models.blocks.people.step_features import RAYS, WALLS, Situation
 from pedzoo.models.blocks.people.style import STYLE_DIM, held_of, jitter_of, kink_of_change, kinks_of
 from pedzoo.models.blocks.timed_noise import timed_noise
@@ -47,8 +48,8 @@ class WalkerArchitecture:
         groups: Whether companions are those of ``agents/group``; else they are guessed from how people walk.
         style_prior: Whether velocities are held as often, and places jitter as much, as in people's first
             steps before training; else people differ in that only as far as the network has learned.
-        avoids: Whether people evade others on a collision course before training, too. If they see walls,
-            they turn faster near them, and set out again where somebody stopped them.
+        avoids: Whether people evade others on a collision course before training, too, and set out again
+            where somebody stopped them. If they see walls, they turn faster near them.
     """
 
     hidden_dim: int = 64
@@ -79,12 +80,6 @@ ASTRAY, LOOKING_UP = 0.3, 3.0
 
 USUAL_GATE = 2.0
 """Of the gate: before training velocities change in 9 of 10 steps, but for what first steps show."""
-
-HELD_STANDING = 4.5
-"""Of the gate, for people who stand: before training they set out in 7 % of steps."""
-
-SETTING_OUT = 20.0
-"""Of the gate: people who stand set out at once when they get another goal."""
 
 RARE_HALT = 4.0
 """Of another gate: before training 1 % of the steps of people who walk is a halt."""
@@ -215,8 +210,9 @@ class SocialWalker(Forecaster):
             result = result + jitter * functional.softplus(out[..., 13:15] - 0.5) * z[..., -JITTER:]
         if a.held:
             log_patience = self.patience[0] + self.patience[1] * now.stood + self.patience[2] * z[..., 0]
-            late = 2 * (2 * (now.late - log_patience.exp())).sigmoid()
-            setting_out = (SETTING_OUT * now.called - HELD_STANDING) * stands
+            too_late = now.late - log_patience.exp()
+            late = 2 * (2 * too_late).sigmoid()
+            again = stands * setting_out(now, too_late, a.avoids)
             often: Tensor | float = USUAL_GATE
             if a.style_prior:
                 off = (smooth_norm(past[:, :, -1] - want) / now.pref_speed - ASTRAY).clamp_min(0)
@@ -225,7 +221,7 @@ class SocialWalker(Forecaster):
             if a.avoids:
                 stopped = narrow * stands * (1 - now.stood)
                 often = often + stopped * (USUAL_GATE - often)
-            gate = ((out[..., 15] + often + GATE_NOISE * step[..., 0] + late + setting_out) / 0.2).sigmoid()
+            gate = ((out[..., 15] + often + GATE_NOISE * step[..., 0] + late + again) / 0.2).sigmoid()
             # held velocities are exactly those of before; the gradient is that of the soft gate
             moves = _hard(gate).unsqueeze(-1) * moves
         result = result + moves

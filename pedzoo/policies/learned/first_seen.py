@@ -9,11 +9,15 @@ from torch import Tensor
 from pedzoo.core import randomness
 from pedzoo.core.adapters import copied
 from pedzoo.core.batch import agents_of, ids_of
+from pedzoo.core.types import STEP_SECONDS
 from pedzoo.policies.learned.holding import goes_on
 from pedzoo.policies.scene_memory import SceneMemory
 
 _OTHER_GOAL = 1.0
 """Metres by which a path gets longer from one decision to the next if it leads to another goal."""
+
+_WALKS = 0.1
+"""m/s: slower people stand."""
 
 
 class FirstSeen(NamedTuple):
@@ -27,6 +31,7 @@ class FirstSeen(NamedTuple):
         path: Length of that way then (S, A), metres.
         left: Length of the rest at the last decision (S, A), metres.
         goes_on: Whether the policy moved it on then (S, A) bool; not where it held a place.
+        tried: Whether the policy has asked it to walk since it walked last (S, A) bool.
     """
 
     key: Tensor
@@ -36,16 +41,18 @@ class FirstSeen(NamedTuple):
     path: Tensor
     left: Tensor
     goes_on: Tensor
+    tried: Tensor
 
 
 class FirstSeenMemory:
-    """Adds ``first_history``, ``elapsed``, ``progress`` and ``called`` to scene batches.
+    """Adds ``first_history``, ``elapsed``, ``progress``, ``called`` and ``hindered`` to scene batches.
 
     * ``agents/first_history`` (B, A, 8, 2): the first 8 known positions, metres.
     * ``agents/elapsed`` (B, A, 1): seconds since then, or since the present goal was given.
     * ``agents/progress`` (B, A, 1): metres by which the path to the goal has become shorter since then.
     * ``agents/called`` (B, A, 1) bool: whether another goal was given since the last decision, or the
       policy moves an agent on now that it did not move on then.
+    * ``agents/hindered`` (B, A, 1) bool: whether it stands since the policy asked it to walk in vain.
 
     Batches that have them already stay as they are.
     """
@@ -53,6 +60,7 @@ class FirstSeenMemory:
     def __init__(self) -> None:
         """Remember nothing yet."""
         self._memory = SceneMemory[FirstSeen]()
+        self._last: FirstSeen | None = None
 
     def added(self, scenes: TensorDictBase) -> TensorDictBase:
         """Return the scenes with the keys."""
@@ -66,12 +74,13 @@ class FirstSeenMemory:
         time = cast("Tensor", scenes["time"]).expand(person.shape)
         history, path = cast("Tensor", agents["history"]).detach(), left.detach()
         moves = goes_on(scenes)
-        now = FirstSeen(key, person, history, time, path, path, moves)
+        now = FirstSeen(key, person, history, time, path, path, moves, torch.zeros_like(moves))
         before = self._memory.recall(now._replace(person=torch.full_like(person, -1)), person)
         # a scene that is walked a second time has the same key
         known = (before.person == person) & complete & (before.time <= time + 1e-3)
         sets_out = moves & ~before.goes_on
         on_way = known & (path < before.left + _OTHER_GOAL) & ~sets_out
+        hindered = known & before.tried & ~walks(history[:, :, -1] - history[:, :, -2])
         first = FirstSeen(
             key,
             person,
@@ -80,12 +89,26 @@ class FirstSeenMemory:
             torch.where(on_way, before.path, path),
             path,
             moves,
+            hindered,
         )
         self._memory.keep(first)
+        self._last = first
         result = copied(scenes)
         seen = agents_of(result)
         seen["first_history"] = first.history
         seen["elapsed"] = (time - first.time).unsqueeze(-1)
         seen["progress"] = (first.path - left).unsqueeze(-1)
         seen["called"] = (known & ~on_way).unsqueeze(-1)
+        seen["hindered"] = hindered.unsqueeze(-1)
         return result
+
+    def asked(self, step: Tensor) -> None:
+        """Remember the steps (B, A, 2), metres, that the policy asks for in the scenes of `added`."""
+        if self._last is not None:
+            self._memory.keep(self._last._replace(tried=self._last.tried | walks(step.detach())))
+            self._last = None
+
+
+def walks(step: Tensor) -> Tensor:
+    """Return whether people walk (...,) bool, by their steps (..., 2), metres."""
+    return step.square().sum(-1) >= (_WALKS * STEP_SECONDS) ** 2

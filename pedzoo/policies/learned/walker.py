@@ -118,6 +118,7 @@ class Walker(NamedPolicy):
         else:
             step = self._of_stored(tensordict)
         step = holding_places(tensordict, step) + led_apart(tensordict)
+        self._first_seen.asked(step)
         if self.safety:
             tensordict["agents", "asked"] = step / STEP_SECONDS
             step = safe(tensordict, step)

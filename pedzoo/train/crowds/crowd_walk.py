@@ -13,6 +13,7 @@ from pedzoo.core.types import AHEAD_SECONDS, OBS_LEN, STEP_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.maps.planning.planner import Planner
+from pedzoo.policies.learned.first_seen import walks
 from pedzoo.sim.replay.people import top_speed_of
 from pedzoo.train.crowds.excerpts import Excerpts
 
@@ -75,6 +76,7 @@ def walked_on(policy: Policy, real: Excerpts, planner: Planner, key: Tensor, bef
         return planner.guidance(here, goal_id, row, real.pose, real.pref_speed, AHEAD_SECONDS, fastest)
 
     asked, walked = [], []
+    tried = torch.zeros_like(real.walks)
     for number in range(steps):
         frame = OBS_LEN - 1 + number
         simulated = real.walks & (real.taken <= frame)
@@ -83,8 +85,11 @@ def walked_on(policy: Policy, real: Excerpts, planner: Planner, key: Tensor, bef
         others = real.there[:, :, frame] & ~simulated
         with torch.set_grad_enabled(number >= before and torch.is_grad_enabled()):
             batch = _observed(real, planner.bank, guide, path, there, mine, mine | others, key, number)
+            tried = tried & ~walks((path[-1] - path[-2]).detach())
+            batch["agents", "hindered"] = tried.unsqueeze(2)
             agents = cast("TensorDictBase", policy(batch)["agents"])
             here, command = path[-1], cast("Tensor", agents["action"])
+            tried = tried | (mine & walks(STEP_SECONDS * agents.get("asked", command).detach()))
             command = limit_speed(command, top_speed_of(real.pref_speed))
             plays = real.there[:, :, frame + 1] & ~simulated
             place = torch.where(

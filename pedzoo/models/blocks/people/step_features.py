@@ -30,6 +30,7 @@ class Situation(NamedTuple):
         remaining: What is left of the path (B, A), metres.
         late: By how much they are behind a walk at that speed (B, A), seconds.
         called: 1 for people who have just got another goal, or are moved from now on, else 0 (B, A).
+        hindered: 1 for people who stand since they tried to walk in vain, else 0 (B, A).
         stood: In which share of the steps that are seen first they stood (B, A).
         style: Their styles (B, A, 6), and ...
         crowd_style: ... the mean over the agents of the scene (B, 1, 6).
@@ -48,6 +49,7 @@ class Situation(NamedTuple):
     remaining: Tensor
     late: Tensor
     called: Tensor
+    hindered: Tensor
     stood: Tensor
     style: Tensor
     crowd_style: Tensor
@@ -60,7 +62,7 @@ class Situation(NamedTuple):
     def of(cls, batch: TensorDict, walls: bool = True) -> Self:
         """Return the situation of a scene batch, with walls or without.
 
-        ``first_history``, ``elapsed``, ``progress`` and ``called`` are a policy's memory, see
+        ``first_history``, ``elapsed``, ``progress``, ``called`` and ``hindered`` are a policy's memory, see
         `pedzoo.policies.learned.first_seen`. Without them people are seen for the first time.
         """
         agents = agents_of(batch)
@@ -78,8 +80,6 @@ class Situation(NamedTuple):
         late = torch.zeros_like(pref_speed)
         if "elapsed" in agents.keys():
             late = agents["elapsed"][..., 0] - agents["progress"][..., 0] / pref_speed
-        called = agents.get("called", None)
-        called = torch.zeros_like(late) if called is None else called[..., 0].to(late.dtype)
         style = style_of(first)
         stood = (first.diff(dim=2).square().sum(-1) < (0.1 * STEP_SECONDS) ** 2).to(style.dtype).mean(2)
         known = (there & agents["valid"].all(-1)).unsqueeze(-1)
@@ -91,7 +91,11 @@ class Situation(NamedTuple):
         around = _walls(batch, history[:, :, -1], ahead) if walls else late.unsqueeze(-1)
         late = torch.where(there, late, 0.0)
         remaining = torch.where(there & remaining.isfinite(), remaining, 0.0)
-        manner = pref_speed, remaining, late, called, stood, style, crowd, change
+        called, hindered = (
+            torch.zeros_like(late) if key not in agents.keys() else agents[key][..., 0].to(late.dtype)
+            for key in ("called", "hindered")
+        )
+        manner = pref_speed, remaining, late, called, hindered, stood, style, crowd, change
         company = companions_of(batch)
         return cls(history, there, ahead, *manner, agents["radius"][..., 0], around, company)
 
@@ -114,6 +118,7 @@ class Situation(NamedTuple):
             remaining=(self.remaining - done).clamp_min(0),
             late=self.late + STEP_SECONDS - done / self.pref_speed,
             called=torch.zeros_like(self.called),
+            hindered=torch.zeros_like(self.hindered),
         )
 
 
