@@ -396,21 +396,35 @@ def test_people_who_walk_more_evenly_than_recorded_ones_have_the_usual_style() -
     assert float(jitter_of(usual)) == pytest.approx(5e-4, abs=1e-5)
 
 
-@torch.no_grad()
-def test_people_who_were_stopped_near_a_wall_set_out_again() -> None:
-    """They have walked straight until then, and would hold their last velocity: none."""
-    model = SocialWalker.of(hidden_dim=0, style_prior=True, avoids=True, halts=False).eval()
-    back = 0.5 * torch.arange(-7.0, 1.0).view(1, 1, 8, 1) * torch.tensor([1.0, 0.0])
-    back = back + torch.nn.functional.pad(WIGGLE.cumsum(0), (0, 0, 1, 0))
+def share_who_set_out(model: SocialWalker, back: Tensor, **situation: float) -> float:
+    """Return the share of 100 people with other noise who set out; they stand, and began as `back` says."""
     batch = changed(make_batch((1,), padding=0.0), history=torch.zeros(1, 1, 8, 2))
     agents_of(batch)["first_history"] = back
-    gone = {}
-    for wall in (0.0, 1.5):
-        now = Situation.of(batch, walls=False)._replace(
-            walls=torch.full((1, 1, 17), wall), late=torch.full((1, 1), 60.0)
-        )
-        noise = torch.zeros(100, 1, model.noise_dim)
-        noise[:, 0, -EVERY_STEP - JITTER] = torch.linspace(-2, 2, 100)
-        many = Situation(*(value.expand(100, *value.shape[1:]) for value in now))
-        gone[wall] = float((model.velocity(many, noise).norm(dim=-1) > 0.1).float().mean())
-    assert gone[1.5] < 0.02 and gone[0.0] > 0.3
+    wall = situation.pop("wall", 1.5)
+    now = Situation.of(batch, walls=False)._replace(
+        walls=torch.full((1, 1, 17), wall), **{key: torch.full((1, 1), v) for key, v in situation.items()}
+    )
+    noise = torch.zeros(100, 1, model.noise_dim)
+    noise[:, 0, -EVERY_STEP - JITTER] = torch.linspace(-2, 2, 100)
+    many = Situation(*(value.expand(100, *value.shape[1:]) for value in now))
+    return float((model.velocity(many, noise).norm(dim=-1) > 0.1).float().mean())
+
+
+@torch.no_grad()
+def test_people_who_stand_set_out_again() -> None:
+    """They have walked straight until then, and would hold their last velocity: none.
+
+    Near a wall they set out after a while, where others stopped them at once, and at last anywhere. People
+    who stood when they were seen first do not, nor do those of models that do not evade.
+    """
+    model = SocialWalker.of(hidden_dim=0, style_prior=True, avoids=True, halts=False).eval()
+    walked = 0.5 * torch.arange(-7.0, 1.0).view(1, 1, 8, 1) * torch.tensor([1.0, 0.0])
+    walked = walked + torch.nn.functional.pad(WIGGLE.cumsum(0), (0, 0, 1, 0))
+    stood = torch.zeros(1, 1, 8, 2)
+    assert share_who_set_out(model, walked, late=4.0) < 0.02
+    assert share_who_set_out(model, walked, late=4.0, wall=0.0) > 0.3
+    assert share_who_set_out(model, walked, late=0.0, hindered=1.0) == 1
+    assert share_who_set_out(model, walked, late=60.0) == 1
+    assert share_who_set_out(model, stood, late=60.0) < 0.02
+    others = SocialWalker.of(hidden_dim=0, style_prior=True, halts=False).eval()
+    assert share_who_set_out(others, walked, late=60.0, hindered=1.0) < 0.02

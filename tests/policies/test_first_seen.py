@@ -103,3 +103,22 @@ def test_people_who_held_a_place_and_move_on_are_called() -> None:
         agents["desired_velocity"] = agents["pref_speed"] * torch.tensor([1.0, 0.0])
         agents["desired_velocity"][:, 0] *= 0.3 if holds else 1.0
         assert agents_of(memory.added(batch))["called"][0, :, 0].tolist() == [step == 2, False]
+
+
+def test_people_are_hindered_who_stand_though_they_were_asked_to_walk() -> None:
+    """The first one stands from the third decision on; the policy asks both to walk, and then to stand."""
+    memory, left = FirstSeenMemory(), torch.tensor([9.0, 6.0])
+    walk, stand = torch.full((2, 2, 2), 0.3), torch.zeros(2, 2, 2)
+    hindered = []
+    for step, asked in enumerate((walk, stand, walk, stand, stand)):
+        batch = scenes(min(step, 1), left)
+        batch["time"] = torch.full((2, 1), 0.4 * step)
+        place = agents_of(batch)["history"]
+        place[:, 0] = 0.0
+        place[:, 0, :, 0] = torch.tensor([1.0, 1, 1, 1, 1, 1, 1, 2]) if step < 2 else 2.0
+        place[:, 1, :, 0] = torch.arange(8.0) + step
+        seen = agents_of(memory.added(batch))
+        memory.asked(asked)
+        hindered.append(seen["hindered"][0, :, 0].tolist())
+    # at the second decision both were asked to stand, so the first one does that of its own accord
+    assert hindered == [[False, False]] * 3 + [[True, False]] * 2
