@@ -11,7 +11,7 @@ from pedzoo.eval.forecast import BASELINES
 
 ROOT = Path(__file__).parents[2]
 HEADLINE = "## all suites\n"
-"""The first table of checkpoints/results/RESULTS.md."""
+"""The first table of RESULTS.md and INDOOR.md in checkpoints/results."""
 
 SHOWN = {
     ("doors: varied", "clean"): "two at doors of 0.7 to 1.2 m: clean",
@@ -66,12 +66,22 @@ lines, on every fold:
 """
 
 
-def walked() -> str:
-    """Return the headline of the closed-loop results, without its intervals."""
-    page = (ROOT / "checkpoints" / "results" / "RESULTS.md").read_text()
+def walked(page: str = "RESULTS.md") -> str:
+    """Return the headline of a page of closed-loop results, without its intervals."""
+    page = (ROOT / "checkpoints" / "results" / page).read_text()
     table = page.partition(HEADLINE)[2].partition("\n## ")[0].strip()
     table = re.sub(r" \[[^]]*]", "", table).replace("_per_min", " / min").replace("agent_", "")
     return f"\n{table}\n"
+
+
+def indoors() -> str:
+    """Return the headline of what people do indoors, a policy in each column."""
+    lines = walked("INDOOR.md").strip().splitlines()
+    head, _, *rows = ([cell.strip() for cell in line.strip("|").split("|")] for line in lines)
+    columns = [[name.replace("_", " ") for name in head], *rows]
+    columns[1:] = [[f"`{name}`", *cells] for name, *cells in rows]
+    turned = ["| " + " | ".join(cells) + " |" for cells in zip(*columns, strict=True)]
+    return "\n".join(["", turned[0], "|---" * len(columns) + "|", *turned[1:], ""])
 
 
 def in_the_loop() -> str:

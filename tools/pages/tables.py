@@ -271,6 +271,7 @@ PAGES: dict[str, dict[str, Callable[[], str]]] = {
     "docs/results.md": {
         "loop": results_tables.in_the_loop,
         "walked": results_tables.walked,
+        "indoors": results_tables.indoors,
         "forecasts": results_tables.forecasts,
     },
 }

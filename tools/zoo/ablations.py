@@ -89,7 +89,8 @@ def page(rows: list[dict[str, Any]], fold: str, epochs: int) -> Iterator[str]:
     yield from ("# What each part of the walker is worth", "")
     yield (
         f"Made by `python -m tools.zoo.ablations --fold {fold} --epochs {epochs}`: `{CONFIG}` without "
-        f"{fold}, trained for {epochs} epochs of 100 updates (the zoo has 6), one part left out at a time."
+        f"{fold}, trained for {epochs} epochs of 100 updates (the zoo has 6), one part left out at a time. "
+        f"Commit: {', '.join(sorted({row['commit'] for row in rows if 'commit' in row}))}."
     )
     yield (
         f"Each crowd takes the place of all people of {fold} under the safety layer. "
