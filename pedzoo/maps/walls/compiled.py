@@ -125,14 +125,15 @@ def _sees(home, corner, end, part, frame, place, clear):
     for i in range(1, steps + 1):
         t = min(i * spacing, 1.0)
         # a look that depends on the one before would wait for memory
-        hidden |= not clear[_number(cell_x + t * over, cell_y + t * up, place)]
+        number = _number(cell_x + t * over, cell_y + t * up, place)
+        hidden |= not (clear[number >> 3] >> (number & 7)) & 1
     return not hidden
 
 
 @compiled(
     "void(f4[:,:,:], i8[:,:], i8[:], f4[:,:], f4[:,:], f8,"
     " f4[:,:], i8[:,:], i4[:], f4[:], f4[:], i8[:,:], i4[:], f4[:],"
-    " f8[:,:], i4[:,:], f8[:], b1[:],"
+    " f8[:,:], i4[:,:], f8[:], u1[:],"
     " f4[:,:,:], f4[:,:,:], f4[:,:,:], f4[:,:,:], f4[:,:])"
 )
 def guidance_loop(

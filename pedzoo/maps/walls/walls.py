@@ -113,10 +113,10 @@ class Walls:
     def map_arrays(self) -> tuple[Any, ...]:
         """What the compiled planner reads: how the maps lie, and where a body has room.
 
-        The latter is a quarter as large as the lower bounds of distances, and so in the processor's cache.
+        The latter has a bit for every quarter, and so is in the processor's cache.
         """
-        clear = self.least >= BODY_RADIUS
-        return self.affine.numpy(), self.place.numpy(), self.side.numpy(), clear.numpy()
+        clear = np.packbits(self.least.numpy() >= BODY_RADIUS, bitorder="little")
+        return self.affine.numpy(), self.place.numpy(), self.side.numpy(), clear
 
     def segments(
         self,
