@@ -22,14 +22,20 @@ SHOWN = {
     ("doors: 2 against 2", "clean"): "2 against 2 at a door: clean",
     ("doors: queue of 6", "clean"): "queue of 6: clean",
     ("doors: standing", "clean"): "a person stands at the door: clean",
-    ("doors: flow of 20", "specific_flow_per_m_s"): "queue of 20: people / (m s) (real: about 1.9)",
+    (
+        "doors: flow of 20",
+        "specific_flow_per_m_s",
+    ): "queue of 20 at doors of 0.8 to 1.2 m: people / (m s) (real: about 1.9)",
     ("buildings: drawn", "episode_success"): "unseen drawn floor plans: all people reach all goals",
     ("buildings: drawn", "contact_free"): "no person touches anything there",
     ("buildings: drawn", "time_ratio"): "time / planned way's",
     ("buildings: aws_small_house", "time_ratio"): "time / planned way's in `aws_small_house`",
     ("buildings: crowd of 50", "success"): "50 people in an unseen office: share who arrive",
     ("buildings: crowd of 50", "contacts_per_min"): "their touches per minute",
-    ("noise: who goes first", "varied"): "doors at which the noise says who goes first",
+    (
+        "noise: who goes first",
+        "varied",
+    ): "share of doors at which another draw of noise lets another person go first",
     **{(f"replay: {fold}", "realism"): f"realism among the people of {fold}" for fold in SCENES},
 }
 """Rows of checkpoints/results/LOOP.md by case and metric, and what the page calls them."""

@@ -31,7 +31,14 @@ from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.load import load_policy
 
-POLICIES = ("sgan_goal_map.indoor", "sgan_goal.indoor", "orca", "social_force:preset=indoor")
+POLICIES = (
+    "sgan_goal_map.indoor",
+    "sgan_goal.indoor",
+    "social_walker.indoor",
+    "social_walker.styled",
+    "orca",
+    "social_force:preset=indoor",
+)
 ROBOT_RADIUS = 0.5
 CONTACT = ROBOT_RADIUS + BODY_RADIUS
 WIDTH = 2.4

@@ -32,7 +32,7 @@ STEP_MS = RESULTS / "STEP_MS.json"
 CHOICE = {
     "sgan_goal_map.indoor": "people walk around your robot: the default",
     "social_walker.indoor": "people walk in groups that you name, and brake nearly as recorded ones do",
-    "social_walker.styled": "people are hardest to tell from recorded ones; a fifth slower in buildings",
+    "social_walker.styled": "people are hardest to tell from recorded ones; a little slower in buildings",
     "sgan_goal_map.zara1": "you forecast with goals and floor plans, as the iGibson paper; not for walking",
     "sgan.zara1": "you forecast without goals: Social GAN; not for walking",
     "robot_ppo.mix": "you want a robot with a lidar to compare with",
@@ -55,6 +55,7 @@ CHANCE = 0.03
 
 LESS = {
     "time in buildings, in times of free walking": ("buildings: drawn", "time_ratio"),
+    "time in the scanned `aws_small_house`": ("buildings: aws_small_house", "time_ratio"),
     "time at doors": ("doors: varied", "time_ratio_median"),
     **{f"realism on {fold}": (f"replay: {fold}", "realism") for fold in results_tables.SCENES},
 }
@@ -72,7 +73,7 @@ def models() -> str:
     for name, when in CHOICE.items():
         card = read_card(ROOT / "checkpoints" / name / CARD)
         robot = name.startswith(ROBOTS)
-        values = walked(card, "robots" if robot else "goals drawn")
+        values = in_results(name) or walked(card, "robots" if robot else "goals drawn")
         keys = ("agent_contacts_per_min", "wall_contacts_per_min")
         touches = sum(values[key] for key in keys) if keys[0] in values else None
         rows.append(
@@ -88,10 +89,12 @@ def models() -> str:
         )
     head = ["name", "take it when", "success", "touches", "realism", "ms", "terms"]
     return table(head, rows) + (
-        "\n- success: share of people who reach their goals in randomly generated apartments and offices.\n"
+        "\n- success: share of people who reach their goals in randomly generated apartments and offices, "
+        "in 100 episodes. The robot is among the people and rooms of its training; "
+        "elsewhere it gets less far ([ROBOTS](checkpoints/results/ROBOTS.md)).\n"
         "- touches: of other people and walls there, per person and minute. "
-        "A person is a disc of radius 0.15 m. No robot is there; for robots see "
-        "[how people treat them](docs/simulate.md#in-your-own-simulator).\n"
+        "A person is a disc of radius 0.15 m. No robot is there; "
+        "[how people treat robots](docs/simulate.md#people-around-a-robot) was tested, too.\n"
         "- realism: the distance of walks from those of recorded crowds; less is better. "
         "Each crowd is compared with weights that never saw it.\n"
         "  Two random halves of a real crowd differ by 0.12: better is hardly possible.\n"
@@ -129,7 +132,8 @@ def results() -> str:
         "- `safety=true` is the safety layer that our weights use, too. "
         "Most of the freedom from contacts is its work. ORCA and social force walk without it.\n"
         "- Why a learned model: it is as free of contacts as the layer alone, and walks more like people.\n\n"
-        f"**A rule-based policy measures better** than ours, `{LEARNED[0]}`, in:\n\n{lines}"
+        f"**A rule-based policy measures better** than ours, `{LEARNED[0]}`, by more than {CHANCE} in:\n\n{lines}"
+        "\nAll of these numbers, and more: [results](docs/results.md#controllers-in-the-loop).\n"
     )
 
 
@@ -180,6 +184,16 @@ def walked(card: ModelCard, case: str) -> dict[str, float]:
             if str(row.get("table", "")).startswith(case):
                 return row["metrics"]
     return {}
+
+
+def in_results(name: str) -> dict[str, float]:
+    """Return the metrics of a policy in drawn buildings on the page RESULTS.md; empty where it is not there."""
+    page = (RESULTS / "RESULTS.md").read_text().partition("\n## goals drawn")[2].partition("\n\n## ")[0]
+    lines = [line.strip("|").split("|") for line in page.splitlines() if line.startswith("|")]
+    head = [cell.strip() for cell in lines[0]]
+    row = next((row for row in lines if row[0].strip() == name), [])
+    cells = {key: cell.split()[0] for key, cell in zip(head[1:], row[1:], strict=False)}
+    return {key: float(cell) for key, cell in cells.items() if cell != "-"}
 
 
 def targets() -> dict[str, dict[tuple[str, str], float]]:
