@@ -132,7 +132,8 @@ def results() -> str:
         "- `safety=true` is the safety layer that our weights use, too. "
         "Most of the freedom from contacts is its work. ORCA and social force walk without it.\n"
         "- Why a learned model: it is as free of contacts as the layer alone, and walks more like people.\n\n"
-        f"**A rule-based policy measures better** than ours, `{LEARNED[0]}`, by more than {CHANCE} in:\n\n{lines}"
+        f"**A rule-based policy measures better** than ours, `{LEARNED[0]}`, by more than {CHANCE} in:\n\n"
+        f"{lines}"
         "\nAll of these numbers, and more: [results](docs/results.md#controllers-in-the-loop).\n"
     )
 
@@ -187,7 +188,7 @@ def walked(card: ModelCard, case: str) -> dict[str, float]:
 
 
 def in_results(name: str) -> dict[str, float]:
-    """Return the metrics of a policy in drawn buildings on the page RESULTS.md; empty where it is not there."""
+    """Return the metrics of a policy in drawn buildings of RESULTS.md; empty where it is not there."""
     page = (RESULTS / "RESULTS.md").read_text().partition("\n## goals drawn")[2].partition("\n\n## ")[0]
     lines = [line.strip("|").split("|") for line in page.splitlines() if line.startswith("|")]
     head = [cell.strip() for cell in lines[0]]

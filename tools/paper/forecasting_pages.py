@@ -64,7 +64,8 @@ def forecasting_notes(missing: Mapping[str, str]) -> list[str]:
         "network became wider (both by the validation of zara1), and with a goal the best guess "
         "weighed 3 instead of 1. univ was scored once after 120 epochs (.223), before the held-out scene "
         "said 56. So these numbers are a little less blind than they should be",
-        "eth has 181 people, each counted in every window: it moves by .035/.07 from seed to seed. Do not rank by it",
+        "eth has 181 people, each counted in every window: it moves by .035/.07 from seed to seed. "
+        "Do not rank by it",
         f"what to ask of any such table: {'; '.join(QUIRKS)}",
     ]
     if missing:
