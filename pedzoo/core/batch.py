@@ -203,6 +203,20 @@ def goals_of(batch: TensorDictBase, who: str) -> tuple[Tensor, Tensor]:
     return cast("Tensor", agents["goal"]), cast("Tensor", agents["desired_velocity"])
 
 
+def actions_of(batch: TensorDictBase, group: str = "agents") -> Tensor:
+    """Return the actions (B, A, 2) that a policy has written for a group of agents, in single precision.
+
+    Raises:
+        UserError: They have another shape: torch would stretch them silently.
+    """
+    action, expected = cast("Tensor", batch[group, "action"]), (*cast("Any", batch[group]).batch_size, 2)
+    if tuple(action.shape) != expected:
+        raise UserError(
+            f"{group}/action of shape {tuple(action.shape)}: expected {expected}, two for each agent"
+        )
+    return action.float()
+
+
 def maps_of(batch: TensorDictBase) -> MapBank:
     """Return the floor plans that the ``map_id`` of a batch speaks of, on the device of the batch.
 

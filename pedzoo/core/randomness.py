@@ -9,10 +9,13 @@ mixing function is SplitMix64's (Steele et al., OOPSLA 2014).
 from __future__ import annotations
 
 from functools import lru_cache
+from numbers import Integral
 from zlib import crc32
 
 import torch
 from torch import Tensor
+
+from pedzoo.core.errors import UserError
 
 
 def _signed(value: int) -> int:
@@ -76,7 +79,13 @@ class Draws:
 
     @classmethod
     def for_episodes(cls, seed: int, episode: Tensor) -> Draws:
-        """Return the numbers of the scenes ``episode`` (B,) long of a seed."""
+        """Return the numbers of the scenes ``episode`` (B,) long of a seed.
+
+        Raises:
+            UserError: The seed is no whole number.
+        """
+        if not isinstance(seed, Integral):
+            raise UserError(f"seed {seed!r}: expected a whole number")
         return cls(join(torch.zeros_like(episode) + _signed(seed % 2**64), episode), episode)
 
     def keys(self, what: str, *shape: int) -> Tensor:

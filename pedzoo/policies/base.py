@@ -6,9 +6,18 @@ from pathlib import Path
 from typing import Any, Self
 
 from tensordict.nn import TensorDictModuleBase
+from tensordict.nn.probabilistic import InteractionType as ExplorationType
+from tensordict.nn.probabilistic import interaction_type as exploration_type
 
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.policies.controller.controller import Controller
+
+_DETERMINISTIC = (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN)
+
+
+def deterministic() -> bool:
+    """Return whether policies are asked for their answers without noise, by TorchRL's exploration type."""
+    return exploration_type() in _DETERMINISTIC
 
 
 class NamedPolicy(TensorDictModuleBase):
@@ -24,6 +33,10 @@ class NamedPolicy(TensorDictModuleBase):
 
     def policy(self) -> Self:
         """Return itself, as models return their policy."""
+        return self
+
+    def fresh(self) -> Self:
+        """Return the policy as it is before its first scene: itself, for policies that remember nothing."""
         return self
 
     def controller(self, map: OccupancyGrid | str | Path | None = None, **settings: Any) -> Controller:

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from pedzoo.core import randomness
 from pedzoo.core.adapters import copied
-from pedzoo.core.batch import PERSON, ROBOT, agents_of, ids_of
+from pedzoo.core.batch import PERSON, ROBOT, actions_of, agents_of, ids_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import blended, limit_speed
 from pedzoo.core.types import TRACE_SECONDS
@@ -91,7 +91,7 @@ class Team(nn.Module):
         agents["controlled"] = mine
         if self.every > 1 and "info" in agents.keys():
             del agents["info"]  # of the crowd's decision, not of the team's
-        return cast("Tensor", self.policy(seen)["agents", "action"])
+        return actions_of(self.policy(seen))
 
     def _planned(self, scenes: TensorDictBase, mine: Tensor, dt: float) -> Tensor:
         """Return the running plans' velocities (B, A, 2), of new plans where agents have to decide."""
@@ -171,6 +171,7 @@ class Teams(Policy):
         Raises:
             UserError: Decision intervals are no multiples of the shortest.
         """
+        self._given = people, robots
         teams = _teams(people, None if robots is None else PERSON)
         teams += [] if robots is None else _teams(robots, ROBOT)
         steps = [team.policy.decision_dt for team in teams]
@@ -189,6 +190,13 @@ class Teams(Policy):
                     f"execute_steps {execute}: a team decides anew for people who are taken over: expected 1"
                 )
         self.teams = nn.ModuleList(teams)
+
+    def fresh(self) -> "Teams":
+        """Return a crowd of the same policies that has seen no scene yet."""
+        people, robots = self._given
+        result = Teams(_fresh(people), None if robots is None else _fresh(robots))
+        result.name = self.name
+        return result
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the velocities of all agents."""
@@ -212,6 +220,11 @@ class Teams(Policy):
         )
         kind = cast("Tensor", agents_of(scenes)["kind"])
         return [team.of(draw, kind) for team in cast("list[Team]", list(self.teams))]
+
+
+def _fresh(crowd: Policy | Walker | Crowd) -> Policy | Walker | Crowd:
+    """Return the policies of a crowd as they are before their first scene."""
+    return [(one.fresh(), share) for one, share in crowd] if isinstance(crowd, list) else crowd.fresh()
 
 
 def _teams(crowd: Policy | Walker | Crowd, kind: int | None) -> list[Team]:

@@ -13,7 +13,7 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 
 from pedzoo.core.adapters import copied, put, tensordict_of
-from pedzoo.core.batch import agents_of
+from pedzoo.core.batch import actions_of, agents_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.machine import usable
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
@@ -235,7 +235,7 @@ class PedestrianEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         before = self.state
-        action = tensordict["agents", "action"]
+        action = actions_of(tensordict)
         after, guidance, outcome = kernel.step(before, action, self.physics, self.rules)
         if bool((after.failed & ~before.failed).any()):
             self._warn(action, before, after)

@@ -122,3 +122,16 @@ def test_people_are_hindered_who_stand_though_they_were_asked_to_walk() -> None:
         hindered.append(seen["hindered"][0, :, 0].tolist())
     # at the second decision both were asked to stand, so the first one does that of its own accord
     assert hindered == [[False, False]] * 3 + [[True, False]] * 2
+
+
+def test_a_clock_that_went_back_and_a_long_absence_begin_anew() -> None:
+    memory, left = FirstSeenMemory(), torch.tensor([9.0, 6.0])
+    for step in range(3):
+        memory.added(scenes(step, left - 0.5 * step))
+    again = scenes(0, left)
+    agents_of(again)["history"] += 3.0
+    seen = agents_of(memory.added(again))
+    assert torch.equal(seen["first_history"], agents_of(again)["history"])
+    late = scenes(20, left)
+    seen = agents_of(memory.added(late))
+    assert torch.equal(seen["first_history"], agents_of(late)["history"]) and not seen["elapsed"].any()

@@ -42,6 +42,17 @@ class OnlinePlanner(Planner):
             _ = self.corners(0).matrix, bank.walls  # at the first step they would come too late
         self._clear()
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Let the table of a copy see its own entries: copies of arrays and of their tensors are two."""
+        self.__dict__.update(state)
+        if self._table is not None and self._table is not self._empty:
+            self._table = self._seeing_entries(self._table)
+
+    def _seeing_entries(self, table: WaypointTable) -> WaypointTable:
+        """Return the table with the entries that `_write` writes."""
+        entries = torch.from_numpy(self._waypoint), torch.from_numpy(self._length)
+        return replace(table, waypoint=entries[0], length=entries[1])
+
     def _clear(self) -> None:
         """Begin a table without goals: what is never asked for is a page of zeros that takes no memory."""
         self._ids, self._goals, self._from_corners = {}, [], []
@@ -89,14 +100,13 @@ class OnlinePlanner(Planner):
         ]
         places = torch.tensor([goal.point for goal in self._goals]).float().t()
         empty = self._empty
-        self._table = replace(
+        with_goals = replace(
             empty,
             x=torch.cat((empty.x, places[0])),
             y=torch.cat((empty.y, places[1])),
             goal=torch.cat((empty.goal, torch.tensor(rows).t()), dim=1),
-            waypoint=torch.from_numpy(self._waypoint),
-            length=torch.from_numpy(self._length),
         )
+        self._table = self._seeing_entries(with_goals)
         return self._table
 
     def _visit(self, points: Tensor, goal_id: Tensor) -> None:

@@ -55,7 +55,7 @@ class Planner:
         Raises:
             UserError: A length is negative.
         """
-        if min(clearance, snap, cell, share) < 0:
+        if not min(clearance, snap, cell, share) >= 0:
             raise UserError(
                 f"planner clearance {clearance}, snap {snap}, cell {cell}, share {share} must be metres, at "
                 "least 0"

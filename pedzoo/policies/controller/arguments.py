@@ -4,6 +4,7 @@ import numbers
 from collections.abc import Hashable, Mapping, Set
 from dataclasses import dataclass
 from hashlib import blake2b
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.core.errors import UserError, unknown
+from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.named_plans import load_plan
 
 PREF_SPEED = 1.3
 """Preferred speed of people without a given one, m/s."""
@@ -52,6 +55,37 @@ FARTHEST = 1e4
 """Metres from the scene's origin: float32 tells millimetres apart up to here."""
 
 ZERO = np.zeros(2)
+
+
+def plan_of(map: OccupancyGrid | str | Path | None) -> OccupancyGrid | None:
+    """Return the floor plan that a map, its name or its file stands for; None for open space.
+
+    Raises:
+        UserError: It is anything else, or there is no such floor plan.
+    """
+    if map is None or isinstance(map, OccupancyGrid):
+        return map
+    if isinstance(map, str | Path):
+        return load_plan(map)
+    raise UserError(
+        f"map of type {type(map).__name__}: expected the name or file of a floor plan, or "
+        "pedzoo.maps.grid.OccupancyGrid(cells, resolution)"
+    )
+
+
+def number(value: Any, what: str, expected: str, one: Hashable | None = None) -> float:
+    """Return a value as a number; messages call it ``what`` of agent ``one``, and say what was ``expected``.
+
+    Raises:
+        UserError: It is none, or text.
+    """
+    try:
+        if not isinstance(value, str):
+            return float(value)
+    except (TypeError, ValueError):
+        pass
+    whose = "" if one is None else f" of {one!r}"
+    raise UserError(f"{what} {value!r}{whose}: expected {expected}")
 
 
 def by_id(given: Any, what: str) -> Mapping[Any, Any]:
@@ -166,10 +200,7 @@ def metres_of(one: Hashable, radius: Any) -> float:
     Raises:
         UserError: It is not above 0.
     """
-    try:
-        metres = float(radius)
-    except (TypeError, ValueError):
-        metres = float("nan")
+    metres = number(radius, "radius", "metres, above 0", one)
     if not 0 < metres < float("inf"):
         raise UserError(f"radius {radius!r} of {one!r}: expected metres, above 0")
     return metres
@@ -183,7 +214,8 @@ def speed_of(one: Hashable, pref_speed: float | Mapping[Any, float]) -> float:
     """
     if isinstance(one, DiscKey):
         return PREF_SPEED
-    speed = float(pref_speed.get(one, PREF_SPEED) if isinstance(pref_speed, Mapping) else pref_speed)
+    given = pref_speed.get(one, PREF_SPEED) if isinstance(pref_speed, Mapping) else pref_speed
+    speed = number(given, "pref_speed", "metres per second, above 0", one)
     if not 0 < speed < float("inf"):
         raise UserError(f"pref_speed {speed} of {one!r}: expected metres per second, above 0")
     return speed

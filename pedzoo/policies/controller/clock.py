@@ -10,6 +10,7 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS
+from pedzoo.policies.controller.arguments import number
 
 _OBSERVED = (OBS_LEN - 1) * STEP_SECONDS
 """Seconds that a history reaches back."""
@@ -71,7 +72,7 @@ class CallerClock(NamedTuple):
         if time is None:
             every = round(self.decision_dt / self.dt)
             return (clock._replace(decided=clock.now) if self.calls % every == 0 else clock), 1
-        if not math.isfinite(time):
+        if not math.isfinite(number(time, "time", "seconds, a finite number")):
             raise UserError(f"time {time}: expected seconds, a finite number")
         if self.start is None:
             ago = torch.arange(self.length - 1, -1, -1, dtype=torch.float64) * self.dt
@@ -135,6 +136,7 @@ def times(whole: float, dt: float, what: str) -> int:
     Raises:
         UserError: Not a whole number.
     """
+    dt = number(dt, "dt", "seconds, a number")
     result = round(whole / dt) if SHORTEST <= dt < math.inf else 0
     if result < 1 or abs(result * dt - whole) > 1e-6:
         raise UserError(

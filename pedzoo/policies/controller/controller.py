@@ -4,7 +4,7 @@ import warnings
 from collections.abc import Hashable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol, TypeVar, cast
+from typing import Any, Protocol, TypeVar, cast, runtime_checkable
 
 import numpy as np
 import torch
@@ -14,14 +14,13 @@ from tensordict.nn.probabilistic import InteractionType as ExplorationType
 from tensordict.nn.probabilistic import set_interaction_type as set_exploration_type
 from torch import Tensor, nn
 
-from pedzoo.core.batch import PERSON, ROBOT, scene_batch
+from pedzoo.core.batch import PERSON, ROBOT, actions_of, scene_batch
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import TURNS_FROM, blended, heading_of, identity_pose, limit_speed
 from pedzoo.core.randomness import Draws
 from pedzoo.core.types import AHEAD_SECONDS, OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
-from pedzoo.maps.named_plans import load_plan
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.maps.planning.online import OnlinePlanner
 from pedzoo.policies.controller.arguments import (
@@ -33,6 +32,7 @@ from pedzoo.policies.controller.arguments import (
     by_id,
     check_radius_ids,
     origin_of,
+    plan_of,
 )
 from pedzoo.policies.controller.clock import CallerClock, times
 from pedzoo.policies.controller.online_goals import OnlineGoals
@@ -48,6 +48,15 @@ class WalkingPolicy(Protocol):
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ``agents/action``."""
+        ...
+
+
+@runtime_checkable
+class Forgetful(Protocol):
+    """Policies that remember what they have seen, and can begin anew."""
+
+    def fresh(self) -> WalkingPolicy:
+        """Return the policy as it is before its first scene."""
         ...
 
 
@@ -90,7 +99,7 @@ class Controller:
         """Take a policy and the floor plan that people walk on.
 
         Args:
-            policy: Decides. Controllers on several floor plans may share one.
+            policy: Decides. Several controllers may share one: each remembers its own people.
             map: The floor plan, its name (``apartment.7``) or its file; None for open space, where paths are
                 straight.
             pref_speed: Preferred speed, m/s: one for all, or by id (1.3 for people not in it). It is read
@@ -111,7 +120,7 @@ class Controller:
                 f"execute_steps {getattr(policy, 'execute_steps', 1)}: a controller decides anew for people "
                 "who come and go: expected 1"
             )
-        grid = load_plan(map) if isinstance(map, str | Path) else map
+        grid = plan_of(map)
         origin = ZERO
         if grid is not None:
             origin, grid = origin_of(grid.origin[:2]), replace(grid, origin=(0.0, 0.0, grid.origin[2]))
@@ -130,6 +139,7 @@ class Controller:
 
     def reset(self, seed: int = 0) -> None:
         """Forget all agents and start anew with the noise of ``seed``; ways that are known stay known."""
+        self.policy = self.policy.fresh() if isinstance(self.policy, Forgetful) else self.policy
         self._key = Draws.for_episodes(seed, torch.zeros(1, dtype=torch.long)).key
         self._clock = CallerClock(self.dt, self.policy.decision_dt)
         self._agents = Roster.empty(self._clock.length, self._ticks)
@@ -152,9 +162,9 @@ class Controller:
         Coordinates are those of the floor plan, metres: tuples, lists, arrays or tensors. They may be
         anywhere, within 10 km of it, or without one of the first agent. A call that raises changes nothing.
 
-        People may brush walls, and walk onto the floor plan from outside. One who comes deeper in a wall, or
-        farther outside, than their radius is warned of, once per controller: they walk from the nearest free
-        place.
+        People may brush walls. Of one who comes deeper in a wall, or farther outside, than their radius you
+        are warned, once per controller: their path begins at the nearest free place. Under a safety layer
+        nobody gets through a wall, so people outside of it stay there.
 
         Args:
             people: Where they are now, by id: any hashable values.
@@ -165,7 +175,7 @@ class Controller:
             others: Where agents are that the caller moves, by id: (x, y), or (k, 2) for a body of several
                 discs. Each disc has its own history.
             radius: Radii of bodies by id, metres; once given they stay until they change. People have 0.15
-                else, others 0.3. All discs of an agent have the same. Ids who have left do not matter.
+                else, others 0.3. All discs of an agent have the same. Absent ids who had one do not matter.
             groups: Which people walk in company, by id: any name, the same for all of a company, or None
                 for alone. Once given they stay until they change; people are alone else.
             time: Now, seconds by the caller's clock, at every call or at none. Calls may then come early or
@@ -223,7 +233,7 @@ class Controller:
                 batch = self._batch(agents, velocity, guidance, clock)
                 agents = self._decided(agents, batch, decides, new)
         self._online_goals, self._agents, self._clock = online_goals, agents, clock
-        self._sized = set(radius)
+        self._sized |= set(radius)
         answer = (agents.trace * clock.parts(self._ticks).view(-1, 1)).sum(1).double().numpy()
         return {one: answer[agents.row[one]] for one in people}
 
@@ -235,7 +245,7 @@ class Controller:
         batch = batch if device == agents.past.device else batch.to(device)
         kind = ExplorationType.DETERMINISTIC if self.deterministic else ExplorationType.RANDOM
         with set_exploration_type(kind):
-            action = cast("Tensor", self.policy(batch)["agents", "action"])[0].to(agents.past)
+            action = actions_of(self.policy(batch))[0].to(agents.past)
         broken = ~action.isfinite().all(1) & agents.walks
         if broken.any():
             raise UserError(

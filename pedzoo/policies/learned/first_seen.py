@@ -9,7 +9,7 @@ from torch import Tensor
 from pedzoo.core import randomness
 from pedzoo.core.adapters import copied
 from pedzoo.core.batch import agents_of, ids_of
-from pedzoo.core.types import STEP_SECONDS
+from pedzoo.core.types import OBS_LEN, STEP_SECONDS
 from pedzoo.policies.learned.holding import goes_on
 from pedzoo.policies.scene_memory import SceneMemory
 
@@ -18,6 +18,9 @@ _OTHER_GOAL = 1.0
 
 _WALKS = 0.1
 """m/s: slower people stand."""
+
+_ABSENT = OBS_LEN * STEP_SECONDS
+"""Seconds: agents who were away for as long as a history lasts are seen for the first time."""
 
 
 class FirstSeen(NamedTuple):
@@ -30,6 +33,7 @@ class FirstSeen(NamedTuple):
         time: When its way to the present goal began (S, A), seconds.
         path: Length of that way then (S, A), metres.
         left: Length of the rest at the last decision (S, A), metres.
+        last: When that was (S, A), seconds.
         goes_on: Whether the policy moved it on then (S, A) bool; not where it held a place.
         tried: Whether the policy has asked it to walk since it walked last (S, A) bool.
     """
@@ -40,6 +44,7 @@ class FirstSeen(NamedTuple):
     time: Tensor
     path: Tensor
     left: Tensor
+    last: Tensor
     goes_on: Tensor
     tried: Tensor
 
@@ -74,10 +79,11 @@ class FirstSeenMemory:
         time = cast("Tensor", scenes["time"]).expand(person.shape)
         history, path = cast("Tensor", agents["history"]).detach(), left.detach()
         moves = goes_on(scenes)
-        now = FirstSeen(key, person, history, time, path, path, moves, torch.zeros_like(moves))
+        now = FirstSeen(key, person, history, time, path, path, time, moves, torch.zeros_like(moves))
         before = self._memory.recall(now._replace(person=torch.full_like(person, -1)), person)
-        # a scene that is walked a second time has the same key
-        known = (before.person == person) & complete & (before.time <= time + 1e-3)
+        # a scene that is walked a second time has the same key, and its clock went back
+        since = time - before.last
+        known = (before.person == person) & complete & (since > -1e-3) & (since < _ABSENT)
         sets_out = moves & ~before.goes_on
         on_way = known & (path < before.left + _OTHER_GOAL) & ~sets_out
         hindered = known & before.tried & ~walks(history[:, :, -1] - history[:, :, -2])
@@ -88,6 +94,7 @@ class FirstSeenMemory:
             torch.where(on_way, before.time, time),
             torch.where(on_way, before.path, path),
             path,
+            time,
             moves,
             hindered,
         )

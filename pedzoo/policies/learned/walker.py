@@ -1,11 +1,10 @@
 """Any forecaster as a policy: asked for one next move at a time, it walks."""
 
-from typing import Any, ClassVar, NamedTuple, cast, get_args
+from copy import copy
+from typing import Any, ClassVar, NamedTuple, Self, cast, get_args
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn.probabilistic import InteractionType as ExplorationType
-from tensordict.nn.probabilistic import interaction_type as exploration_type
 from torch import Tensor
 from torch.nn import functional
 
@@ -16,13 +15,11 @@ from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.types import AHEAD_SECONDS, PRED_LEN, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.models.base import Forecaster, Noise
 from pedzoo.models.blocks.timed_noise import timed_noise
-from pedzoo.policies.base import NamedPolicy
+from pedzoo.policies.base import NamedPolicy, deterministic
 from pedzoo.policies.learned.first_seen import FirstSeenMemory
 from pedzoo.policies.learned.holding import holding_places
 from pedzoo.policies.learned.same_spot import led_apart
 from pedzoo.policies.safety_layer.layer import safe
-
-_DETERMINISTIC = (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN)
 
 
 class StoredPrediction(NamedTuple):
@@ -106,9 +103,18 @@ class Walker(NamedPolicy):
         self.noise_seed = noise_seed
         self.safety = model.walking_safety if safety is None else safety
         self.extend_goal = model.walking_extend_goal if extend_goal is None else extend_goal
+        self._remember_nothing()
+
+    def _remember_nothing(self) -> None:
         self._stored: StoredPrediction | None = None
         self._episode_noise: EpisodeNoise | None = None
         self._first_seen = FirstSeenMemory()
+
+    def fresh(self) -> Self:
+        """Return a walker with the same model and settings that has seen no scene yet."""
+        result = copy(self)
+        result._remember_nothing()
+        return result
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write each person's velocity (B, A, 2), m/s."""
@@ -149,7 +155,7 @@ class Walker(NamedPolicy):
 
     def noise_of(self, tensordict: TensorDictBase) -> Tensor | None:
         """Return each person's noise (B, A, noise_dim) in scenes as they are now, None for none."""
-        if not self.model.noise_dim or exploration_type() in _DETERMINISTIC:
+        if not self.model.noise_dim or deterministic():
             return None
         scene_key, agent, time = tensordict["scene_key"], ids_of(tensordict), tensordict["time"]
         if self.model.noise_periods:

@@ -9,6 +9,7 @@ from pedzoo.core import randomness
 from pedzoo.core.batch import ROBOT, ids_of, maps_of
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.maps.walls.segments import FASTEST, WallSegments
+from pedzoo.policies.base import deterministic
 from pedzoo.policies.orca.settings import OrcaSettings
 from pedzoo.policies.orca.velocity import orca_velocity
 from pedzoo.policies.policy import Policy
@@ -21,7 +22,7 @@ class Orca(Policy):
     move, count with their own radius.
 
     Mirror-image people with the same preferred velocity stop for ever. A small ``jitter`` of the preferred
-    velocity, usual with RVO2, frees most of them.
+    velocity, usual with RVO2, frees most of them. Deterministic policies have none.
     """
 
     def __init__(self, settings: OrcaSettings = OrcaSettings()) -> None:
@@ -36,7 +37,7 @@ class Orca(Policy):
         scenes, slots = mask.shape
         top_speed = agents["pref_speed"][..., 0] * self.settings.top_speed_ratio
         wanted = agents["desired_velocity"]
-        if self.settings.jitter:
+        if self.settings.jitter and not deterministic():
             step = (tensordict["time"] / TRACE_SECONDS).round().long()
             key = randomness.join(tensordict["scene_key"], "orca", step, ids_of(tensordict))
             key = randomness.join(key.unsqueeze(-1), torch.arange(2, device=key.device))

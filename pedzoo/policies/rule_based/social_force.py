@@ -11,6 +11,7 @@ from pedzoo.core import randomness
 from pedzoo.core.batch import ROBOT, agents_of, ids_of, maps_of, usual_body
 from pedzoo.core.geometry import move_to_map, turn_to_scene
 from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
+from pedzoo.policies.base import deterministic
 from pedzoo.policies.policy import Policy
 from pedzoo.policies.social_force.borders import wall_points
 from pedzoo.policies.social_force.forces import closer, wall_force
@@ -38,7 +39,7 @@ class SocialForce(Policy):
         mask, ids = agents["mask"], ids_of(tensordict)
         identity = randomness.join(tensordict["scene_key"], "social_force", ids)
         fluctuation = None
-        if self.settings.fluctuation:
+        if self.settings.fluctuation and not deterministic():
             step = (tensordict["time"] / TRACE_SECONDS).round().long()
             key = randomness.join(identity, step).unsqueeze(-1)
             key = randomness.join(key, torch.arange(2, device=key.device))

@@ -87,13 +87,22 @@ class Batched:
         return self._begun_with(self.env.reset(asked), which)
 
     def step(self, action: ArrayLike) -> Step:
-        """Take a decision of all robots (B, R, 2)."""
+        """Take a decision of all robots (B, R, 2), or (B, 2) of one in each scene.
+
+        Raises:
+            UserError: The action has another shape.
+        """
         given = torch.as_tensor(np.asarray(action, dtype=np.float32), device=self.env.device)
         shape = (*self.env.batch_size, self.env.robots, 2)
-        if given.numel() != torch.Size(shape).numel():
+        scenes, robots = shape[:2]
+        # one scene, or one robot, needs no dimension of its own
+        alike = {shape, *([shape[1:]] if scenes == 1 else []), *([(scenes, 2)] if robots == 1 else [])}
+        if scenes == robots == 1:
+            alike.add((2,))
+        if tuple(given.shape) not in alike:
             raise UserError(f"action of shape {tuple(given.shape)}: expected {shape[1:]} per scene")
-        robots = TensorDict({"action": given.view(shape)}, shape[:2], device=self.env.device)
-        asked = TensorDict({"robots": robots}, self.env.batch_size, device=self.env.device)
+        decided = TensorDict({"action": given.view(shape)}, shape[:2], device=self.env.device)
+        asked = TensorDict({"robots": decided}, self.env.batch_size, device=self.env.device)
         seen = cast("TensorDictBase", self.env.step(asked)["next"])
         self._totals.add(seen)
         self._pictures.show()
