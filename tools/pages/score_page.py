@@ -30,7 +30,7 @@ COLUMNS = {
     "likelihood": "likelihood",
     "min_ade_20_8s_m": "minADE_20, m",
     "coarse_acceleration_p95_ratio": "acceleration p95, coarse",
-    "coarse_acceleration_p99_ratio": "p99",
+    "coarse_acceleration_p99_ratio": "acceleration p99, coarse",
     "standing_share": "standing",
     "companions_near_share": "companions near",
     "agent_contacts_per_min": "touches/min",
@@ -42,7 +42,8 @@ did not see that scene. [docs/score.md](../../docs/score.md) has the formulas. I
 over blocks of time. `real halves`: two halves of the real people, as near as people are to each other.
 `real others`: other people in similar situations. Less is better for realism, AUC (.5: a classifier cannot
 distinguish them) and minADE. More is better for likelihood. Ratios are best at 1, standing and touches as
-those of `real`. Companions near: of the steps that recorded companions share, those within 1.5 m."""
+those of `real`. Companions near: of the steps that recorded companions share, those within 1.5 m. *Coarse* positions are
+means over three steps. Rows called `-seed1` and `-seed2` are trainings whose weights are not in the zoo."""
 
 WITH_STOPS = """`pedzoo score --stops`: people also have the places where the recorded ones stood for 2 s or
 more as goals, in turn, and wait there as long. That tells policies more of the future than exits alone do.
