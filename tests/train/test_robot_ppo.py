@@ -341,12 +341,24 @@ def test_the_command_line_trains_resumes_and_loads(
         ({"envs": 1, "steps": 2}, "--model.minibatches 16: there are 2"),
         ({"std": 0.0}, "--model.std 0.0"),
         ({"gamma": 1.5}, "gamma 1.5"),
+        ({"people": "social_force"}, "--model.people social_force: no use for people with crowdnav"),
+        ({"people": "orcaa", "scenarios": ["crowdnav", "door"]}, "did you mean 'orca'"),
     ],
 )
 def test_what_cannot_be_is_refused(options: dict[str, Any], said: str) -> None:
     with pytest.raises(UserError, match=said):
         given: dict[str, Any] = {"scenarios": ["crowdnav"]} | options
         RobotPPO(Attention(width=16), **given)
+
+
+def test_people_who_are_misspelt_are_refused_in_one_line_before_a_run_is_begun(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main([*FIT, "--model.people=orcaa"]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("pedzoo: --model.people orcaa: no use") and said.count("\n") == 1
+    assert not Path("runs").exists()
 
 
 def test_shipped_robots_load_by_name_and_are_no_models_of_people(capsys: pytest.CaptureFixture[str]) -> None:
