@@ -16,6 +16,7 @@ from pedzoo.cli.file_checks import (
     check_file,
     check_recording,
     check_run,
+    check_seconds,
     is_code,
 )
 from pedzoo.cli.main import PAGES
@@ -85,6 +86,8 @@ def check(command: str, argv: list[str]) -> None:
     check_outputs(
         **{name: given(argv, f"--{name}") for name in ("json", "markdown", "plot", "video", "html")}
     )
+    if command == "score":
+        _check_times(argv)
     for name in _positional(argv):
         if command == "forecast":
             check_model(name)
@@ -230,6 +233,15 @@ def _check_robot(option: str, text: str) -> None:
     _check_name("robot", name_of(text), ROBOTS.names())
 
 
+def _check_times(argv: list[str]) -> None:
+    """Refuse a score of files without the seconds between their frame numbers."""
+    against, dt = given(argv, "--against"), given(argv, "--dt")
+    if against and is_recording(against):
+        check_seconds("--data.dt", given(argv, "--data.dt"), "the file of --against")
+    if dt not in (None, "", "null"):
+        check_seconds("--dt", dt, "the scored files")
+
+
 def _check_against(option: str, text: str) -> None:
     check_recording("recording", text) if is_recording(text) else _check_fold(option, text)
 
@@ -271,6 +283,7 @@ _VALUES: dict[str, Callable[[str, str], None]] = {
     "--robot": _check_robot,
     "--against": _check_against,
     "--episodes": _check_count,
+    "--rollouts": _check_count,
     "--people": _check_people,
     "--trainer.max_epochs": _check_whole,
     "--data.goal": _check_choice,

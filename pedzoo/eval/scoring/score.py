@@ -8,8 +8,8 @@ from typing import Any, NamedTuple, cast
 import torch
 from torch import Tensor
 
-from pedzoo.core.errors import UserError
-from pedzoo.data.text_format import is_recording
+from pedzoo.core.errors import UserError, at_least_one
+from pedzoo.data.text_format import check_dt, is_recording
 from pedzoo.eval.results import SEEN
 from pedzoo.eval.rollout import Progress
 from pedzoo.eval.scoring.crowds import policy_crowd, recorded_crowd
@@ -99,10 +99,15 @@ def score(
         progress: Called with a policy, its episodes that are over and episodes in all.
 
     Raises:
-        UserError: An unknown policy, or a file that is refused.
+        UserError: An unknown policy, a number out of range, or a file that is refused.
     """
     against = Reference(against) if isinstance(against, str) else against
     own = is_recording(against.recording)
+    at_least_one("rollouts", rollouts)
+    if own:
+        check_dt(against.dt, "the file of --against")
+    if dt is not None:
+        check_dt(dt, "the scored files", "--dt")
     fold = "all" if own else against.recording
     walks = {
         name: name if is_recording(name) or own else for_fold(name, against.recording) for name in crowds
