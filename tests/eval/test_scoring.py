@@ -24,6 +24,7 @@ from pedzoo.eval.scoring.wosac import bins, likelihood, policy_windows, recorded
 from pedzoo.eval.suite import OwnRecordings
 from pedzoo.metrics.realism.bottlenecks import through
 from pedzoo.metrics.realism.crowdes import ScoredSteps, columns
+from pedzoo.metrics.realism.crowds import spreads
 from pedzoo.metrics.realism.wosac import (
     BINS,
     MEASURED,
@@ -103,6 +104,17 @@ def test_what_a_score_needs_is_asked_for_by_its_own_options(tmp_path: Path) -> N
         score([mine], mine)
     with pytest.raises(UserError, match="rollouts 0: expected at least 1"):
         score(["orca"], "embedded", rollouts=0)
+
+
+def test_one_recorded_person_is_too_few(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
+    table = plaza()
+    longest = np.bincount(table[:, 1].astype(int)).argmax()
+    alone = written(tmp_path / "alone.csv", table[table[:, 1] == longest])
+    with pytest.raises(UserError, match=r"alone.csv: 1 recorded person .* too few .* standard deviations"):
+        score([alone], Reference(alone, 0.4), likelihood=False)
+    spread = spreads(recorded_crowd(Reference(alone, 0.4).prepared()).fine.crowd)
+    assert math.isnan(spread["nearest_distance"]) and spread["speed"] > 0
+    assert not recwarn.list
 
 
 def test_a_constant_velocity_crowd_is_told_apart(

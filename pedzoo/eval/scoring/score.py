@@ -33,6 +33,10 @@ VERSION = 1
 """Of the measures: it grows whenever a formula changes, so that only equal versions are compared."""
 
 
+LEAST = 2
+"""Recorded people: one alone varies from nobody."""
+
+
 class Reference(NamedTuple):
     """The recording that crowds are scored against.
 
@@ -118,6 +122,11 @@ def score(
     gate = _gate(opening)
     prepared = against.prepared(stops)
     real = recorded_crowd(prepared)
+    if (people := int(real.seen.sum())) < LEAST:
+        raise UserError(
+            f"{against.recording}: {people} recorded person can be scored, too few for distances in the "
+            f"recording's own standard deviations: give --against a recording of at least {LEAST} people"
+        )
     rows, notes = real_rows(real), []
     if gate is not None:
         rows[0]["metrics"] |= through(real.walks, gate)
