@@ -41,7 +41,7 @@ from pedzoo.core.registry import (
 from pedzoo.core.spec import name_of, parse, unquoted
 from pedzoo.data.text_format import is_recording
 from pedzoo.models.zoo.store import ROBOTS as ROBOT_WEIGHTS
-from pedzoo.models.zoo.store import find, is_file, no_model
+from pedzoo.models.zoo.store import find, is_file, no_model, of_robots
 from pedzoo.policies.crowd_names import members, parts
 from pedzoo.sim.scenario_parts.in_yaml import scenario_spec
 
@@ -172,6 +172,8 @@ def check_model(name: str, kind: str = "model", others: Sequence[str] = ()) -> N
         if name.endswith(".ckpt") and not Path(name).is_file():
             raise UserError(f"no checkpoint at {name!r}")
         check_code(kind, name) if is_code(name) else check_file(kind, name)
+    elif name.startswith(ROBOT_WEIGHTS) and find(name):
+        raise of_robots(name)
     elif name not in MODELS.names() and "://" not in name and find(name) is None:
         raise no_model(name, [*others, *known()["baselines"]], kind)
 

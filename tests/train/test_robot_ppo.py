@@ -331,6 +331,9 @@ def test_the_command_line_trains_resumes_and_loads(
     policy = load_robot_policy(str(run / "checkpoints" / "last.ckpt"))
     assert isinstance(policy, Attention) and policy.config["width"] == 16
     assert policy.action(scene(robot)).shape == (6, 1, 2)
+    for command in ("forecast", "fit --weights"):
+        assert main([*command.split(), str(best)]) == 2
+        assert f"'{best}' moves robots" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -369,5 +372,5 @@ def test_shipped_robots_load_by_name_and_are_no_models_of_people(capsys: pytest.
         assert not policy.training and policy.action(scene()).isfinite().all()
         assert main(["info", name]) == 0
         assert "people" in capsys.readouterr().out
-        with pytest.raises(UserError, match=r"moves robots.*load_robot_policy"):
+        with pytest.raises(UserError, match=f"'{name}' moves robots.*pedzoo evaluate {name} --suite robots"):
             pedzoo.load(name)
