@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -258,6 +259,46 @@ def test_wrong_names_and_numbers_are_named() -> None:
             made(**settings)
     with pytest.raises(UserError, match="argument of make_env 'num_env': did you mean 'num_envs'"):
         pedzoo.make_env(OPEN, num_env=3)  # type: ignore[call-arg]
+
+
+OWN = """
+import torch
+from pedzoo.sim.robot_parts.reward import RobotReward
+from pedzoo.sim.robot_parts.sensor import Reading, Sensor
+
+class Clock(Sensor):
+    readings = {"clock": Reading((2,))}
+    def read(self, view):
+        return {"clock": view.heading.unsqueeze(-1)}
+
+class Misspelt(Clock):
+    def read(self, view):
+        return {"klock": view.own(view.position)}
+
+class Wide(RobotReward):
+    def __call__(self, before, after, trace, outcome):
+        return after.heading.unsqueeze(-1)
+
+class Flat(Wide):
+    def __call__(self, before, after, trace, outcome):
+        return after.heading[:, 0]
+"""
+
+
+def test_sensors_and_rewards_of_other_shapes_are_named(tmp_path: Path) -> None:
+    file = tmp_path / "own.py"
+    file.write_text(OWN)
+    for sensor, said in {
+        "Clock": r"sensor Clock: clock is \(4, 1, 1\): expected \(B, R, ...\) = \(4, 1, 2\)",
+        "Clock:noise=0.1": "sensor Clock: clock is",
+        "Misspelt": "sensor Misspelt: read returned klock: expected .* clock",
+    }.items():
+        with pytest.raises(UserError, match=said):
+            made(OPEN, sensors=f"{file}:{sensor}").reset()
+    for reward, given in {"Wide": "4, 1, 1", "Flat": "4,"}.items():
+        env = made(OPEN, sensors="goal", reward={"progress": 1.0, f"{file}:{reward}": 2.0})
+        with pytest.raises(UserError, match=rf"{reward} returned \({given}\): expected \(B, R\) = \(4, 1\)"):
+            driven(env, torch.zeros(2))
 
 
 @pytest.mark.parametrize("sensor", ["lidar:beams=5", build(SENSORS, "lidar:beams=5", Sensor)])

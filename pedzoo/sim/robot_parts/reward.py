@@ -8,10 +8,11 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
+from pedzoo.core.errors import UserError
 from pedzoo.core.registry import ROBOT_REWARDS
 from pedzoo.core.spec import build
 from pedzoo.sim.robot_parts.outcome import Outcome
-from pedzoo.sim.robot_parts.view import RobotView
+from pedzoo.sim.robot_parts.view import RobotView, shape_of
 
 
 class RobotReward(ABC):
@@ -50,12 +51,19 @@ class WeightedSum:
         """
         given = USUAL if weights is None else weights
         self.terms = [
-            (build(ROBOT_REWARDS, name, RobotReward), float(weight)) for name, weight in given.items()
+            (name, build(ROBOT_REWARDS, name, RobotReward), float(weight)) for name, weight in given.items()
         ]
 
     def __call__(self, before: RobotView, after: RobotView, trace: Tensor, outcome: Outcome) -> Tensor:
-        """Return the reward (B, R); 0 for robots that had ended."""
+        """Return the reward (B, R); 0 for robots that had ended.
+
+        Raises:
+            UserError: A term has another shape.
+        """
         total = torch.zeros_like(after.heading)
-        for term, weight in self.terms:
-            total = total + weight * term(before, after, trace, outcome)
+        for name, term, weight in self.terms:
+            value = term(before, after, trace, outcome)
+            if (given := shape_of(value)) != total.shape:
+                raise UserError(f"reward {name} returned {given}: expected (B, R) = {tuple(total.shape)}")
+            total = total + weight * value
         return torch.where(outcome.active, total, 0.0)
