@@ -57,10 +57,8 @@ def load(
             raise of_robots(name)
         model = _from_safetensors(weights_of(entry), entry.card)
         model.name, model.card = entry.card.name, entry.card
-    elif names_code(name):
-        model = _own(name, goal)
     else:
-        model = _weights_or_baseline(name, goal, own)
+        model = _own(name, goal) if names_code(name) else _weights_or_baseline(name, goal, own)
     model.name = model.name or name
     return model
 
@@ -109,7 +107,7 @@ def untrained(name: str, goal: GoalProtocol | None = None, **settings: Any) -> F
         settings: Of the architecture, without their groups: ``noise_dim=4``.
 
     Raises:
-        UserError: No such model, or it has no such setting.
+        UserError: No such model, or it has no such setting or takes another kind of value.
     """
     init: dict[str, Any] = {}
     if entry := find(name):
@@ -128,6 +126,8 @@ def untrained(name: str, goal: GoalProtocol | None = None, **settings: Any) -> F
     types = setting_types(model)
     if wrong := sorted(settings.keys() - types.keys()):
         raise unknown(f"setting of model {name}", wrong[0], types)
+    if not names_code(name):  # what others take is their own
+        check_settings(model, settings)
     settings |= {"goal_protocol": goal} if goal and "goal_protocol" in types else {}
     result = _made(model, init | settings, name).eval()
     result.name = name
