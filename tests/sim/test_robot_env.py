@@ -238,6 +238,12 @@ def test_policies_move_robots_of_all_drives(policy: str, robot: Any) -> None:
     assert (moved.norm(dim=-1) > 0.2).any() == (policy != "stop")
 
 
+def test_a_step_before_a_reset_is_refused() -> None:
+    env = made(OPEN)
+    with pytest.raises(UserError, match=r"call reset\(\) first"):
+        env.step(env.rand_action())
+
+
 def test_wrong_names_and_numbers_are_named() -> None:
     for settings, message in (
         ({"robot": "husk"}, "husky"),
@@ -245,7 +251,13 @@ def test_wrong_names_and_numbers_are_named() -> None:
         ({"sensors": ["lidarr"]}, "lidar"),
         ({"sensors": ["lidar:beams=0"]}, "beams"),
         ({"reward": {"progres": 1}}, "progress"),
+        ({"reward": ["progress"]}, r"reward \['progress'\]: expected weights by name"),
+        ({"reward": "progress"}, "reward 'progress': expected weights by name"),
+        ({"reward": {"progress": "x"}}, "reward progress: weight 'x': expected a number"),
         ({"ends_at": "wall"}, "ends_at"),
+        ({"num_envs": 2.5}, "num_envs 2.5: expected a whole number"),
+        ({"seed": "a"}, "seed 'a': expected a whole number"),
+        ({"scenario": None}, "scenario None: expected its name with settings"),
         ({"sensors": ["goal:delay=0.3"]}, "delay"),
     ):
         with pytest.raises(UserError, match=message):
