@@ -16,6 +16,7 @@ from pedzoo.cli.file_checks import (
     check_file,
     check_recording,
     check_run,
+    check_seconds,
     is_code,
 )
 from pedzoo.cli.main import PAGES
@@ -40,7 +41,7 @@ from pedzoo.core.registry import (
 from pedzoo.core.spec import name_of, parse, unquoted
 from pedzoo.data.text_format import is_recording
 from pedzoo.models.zoo.store import ROBOTS as ROBOT_WEIGHTS
-from pedzoo.models.zoo.store import find, is_file, no_model
+from pedzoo.models.zoo.store import find, is_file, no_model, of_robots
 from pedzoo.policies.crowd_names import members, parts
 from pedzoo.sim.scenario_parts.in_yaml import scenario_spec
 
@@ -85,6 +86,8 @@ def check(command: str, argv: list[str]) -> None:
     check_outputs(
         **{name: given(argv, f"--{name}") for name in ("json", "markdown", "plot", "video", "html")}
     )
+    if command == "score":
+        _check_times(argv)
     for name in _positional(argv):
         if command == "forecast":
             check_model(name)
@@ -169,6 +172,8 @@ def check_model(name: str, kind: str = "model", others: Sequence[str] = ()) -> N
         if name.endswith(".ckpt") and not Path(name).is_file():
             raise UserError(f"no checkpoint at {name!r}")
         check_code(kind, name) if is_code(name) else check_file(kind, name)
+    elif name.startswith(ROBOT_WEIGHTS) and find(name):
+        raise of_robots(name)
     elif name not in MODELS.names() and "://" not in name and find(name) is None:
         raise no_model(name, [*others, *known()["baselines"]], kind)
 
@@ -230,6 +235,15 @@ def _check_robot(option: str, text: str) -> None:
     _check_name("robot", name_of(text), ROBOTS.names())
 
 
+def _check_times(argv: list[str]) -> None:
+    """Refuse a score of files without the seconds between their frame numbers."""
+    against, dt = given(argv, "--against"), given(argv, "--dt")
+    if against and is_recording(against):
+        check_seconds("--data.dt", given(argv, "--data.dt"), "the file of --against")
+    if dt not in (None, "", "null"):
+        check_seconds("--dt", dt, "the scored files")
+
+
 def _check_against(option: str, text: str) -> None:
     check_recording("recording", text) if is_recording(text) else _check_fold(option, text)
 
@@ -271,6 +285,7 @@ _VALUES: dict[str, Callable[[str, str], None]] = {
     "--robot": _check_robot,
     "--against": _check_against,
     "--episodes": _check_count,
+    "--rollouts": _check_count,
     "--people": _check_people,
     "--trainer.max_epochs": _check_whole,
     "--data.goal": _check_choice,

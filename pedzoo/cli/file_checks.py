@@ -11,7 +11,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.paths import Kind, check_there, expanded
 from pedzoo.core.registry import file_of_code, names_code
 from pedzoo.core.spec import name_of
-from pedzoo.data.text_format import TextFormat
+from pedzoo.data.text_format import TextFormat, check_dt
 
 
 def is_code(text: str) -> bool:
@@ -41,6 +41,15 @@ def check_recording(what: str, text: str) -> None:
     check_file(what, text)
     with suppress(OSError, UnicodeDecodeError):  # the command has words for these
         TextFormat.of(expanded(text))
+
+
+def check_seconds(option: str, text: str | None, of: str) -> None:
+    """Refuse seconds between frame numbers that are missing or cannot be; what is no number passes."""
+    try:
+        dt = None if text in (None, "", "null") else float(text)
+    except ValueError:
+        return
+    check_dt(dt, of, option)
 
 
 def check_checkpoint(option: str, text: str) -> None:

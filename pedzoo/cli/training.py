@@ -120,22 +120,6 @@ class TrainingCLI(RunCLI):
         self.config = parse(parser, args, [("model", ForecastModule)])
         check_seed(self.config["seed_everything"])
 
-    def instantiate_classes(self) -> None:
-        """Build all objects; where a class refuses its options, the message is that of the class.
-
-        Raises:
-            UserError: A class refused its options.
-        """
-        try:
-            super().instantiate_classes()
-        except ValueError as error:
-            cause: BaseException | None = error
-            while cause is not None and not isinstance(cause, UserError):
-                cause = cause.__cause__  # jsonargparse says of what type nothing was, and shows all options
-            if cause is not None:
-                raise cause from None
-            raise
-
     def instantiate_trainer(self, **kwargs: Any) -> Any:
         """Build the trainer with the run folder's loggers and checkpoints."""
         if file := self.config["ckpt_path"]:

@@ -127,6 +127,22 @@ class RunCLI(LightningCLI):
     def _parse_ckpt_path(self) -> None:
         """Leave the command line alone: it wins over what a checkpoint remembers."""
 
+    def instantiate_classes(self) -> None:
+        """Build all objects; where a class refuses its options, the message is that of the class.
+
+        Raises:
+            UserError: A class refused its options.
+        """
+        try:
+            super().instantiate_classes()
+        except ValueError as error:
+            cause: BaseException | None = error
+            while cause is not None and not isinstance(cause, UserError):
+                cause = cause.__cause__  # jsonargparse says of what type nothing was, and shows all options
+            if cause is not None:
+                raise cause from None
+            raise
+
     def go_on_from_last(self, run: RunFolder) -> None:
         """Start from the last checkpoint where the run of a Slurm job goes on that is run again."""
         if run.goes_on and not self.config["resume"] and run.last.is_file():

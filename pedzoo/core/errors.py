@@ -5,6 +5,7 @@ from difflib import get_close_matches
 from functools import cache, wraps
 from importlib.util import find_spec
 from inspect import Parameter, signature
+from operator import index
 from typing import Any, TypeVar, cast
 
 EXTRAS = {
@@ -60,6 +61,18 @@ def known_arguments(*further: Callable[..., Any]) -> Callable[[Function], Functi
         return cast("Function", call)
 
     return checked
+
+
+def check_whole(what: str, number: object) -> None:
+    """Refuse what is no whole number.
+
+    Raises:
+        UserError: It is none; the message begins with ``what``.
+    """
+    try:
+        index(cast("Any", number))
+    except TypeError as error:
+        raise UserError(f"{what} {number!r:.60}: expected a whole number") from error
 
 
 def at_least_one(what: str, number: int) -> None:

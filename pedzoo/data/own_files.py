@@ -4,12 +4,14 @@ import warnings
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.size_limits import LARGEST_CARD, read_text
 from pedzoo.data.recordings import Recording, Split
+from pedzoo.data.text_format import check_dt
 from pedzoo.data.tracks import Tracks
 
 LARGEST = 20_000.0
@@ -26,14 +28,15 @@ class OwnFiles:
         split: str = "0.7,0.15,0.15",
         plan: str | None = None,
         homography: str | None = None,
+        option: str = "--data.dt",
     ) -> None:
-        """Check the settings, which are those of `TrajectoryDataModule`; ``plan`` is its ``map``."""
-        if dt is None or not 0 < dt < 5:
-            raise UserError(
-                f"--data.dt is {dt}: give the seconds between two consecutive frame numbers of --data.files "
-                "(0.04 for a 25 Hz video whose frames are numbered one by one)"
-            )
-        self.files, self.dt, self.plan = files, dt, Path(plan) if plan else None
+        """Check the settings, which are those of `TrajectoryDataModule`.
+
+        ``plan`` is its ``map``, and ``option`` the one that has ``dt``.
+        """
+        check_dt(dt, option=option)
+        self.files, self.dt, self.plan = files, cast("float", dt), Path(plan) if plan else None
+        self.option = option
         self.shares = _shares(split)
         self.homography = _homography(homography) if homography else None
 
@@ -69,7 +72,7 @@ class OwnFiles:
         if np.ptp(resampled.frame) == 0:
             seconds = np.ptp(tracks.frame) * self.dt
             raise UserError(
-                f"recording {file!r} lasts {seconds:.3g} s at --data.dt {self.dt:g}: is dt right?"
+                f"recording {file!r} lasts {seconds:.3g} s at {self.option} {self.dt:g}: is it right?"
             )
         return resampled
 

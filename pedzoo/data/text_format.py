@@ -31,6 +31,24 @@ def is_recording(text: str) -> bool:
     return Path(text).suffix.lower() in (".csv", ".txt", ".tsv")
 
 
+def check_dt(dt: float | None, of: str = "--data.files", option: str = "--data.dt") -> None:
+    """Refuse seconds between two frame numbers that are missing or cannot be.
+
+    Args:
+        dt: The seconds.
+        of: Whose frame numbers these are, for the message.
+        option: The option that has them.
+
+    Raises:
+        UserError: They are missing, not above 0, or 5 s or more.
+    """
+    if dt is None or not 0 < dt < 5:
+        raise UserError(
+            f"{option} is {dt}: give the seconds between two consecutive frame numbers of {of} "
+            "(0.04 for a 25 Hz video whose frames are numbered one by one)"
+        )
+
+
 @dataclass(frozen=True)
 class TextFormat:
     """How a text file holds its table.

@@ -14,7 +14,7 @@ from torchrl.envs import EnvBase
 
 from pedzoo.core.adapters import copied, put, tensordict_of
 from pedzoo.core.batch import actions_of, agents_of
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, check_whole
 from pedzoo.core.machine import usable
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.maps.bank import MapBank
@@ -25,6 +25,7 @@ from pedzoo.sim.episode_queue import EpisodeQueue, Scenes
 from pedzoo.sim.episodes import Episodes
 from pedzoo.sim.observation import action_spec, done_spec, observation_spec, observed, reward_spec
 from pedzoo.sim.physics_parts.base import Physics
+from pedzoo.sim.physics_parts.camera import check_size
 from pedzoo.sim.physics_parts.state_picture import picture_of
 from pedzoo.sim.scenario_parts.scenario import WARM_SECONDS, PreparedScenario, Scenario
 from pedzoo.sim.state import TRACE_PER_STEP, State
@@ -93,6 +94,7 @@ class PedestrianEnv(EnvBase):
                 f"decision_dt {decision_dt}: people of recordings come and are handed over every "
                 f"{STEP_SECONDS} s, so a decision takes 0.1, 0.2 or 0.4 s"
             )
+        check_whole("num_envs", num_envs)
         if num_envs < 1 or (stride is not None and stride < 1):
             raise UserError(f"num_envs {num_envs}, stride {stride}: expected at least 1")
         super().__init__(device=usable(device), batch_size=torch.Size([num_envs]))
@@ -206,13 +208,16 @@ class PedestrianEnv(EnvBase):
             size: Width and height in pixels.
 
         Raises:
-            UserError: No such row, or `reset` was never called.
+            UserError: No such row or size, or `reset` was never called.
         """
+        check_whole("scene", scene)
+        check_size(size)
         if not 0 <= scene < self.batch_size[0]:
             raise UserError(f"scene {scene}: expected 0 to {self.batch_size[0] - 1}")
         return picture_of(self.state, self.physics, scene, size)
 
     def _set_seed(self, seed: int | None) -> None:
+        check_whole("seed", seed or 0)
         self.seed = seed or 0
         people, rows = self.prepared.people, self.batch_size[0]
         numbers = self.seed, rows, self._first, self._stride

@@ -9,11 +9,13 @@ import torch
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import config_names
+from pedzoo.core.registry import ROBOT_POLICIES
 from pedzoo.core.spec import grouped
 from pedzoo.data.datamodule import PROTOCOL
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.loading import build, config_of, load, read_checkpoint
 from pedzoo.models.zoo.saved_config import saved_config
+from pedzoo.models.zoo.store import of_robots
 from pedzoo.train.modules.module import ForecastModule, copied_keys, differences
 from pedzoo.train.run import RunFolder
 
@@ -52,9 +54,9 @@ def options_of(weights: str) -> list[str]:
     Raises:
         UserError: No such weights, or it is unknown how they were trained.
     """
+    config = _trained(weights)
     if run := config_beside(weights):
         return ["--config", str(run)]
-    config = saved_config(weights)
     name = config.get("training", {}).get("config")
     if name not in config_names():
         raise UserError(
@@ -92,11 +94,24 @@ def architecture_options(weights: str, config: str) -> list[str]:
     generator = settings["model"]["init_args"]["generator"]
     decided = generator.get("init_args", {})
     dropout = {key: value for key, value in decided.get("losses", {}).items() if key == "map_dropout"}
-    given = _architecture(saved_config(weights), walking=decided.get("walking", {}), losses=dropout)
+    given = _architecture(_trained(weights), walking=decided.get("walking", {}), losses=dropout)
     if json.loads(given[1])["class_path"] == generator["class_path"]:
         return given
     # jsonargparse would keep groups of the config's class: the base class has none
     return ["--model.generator", f"{Forecaster.__module__}.{Forecaster.__qualname__}", *given]
+
+
+def _trained(weights: str) -> dict[str, Any]:
+    """Return what weights say of themselves; those of robots, and what has none, are refused."""
+    config = saved_config(weights)
+    if not config:
+        raise UserError(
+            f"--weights {weights}: expected a trained model, such as sgan_goal.zara1: "
+            "leave out --weights, and train from the beginning with --config NAME"
+        )
+    if config["architecture"] in ROBOT_POLICIES.names():
+        raise of_robots(weights)
+    return config
 
 
 def _architecture(config: dict[str, Any], **decided: dict[str, Any]) -> list[str]:

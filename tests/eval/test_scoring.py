@@ -18,12 +18,13 @@ from pedzoo.eval.scoring.crowds import ScoredCrowd, recorded_crowd
 from pedzoo.eval.scoring.files import file_crowd
 from pedzoo.eval.scoring.rows import row
 from pedzoo.eval.scoring.same_people import companions
-from pedzoo.eval.scoring.score import Reference
+from pedzoo.eval.scoring.score import Reference, score
 from pedzoo.eval.scoring.windows import STEPS, JointWindows, windows_of
 from pedzoo.eval.scoring.wosac import bins, likelihood, policy_windows, recorded_windows
 from pedzoo.eval.suite import OwnRecordings
 from pedzoo.metrics.realism.bottlenecks import through
 from pedzoo.metrics.realism.crowdes import ScoredSteps, columns
+from pedzoo.metrics.realism.crowds import spreads
 from pedzoo.metrics.realism.wosac import (
     BINS,
     MEASURED,
@@ -90,8 +91,30 @@ def test_strangers_are_scored_wherever_they_stand(real: PreparedReplay, tmp_path
     side = file_crowd(written(tmp_path / "queue.csv", np.concatenate(crowd)), real)
     assert (side.twin == -1).all()
     assert float(side.sums["standing_share"].of(torch.ones(1, 3))) == 1
+    for dt, said in ((-1.0, "--dt is -1.0"), (1e-9, r"lasts \d\S+ s at --dt 1e-09")):
+        with pytest.raises(UserError, match=said):
+            score([str(tmp_path / "queue.csv")], "embedded", dt=dt, likelihood=False)
     with pytest.raises(UserError, match="m/s"):
         file_crowd(written(tmp_path / "fast.csv", plaza() * [1, 1, 100, 100]), real)
+
+
+def test_what_a_score_needs_is_asked_for_by_its_own_options(tmp_path: Path) -> None:
+    mine = written(tmp_path / "mine.csv", plaza())
+    with pytest.raises(UserError, match=r"--data.dt is None: .* of the file of --against"):
+        score([mine], mine)
+    with pytest.raises(UserError, match="rollouts 0: expected at least 1"):
+        score(["orca"], "embedded", rollouts=0)
+
+
+def test_one_recorded_person_is_too_few(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
+    table = plaza()
+    longest = np.bincount(table[:, 1].astype(int)).argmax()
+    alone = written(tmp_path / "alone.csv", table[table[:, 1] == longest])
+    with pytest.raises(UserError, match=r"alone.csv: 1 recorded person .* too few .* standard deviations"):
+        score([alone], Reference(alone, 0.4), likelihood=False)
+    spread = spreads(recorded_crowd(Reference(alone, 0.4).prepared()).fine.crowd)
+    assert math.isnan(spread["nearest_distance"]) and spread["speed"] > 0
+    assert not recwarn.list
 
 
 def test_a_constant_velocity_crowd_is_told_apart(

@@ -58,6 +58,7 @@ def test_untrained_models_have_the_architecture_that_is_named():
         ("orcaa", {}, "did you mean 'orca'?"),
         ("sgan", {}, "pretrained=False"),
         ("sgan", {"pretrained": False, "nois_dim": 4}, "did you mean 'noise_dim'?"),
+        ("sgan", {"pretrained": False, "noise_dim": "x"}, "noise_dim is 'x', expected a whole number"),
         ("orca", {"radius": 0.3}, "orca:KEY=VALUE"),
         ("orca", {"device": "cudda"}, "device 'cudda'"),
     ],

@@ -212,6 +212,8 @@ def test_what_does_not_fit_is_named() -> None:
         made(CROSSING, robot=["disc", "disc"])
     with pytest.raises(UserError, match="did you mean"):
         made(CROSSING, robot="disk")
+    with pytest.raises(UserError, match=r"size .0, 80.: expected width and height in pixels"):
+        made(CROSSING, render_size=(0, 80))
     env = vectors(CROSSING, num_envs=2, **QUICK)
     with pytest.raises(UserError, match="one number"):
         env.reset(seed=[1, 2])

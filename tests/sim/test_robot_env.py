@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -237,6 +238,12 @@ def test_policies_move_robots_of_all_drives(policy: str, robot: Any) -> None:
     assert (moved.norm(dim=-1) > 0.2).any() == (policy != "stop")
 
 
+def test_a_step_before_a_reset_is_refused() -> None:
+    env = made(OPEN)
+    with pytest.raises(UserError, match=r"call reset\(\) first"):
+        env.step(env.rand_action())
+
+
 def test_wrong_names_and_numbers_are_named() -> None:
     for settings, message in (
         ({"robot": "husk"}, "husky"),
@@ -244,7 +251,13 @@ def test_wrong_names_and_numbers_are_named() -> None:
         ({"sensors": ["lidarr"]}, "lidar"),
         ({"sensors": ["lidar:beams=0"]}, "beams"),
         ({"reward": {"progres": 1}}, "progress"),
+        ({"reward": ["progress"]}, r"reward \['progress'\]: expected weights by name"),
+        ({"reward": "progress"}, "reward 'progress': expected weights by name"),
+        ({"reward": {"progress": "x"}}, "reward progress: weight 'x': expected a number"),
         ({"ends_at": "wall"}, "ends_at"),
+        ({"num_envs": 2.5}, "num_envs 2.5: expected a whole number"),
+        ({"seed": "a"}, "seed 'a': expected a whole number"),
+        ({"scenario": None}, "scenario None: expected its name with settings"),
         ({"sensors": ["goal:delay=0.3"]}, "delay"),
     ):
         with pytest.raises(UserError, match=message):
@@ -258,6 +271,46 @@ def test_wrong_names_and_numbers_are_named() -> None:
             made(**settings)
     with pytest.raises(UserError, match="argument of make_env 'num_env': did you mean 'num_envs'"):
         pedzoo.make_env(OPEN, num_env=3)  # type: ignore[call-arg]
+
+
+OWN = """
+import torch
+from pedzoo.sim.robot_parts.reward import RobotReward
+from pedzoo.sim.robot_parts.sensor import Reading, Sensor
+
+class Clock(Sensor):
+    readings = {"clock": Reading((2,))}
+    def read(self, view):
+        return {"clock": view.heading.unsqueeze(-1)}
+
+class Misspelt(Clock):
+    def read(self, view):
+        return {"klock": view.own(view.position)}
+
+class Wide(RobotReward):
+    def __call__(self, before, after, trace, outcome):
+        return after.heading.unsqueeze(-1)
+
+class Flat(Wide):
+    def __call__(self, before, after, trace, outcome):
+        return after.heading[:, 0]
+"""
+
+
+def test_sensors_and_rewards_of_other_shapes_are_named(tmp_path: Path) -> None:
+    file = tmp_path / "own.py"
+    file.write_text(OWN)
+    for sensor, said in {
+        "Clock": r"sensor Clock: clock is \(4, 1, 1\): expected \(B, R, ...\) = \(4, 1, 2\)",
+        "Clock:noise=0.1": "sensor Clock: clock is",
+        "Misspelt": "sensor Misspelt: read returned klock: expected .* clock",
+    }.items():
+        with pytest.raises(UserError, match=said):
+            made(OPEN, sensors=f"{file}:{sensor}").reset()
+    for reward, given in {"Wide": "4, 1, 1", "Flat": "4,"}.items():
+        env = made(OPEN, sensors="goal", reward={"progress": 1.0, f"{file}:{reward}": 2.0})
+        with pytest.raises(UserError, match=rf"{reward} returned \({given}\): expected \(B, R\) = \(4, 1\)"):
+            driven(env, torch.zeros(2))
 
 
 @pytest.mark.parametrize("sensor", ["lidar:beams=5", build(SENSORS, "lidar:beams=5", Sensor)])

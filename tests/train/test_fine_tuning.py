@@ -140,6 +140,9 @@ def test_what_does_not_fit_is_refused_before_a_run_begins(
     assert "did you mean 'sgan_goal_map.zara1'?" in error
     error = refused(capsys, "--weights", NAME, "--resume", "runs/x/y")
     assert "--weights begins a training and --resume goes on with one" in error
+    for config in ([], ["--config", "closed_loop/sgan_goal"]):
+        error = refused(capsys, "--weights", "constant_velocity", *config, *fold)
+        assert "--weights constant_velocity: expected a trained model" in error
     save_weights(SGAN(), elsewhere / "mine.safetensors", training={"config": "my_own"})
     error = refused(capsys, "--weights", "mine.safetensors", *fold)
     assert "they say my_own" in error and "add --config NAME" in error

@@ -331,6 +331,9 @@ def test_the_command_line_trains_resumes_and_loads(
     policy = load_robot_policy(str(run / "checkpoints" / "last.ckpt"))
     assert isinstance(policy, Attention) and policy.config["width"] == 16
     assert policy.action(scene(robot)).shape == (6, 1, 2)
+    for command in ("forecast", "fit --weights"):
+        assert main([*command.split(), str(best)]) == 2
+        assert f"'{best}' moves robots" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -341,12 +344,24 @@ def test_the_command_line_trains_resumes_and_loads(
         ({"envs": 1, "steps": 2}, "--model.minibatches 16: there are 2"),
         ({"std": 0.0}, "--model.std 0.0"),
         ({"gamma": 1.5}, "gamma 1.5"),
+        ({"people": "social_force"}, "--model.people social_force: no use for people with crowdnav"),
+        ({"people": "orcaa", "scenarios": ["crowdnav", "door"]}, "did you mean 'orca'"),
     ],
 )
 def test_what_cannot_be_is_refused(options: dict[str, Any], said: str) -> None:
     with pytest.raises(UserError, match=said):
         given: dict[str, Any] = {"scenarios": ["crowdnav"]} | options
         RobotPPO(Attention(width=16), **given)
+
+
+def test_people_who_are_misspelt_are_refused_in_one_line_before_a_run_is_begun(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main([*FIT, "--model.people=orcaa"]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("pedzoo: --model.people orcaa: no use") and said.count("\n") == 1
+    assert not Path("runs").exists()
 
 
 def test_shipped_robots_load_by_name_and_are_no_models_of_people(capsys: pytest.CaptureFixture[str]) -> None:
@@ -357,5 +372,5 @@ def test_shipped_robots_load_by_name_and_are_no_models_of_people(capsys: pytest.
         assert not policy.training and policy.action(scene()).isfinite().all()
         assert main(["info", name]) == 0
         assert "people" in capsys.readouterr().out
-        with pytest.raises(UserError, match=r"moves robots.*load_robot_policy"):
+        with pytest.raises(UserError, match=f"'{name}' moves robots.*pedzoo evaluate {name} --suite robots"):
             pedzoo.load(name)

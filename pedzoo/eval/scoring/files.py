@@ -41,7 +41,7 @@ def file_crowd(path: str, real: PreparedReplay, dt: float | None = None) -> Scor
         UserError: The file is refused, or no person in it can be scored.
     """
     dt = STEP_SECONDS / _rows_apart(path) if dt is None else dt
-    tracks = OwnFiles([path], dt, "0,0,1").recordings("test")[0].tracks
+    tracks = OwnFiles([path], dt, "0,0,1", option="--dt").recordings("test")[0].tracks
     within = np.diff(tracks.agent) == 0
     speed = np.linalg.norm(np.diff(tracks.xy, axis=0), axis=1)[within].max(initial=0) / STEP_SECONDS
     if speed > FASTEST:

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple, cast
 import torch
 from torch import Tensor
 
-from pedzoo.core.errors import UserError
-from pedzoo.data.text_format import is_recording
+from pedzoo.core.errors import UserError, at_least_one
+from pedzoo.data.text_format import check_dt, is_recording
 from pedzoo.eval.results import SEEN
 from pedzoo.eval.rollout import Progress
 from pedzoo.eval.scoring.crowds import policy_crowd, recorded_crowd
@@ -31,6 +31,10 @@ from pedzoo.sim.scenarios.replay import PreparedReplay, Replay
 
 VERSION = 1
 """Of the measures: it grows whenever a formula changes, so that only equal versions are compared."""
+
+
+LEAST = 2
+"""Recorded people: one alone varies from nobody."""
 
 
 class Reference(NamedTuple):
@@ -99,10 +103,15 @@ def score(
         progress: Called with a policy, its episodes that are over and episodes in all.
 
     Raises:
-        UserError: An unknown policy, or a file that is refused.
+        UserError: An unknown policy, a number out of range, or a file that is refused.
     """
     against = Reference(against) if isinstance(against, str) else against
     own = is_recording(against.recording)
+    at_least_one("rollouts", rollouts)
+    if own:
+        check_dt(against.dt, "the file of --against")
+    if dt is not None:
+        check_dt(dt, "the scored files", "--dt")
     fold = "all" if own else against.recording
     walks = {
         name: name if is_recording(name) or own else for_fold(name, against.recording) for name in crowds
@@ -113,6 +122,11 @@ def score(
     gate = _gate(opening)
     prepared = against.prepared(stops)
     real = recorded_crowd(prepared)
+    if (people := int(real.seen.sum())) < LEAST:
+        raise UserError(
+            f"{against.recording}: {people} recorded person can be scored, too few for distances in the "
+            f"recording's own standard deviations: give --against a recording of at least {LEAST} people"
+        )
     rows, notes = real_rows(real), []
     if gate is not None:
         rows[0]["metrics"] |= through(real.walks, gate)

@@ -110,8 +110,12 @@ def only(crowd: CrowdSums, seen: Tensor) -> CrowdSums:
 
 
 def spreads(real: CrowdSums) -> dict[str, float]:
-    """Return the standard deviation of every feature in the real crowd: the unit of distances."""
-    return {name: float(samples.value.double().std()) for name, samples in real.samples.items()}
+    """Return the standard deviation of every feature in the real crowd: the unit of distances.
+
+    It is NaN for fewer than two samples: a person who walks alone is near nobody.
+    """
+    values = {name: samples.value.double() for name, samples in real.samples.items()}
+    return {name: float(value.std()) if len(value) > 1 else math.nan for name, value in values.items()}
 
 
 def distances(first: CrowdSums, second: CrowdSums) -> dict[str, Tensor]:

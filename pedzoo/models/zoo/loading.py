@@ -22,7 +22,7 @@ from pedzoo.models.base import Forecaster, has_parameters
 from pedzoo.models.zoo.card import ModelCard
 from pedzoo.models.zoo.compatibility import check_archive, check_settings, check_shapes, check_tensors
 from pedzoo.models.zoo.file_header import Config, config_in, opened
-from pedzoo.models.zoo.store import ROBOTS, find, names, no_model, weights_of
+from pedzoo.models.zoo.store import ROBOTS, find, names, no_model, of_robots, weights_of
 from pedzoo.models.zoo.typed_fields import check, check_plain, refuse_code
 
 
@@ -53,12 +53,12 @@ def load(
     """
     name = str(name)
     if entry := find(name):
+        if entry.card.architecture in ROBOT_POLICIES.names():
+            raise of_robots(name)
         model = _from_safetensors(weights_of(entry), entry.card)
         model.name, model.card = entry.card.name, entry.card
-    elif names_code(name):
-        model = _own(name, goal)
     else:
-        model = _weights_or_baseline(name, goal, own)
+        model = _own(name, goal) if names_code(name) else _weights_or_baseline(name, goal, own)
     model.name = model.name or name
     return model
 
@@ -107,7 +107,7 @@ def untrained(name: str, goal: GoalProtocol | None = None, **settings: Any) -> F
         settings: Of the architecture, without their groups: ``noise_dim=4``.
 
     Raises:
-        UserError: No such model, or it has no such setting.
+        UserError: No such model, or it has no such setting or takes another kind of value.
     """
     init: dict[str, Any] = {}
     if entry := find(name):
@@ -126,6 +126,8 @@ def untrained(name: str, goal: GoalProtocol | None = None, **settings: Any) -> F
     types = setting_types(model)
     if wrong := sorted(settings.keys() - types.keys()):
         raise unknown(f"setting of model {name}", wrong[0], types)
+    if not names_code(name):  # what others take is their own
+        check_settings(model, settings)
     settings |= {"goal_protocol": goal} if goal and "goal_protocol" in types else {}
     result = _made(model, init | settings, name).eval()
     result.name = name
@@ -151,16 +153,14 @@ def build(config: dict[str, Any], own: type[Forecaster] | None = None, source: s
         source: Where the config is from, for the message.
 
     Raises:
-        UserError: There is no such architecture, it is in a file of code, or it takes other arguments.
+        UserError: There is no such architecture of people, it is in a file of code, or takes other arguments.
     """
     name, init = config["architecture"], config["init"]
     if names_code(name) and own is not None and name.rpartition(":")[2] == own.__name__:
         return _made(own, init, name)
     refuse_code(name, f"{source}: architecture", f"name it yourself, as in {name}:weights={source}")
     if name in ROBOT_POLICIES.names():
-        raise UserError(
-            f"{name!r} moves robots, and is no model of people: use pedzoo.policies.load.load_robot_policy"
-        )
+        raise of_robots(source)
     cls = MODELS.get(name, Forecaster)
     try:
         check_settings(cls, init)

@@ -132,6 +132,14 @@ def no_model(name: str, others: Iterable[str] = (), kind: str = "model") -> User
     return unknown(kind, name, {*others, *(family or (f"{one.partition('.')[0]}.*" for one in known))})
 
 
+def of_robots(name: str) -> UserError:
+    """Return the error for weights of robots, by the name that was given, in the place of those of people."""
+    return UserError(
+        f"{name!r} moves robots, and is no model of people: pedzoo evaluate {name} --suite robots, "
+        "or load_robot_policy of pedzoo.policies.load"
+    )
+
+
 def names() -> list[str]:
     """Return the names of all models on this machine: shipped, in the user's folders, and fetched."""
     return sorted({*(name for folder in _folders() for name in card_files(folder)), *kept_models()})

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import direction_of
-from pedzoo.sim.physics_parts.camera import Camera, person_color
+from pedzoo.sim.physics_parts.camera import Camera, check_size, person_color
 from pedzoo.sim.physics_parts.floor_marks import draw_goal
 from pedzoo.sim.physics_parts.state_picture import bodies_seen
 from pedzoo.sim.robot_parts.env import RobotEnv
@@ -26,8 +26,9 @@ class Pictures:
         """Take the environment; ``size`` is width and height in pixels.
 
         Raises:
-            UserError: There is no display to show a window on.
+            UserError: There is no such size, or no display to show a window on.
         """
+        check_size(size)
         self._env, self._mode, self._size = env, mode, size
         self._cameras: dict[int, Camera] = {}
         self._window: Any = _window() if mode == "human" else None

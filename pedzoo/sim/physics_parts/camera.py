@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from numbers import Integral
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from pedzoo.core.errors import UserError
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 
 FLOOR = (236, 236, 232)
@@ -45,6 +48,17 @@ VIEW_ANGLE = {"top": math.radians(8), "perspective": math.radians(50)}
 def person_color(person: int) -> tuple[int, int, int]:
     """Return the RGB colour of the person in slot ``person``: ten that are easy to tell apart, repeated."""
     return _PEOPLE[person % len(_PEOPLE)]
+
+
+def check_size(size: object) -> None:
+    """Refuse a size of pictures that is no width and height in whole pixels.
+
+    Raises:
+        UserError: It is none.
+    """
+    sides = list(size) if isinstance(size, Iterable) else []
+    if len(sides) != 2 or not all(isinstance(side, Integral) and int(side) > 0 for side in sides):
+        raise UserError(f"size {size!r:.60}: expected width and height in pixels, such as (640, 480)")
 
 
 class Lens(NamedTuple):

@@ -160,9 +160,9 @@ class RobotEnv(PedestrianEnv):
 
     @torch.no_grad()
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        scenes = self._scenes
+        before, scenes = self.state, self._scenes  # the former refuses a step before `reset`
         assert scenes is not None
-        before, guidance = scenes.state, scenes.guidance
+        guidance = scenes.guidance
         first = self.view(before, guidance)
         action = cast("Tensor", tensordict["robots", "action"])
         command = self.fleet.commands(action, first.heading)

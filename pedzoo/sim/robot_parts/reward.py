@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from typing import Any, cast
 
 import torch
 from torch import Tensor
 
+from pedzoo.core.errors import UserError
 from pedzoo.core.registry import ROBOT_REWARDS
 from pedzoo.core.spec import build
 from pedzoo.sim.robot_parts.outcome import Outcome
-from pedzoo.sim.robot_parts.view import RobotView
+from pedzoo.sim.robot_parts.view import RobotView, shape_of
 
 
 class RobotReward(ABC):
@@ -46,16 +48,35 @@ class WeightedSum:
         """Take weights by name with settings, ``{"progress": 1, "discomfort:distance=0.4": 2}``.
 
         Raises:
-            UserError: An unknown name or setting.
+            UserError: An unknown name or setting, or weights that are no numbers by name.
         """
         given = USUAL if weights is None else weights
+        if not isinstance(given, Mapping) or not all(isinstance(name, str) for name in given):
+            raise UserError(f'reward {given!r:.60}: expected weights by name, such as {{"progress": 1.0}}')
         self.terms = [
-            (build(ROBOT_REWARDS, name, RobotReward), float(weight)) for name, weight in given.items()
+            (name, build(ROBOT_REWARDS, name, RobotReward), _weight(name, weight))
+            for name, weight in given.items()
         ]
 
     def __call__(self, before: RobotView, after: RobotView, trace: Tensor, outcome: Outcome) -> Tensor:
-        """Return the reward (B, R); 0 for robots that had ended."""
+        """Return the reward (B, R); 0 for robots that had ended.
+
+        Raises:
+            UserError: A term has another shape.
+        """
         total = torch.zeros_like(after.heading)
-        for term, weight in self.terms:
-            total = total + weight * term(before, after, trace, outcome)
+        for name, term, weight in self.terms:
+            value = term(before, after, trace, outcome)
+            if (given := shape_of(value)) != total.shape:
+                raise UserError(f"reward {name} returned {given}: expected (B, R) = {tuple(total.shape)}")
+            total = total + weight * value
         return torch.where(outcome.active, total, 0.0)
+
+
+def _weight(name: str, weight: object) -> float:
+    try:
+        return float(cast("Any", weight))
+    except (TypeError, ValueError) as error:
+        raise UserError(
+            f'reward {name}: weight {weight!r:.60}: expected a number, as in {{"{name}": 1.0}}'
+        ) from error

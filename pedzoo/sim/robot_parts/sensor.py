@@ -13,7 +13,7 @@ from torch import Tensor
 from pedzoo.core import randomness
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import TRACE_SECONDS
-from pedzoo.sim.robot_parts.view import RobotView
+from pedzoo.sim.robot_parts.view import RobotView, shape_of
 
 
 class Reading(NamedTuple):
@@ -71,8 +71,13 @@ class Sensor(ABC):
         """
 
     def observe(self, view: RobotView) -> dict[str, Tensor]:
-        """Return the entries with noise and dropout, which depend on scene, robot and clock alone."""
+        """Return the entries with noise and dropout, which depend on scene, robot and clock alone.
+
+        Raises:
+            UserError: `read` returned other entries than `readings` says, or other shapes.
+        """
         exact = self.read(view)
+        self._check_shapes(exact, (len(view.state.mask), view.robots))
         if not self.noise and not self.dropout:
             return exact
         state = view.state
@@ -82,6 +87,22 @@ class Sensor(ABC):
         key = randomness.join(key, robots)
         missing = randomness.uniform(randomness.join(key, "dropout")) < self.dropout
         return {name: self._spoilt(name, value, key, missing) for name, value in exact.items()}
+
+    def _check_shapes(self, exact: Mapping[str, Tensor], scenes_and_robots: tuple[int, int]) -> None:
+        name, expected = type(self).__name__, self.readings
+        if not isinstance(exact, Mapping) or exact.keys() != expected.keys():
+            given = ", ".join(map(str, exact)) if isinstance(exact, Mapping) else f"{exact!r:.60}"
+            raise UserError(
+                f"sensor {name}: read returned {given}: expected the entries of its readings, "
+                f"{', '.join(expected)}"
+            )
+        for entry, reading in expected.items():
+            shape = (*scenes_and_robots, *reading.shape)
+            if (given := shape_of(exact[entry])) != shape:
+                raise UserError(
+                    f"sensor {name}: {entry} is {given}: expected (B, R, ...) = {shape}, as "
+                    f"Reading({tuple(reading.shape)}) says"
+                )
 
     def _spoilt(self, name: str, value: Tensor, key: Tensor, missing: Tensor) -> Tensor:
         gone = missing.view(*missing.shape, *[1] * (value.dim() - 2))

@@ -78,6 +78,11 @@ class RobotView(NamedTuple):
         return self.physics.rays(bodies, origin, direction.flatten(1, 2), reach).view(scenes, robots, rays)
 
 
+def shape_of(value: object) -> tuple[int, ...] | str:
+    """Return the shape of what a person's own code returned, or what it is if it is no tensor."""
+    return tuple(value.shape) if isinstance(value, Tensor) else f"{value!r:.60}, no tensor"
+
+
 def _aligned(value: Tensor, like: Tensor) -> Tensor:
     """Return (B, R, 2) with as many dimensions as ``like`` (B, R, ..., 2)."""
     return value.view(*value.shape[:2], *[1] * (like.dim() - 3), 2)

@@ -31,8 +31,10 @@ def scenario_spec(scenario: str | Spec) -> Spec | SpecText:
             the file's (``mine.yaml:speed=1.0``). Its map is looked for beside the file, too.
 
     Raises:
-        UserError: The file is missing or no YAML, has an unknown key, or no people.
+        UserError: It is no name; the file is missing or no YAML, has an unknown key, or no people.
     """
+    if not isinstance(scenario, str | Spec | SpecText):
+        raise UserError(f"scenario {scenario!r:.60}: expected its name with settings, such as door:people=4")
     spec = parse(scenario) if isinstance(scenario, str) else scenario
     if not spec.name.endswith((".yaml", ".yml")):
         return spec

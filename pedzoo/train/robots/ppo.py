@@ -15,6 +15,7 @@ from torch.utils.data import DataLoader
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.spec import parse
+from pedzoo.policies.load import load_policy
 from pedzoo.policies.robots.attention import Attention
 from pedzoo.sim.robot_parts.env import RobotEnv
 from pedzoo.sim.robot_parts.make import make_robot_env
@@ -26,6 +27,9 @@ from pedzoo.train.robots.teacher import CONSTANT_VELOCITY, teacher_of
 
 _SEEDS = 2**52
 """Seeds of scenes in training begin here: nothing is evaluated on these."""
+
+_PEOPLE = "orca"
+"""Who walks where nothing else is said, and always in CrowdNav's scenarios."""
 
 _LOGGED = {
     "loss_objective": "objective",
@@ -49,7 +53,7 @@ class RobotPPO(L.LightningModule):
         self,
         policy: Attention,
         scenarios: list[str],
-        people: str = "orca",
+        people: str = _PEOPLE,
         robot: str = "disc",
         decision_dt: float = 0.2,
         reward: Mapping[str, float] | None = None,
@@ -79,7 +83,7 @@ class RobotPPO(L.LightningModule):
             scenarios: With settings, as of `pedzoo.make_robot_env`, or ``crowdnav:people=5`` or
                 ``crowdnav_pp``, whose people and decisions are CrowdNav's; see
                 `pedzoo.train.robots.crowdnav_env.CrowdNavEnv`.
-            people: A policy or a mixed crowd.
+            people: A policy or a mixed crowd, in scenarios that are not CrowdNav's.
             robot: A body with settings.
             decision_dt: Seconds between two decisions.
             reward: Weights by name; see `pedzoo.sim.robot_parts.reward.USUAL`.
@@ -103,7 +107,7 @@ class RobotPPO(L.LightningModule):
             clip: Largest norms of the gradients of actor and critic.
 
         Raises:
-            UserError: No scenario, or a number out of range.
+            UserError: No scenario, a number out of range, or people who are unknown or have no use.
         """
         super().__init__()
         counts = {"envs": envs, "steps": steps, "updates": updates, "episodes": episodes}
@@ -119,6 +123,7 @@ class RobotPPO(L.LightningModule):
                 f"--model.std {std} clip_ratio {clip_ratio} gamma {gamma} gae_lambda {gae_lambda}: expected "
                 "above 0, in (0, 1), and two numbers from 0 to 1"
             )
+        _check_people(people, scenarios)
         self.automatic_optimization = False
         self.scenarios, self.people, self.robot = scenarios, people, robot
         self.decision_dt, self.reward, self.physics = decision_dt, reward, physics
@@ -244,3 +249,15 @@ class RobotPPO(L.LightningModule):
         """People, places, body and senses of the training."""
         known = {"scenarios": self.scenarios, "crowd": self.people, "robot": self.robot}
         return known | {"decision_dt": self.decision_dt, "sensors": self.policy.sensors}
+
+
+def _check_people(people: str, scenarios: list[str]) -> None:
+    """Refuse people whom no scenario uses, or who are unknown."""
+    if all(parse(scenario).name in SETTINGS for scenario in scenarios):
+        if people != _PEOPLE:
+            raise UserError(
+                f"--model.people {people:.200}: no use for people with crowdnav scenarios, which have their "
+                f"own: leave it out, or set --model.scenarios '[\"door:people=4\"]'"
+            )
+    else:
+        load_policy(people)
