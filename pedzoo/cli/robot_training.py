@@ -15,6 +15,10 @@ from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.train.robots.ppo import RobotPPO
 from pedzoo.train.run import RunFolder, run_name
+from pedzoo.train.run_settings import check_unchanged
+
+PLACE = ("scenarios", "people", "robot", "decision_dt")
+"""Settings of a robot's training that its card has: where it was trained, among whom, and in which body."""
 
 
 def trains_robots(argv: list[str]) -> bool:
@@ -65,6 +69,8 @@ class RobotTrainingCLI(RunCLI):
         """Parse, with errors in one line."""
         self.config = parse(parser, args, [("model", RobotPPO)])
         check_seed(self.config["seed_everything"])
+        if self.run:
+            check_unchanged(self.run.path, self.plain_config(), "model.init_args", PLACE, RobotPPO)
 
     def instantiate_trainer(self, **kwargs: Any) -> Any:
         """Build the trainer with the run folder's loggers and checkpoints."""

@@ -33,6 +33,7 @@ from pedzoo.models.zoo.loading import architecture_of, read_checkpoint
 from pedzoo.train.fine_tuning import start_from
 from pedzoo.train.modules.module import ForecastModule
 from pedzoo.train.run import RunFolder, Wandb, finish_wandb, run_name
+from pedzoo.train.run_settings import DATA, check_unchanged
 from pedzoo.train.validation.rollout_validation import ClosedLoopValidation
 
 _EXPECTED = (
@@ -119,6 +120,8 @@ class TrainingCLI(RunCLI):
         ]
         self.config = parse(parser, args, [("model", ForecastModule)])
         check_seed(self.config["seed_everything"])
+        if self.command == "fit" and self.config["resume"] and self.run:
+            check_unchanged(self.run.path, self.plain_config(), "data", DATA, TrajectoryDataModule)
 
     def instantiate_classes(self) -> None:
         """Build all objects; where a class refuses its options, the message is that of the class.

@@ -321,6 +321,13 @@ def test_the_command_line_trains_resumes_and_loads(
     best = run / "checkpoints" / "best.ckpt"
     assert f"next: pedzoo evaluate {best} straight --suite robots --people orca --quick" in printed
     assert run.name == f"{scenario.partition(':')[0]}-seed0"
+    for option, value in (
+        ("model.people", "go_to_goal"),
+        ("model.robot", "jackal"),
+        ("seed_everything", "1"),
+    ):
+        assert main(["fit", "--resume", str(run), f"--{option}", value]) == 2
+        assert f"--{option} {value}: the run '{run}' goes on with " in capsys.readouterr().err
     assert main(["fit", "--resume", str(run), "--trainer.max_epochs=2"]) == 0
     logged = (run / "metrics.csv").read_text()
     for name in ("train/samples_per_s", "train/kl", "val/success", "val/return"):
