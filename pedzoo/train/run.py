@@ -215,17 +215,26 @@ class ValidatesLast(Callback):
 
 
 class RunRecorder(Callback):
-    """Writes configuration and versions."""
+    """Writes configuration and versions after the first step.
+
+    What fails before leaves nothing in a new run, and in a resumed one the options that it had.
+    """
 
     def __init__(self, run: RunFolder, config: dict[str, Any], argv: list[str]) -> None:
         """Record a run of the resolved ``config``, started by the command line ``argv``."""
         self.run, self.config, self.argv = run, config, argv
+        self._written = False
 
     def on_fit_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-        """Write ``config.yaml`` and ``versions.json``: data and model are known to fit together by now."""
+        """Say where the run goes: data and model are known to fit together by now."""
         if trainer.is_global_zero:
             print(f"run folder: {self.run.path}", flush=True)
+
+    def on_train_batch_end(self, trainer: L.Trainer, pl_module: L.LightningModule, *_: Any) -> None:
+        """Write ``config.yaml`` and ``versions.json``, once."""
+        if trainer.is_global_zero and not self._written:
             settings = yaml.safe_dump(self.config, sort_keys=False)
             record = {"command": self.argv, "versions": versions(), **job_record()}
             write_whole(self.run.path / "config.yaml", settings.encode())
             write_whole(self.run.path / "versions.json", f"{json.dumps(record, indent=2)}\n".encode())
+            self._written = True

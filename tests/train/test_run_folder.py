@@ -130,6 +130,15 @@ def test_a_run_goes_on_with_the_data_that_it_began_with(capsys: pytest.CaptureFi
     assert torch.load(LAST)["epoch"] == 1
 
 
+def test_options_with_which_a_run_cannot_go_on_are_not_kept(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*FIT, "--trainer.max_epochs", "3"]) == 0
+    config, record = ((RUN / name).read_bytes() for name in ("config.yaml", "versions.json"))
+    capsys.readouterr()
+    assert resume(1) == 2
+    assert "current_epoch=2, but you have set Trainer(max_epochs=1)" in capsys.readouterr().err
+    assert ((RUN / "config.yaml").read_bytes(), (RUN / "versions.json").read_bytes()) == (config, record)
+
+
 def test_one_process_at_a_time_trains_in_a_folder(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(FIT) == 0
     before = contents(RUN)
