@@ -39,7 +39,6 @@ class RobotTrainingCLI(RunCLI):
     def __init__(self, typed: list[str], about: str, example: str) -> None:
         """Parse the command line as it was ``typed``, and build trainer and model."""
         self.typed, argv = typed, typed
-        self.run: RunFolder | None = None
         if folder := given(typed, "--resume"):
             self.run = RunFolder.resume(folder)
             argv = [

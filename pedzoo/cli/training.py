@@ -8,7 +8,6 @@ import shlex
 import warnings
 from argparse import SUPPRESS
 from collections.abc import Mapping
-from contextlib import ExitStack
 from pathlib import Path
 from time import monotonic
 from typing import Any, Literal, cast
@@ -172,12 +171,7 @@ class TrainingCLI(RunCLI):
             callbacks += self.run.callbacks(self.plain_config(), typed, monitor, self.config["monitor_mode"])
             if options.get("logger") in (None, True):
                 kwargs |= {"logger": self.run.loggers(self.config["wandb"])}
-        with ExitStack() as if_it_fails:
-            if self.run:
-                if_it_fails.callback(self.run.end)
-            trainer = super().instantiate_trainer(callbacks=callbacks, **kwargs)
-            if_it_fails.pop_all()
-        return trainer
+        return super().instantiate_trainer(callbacks=callbacks, **kwargs)
 
     def fit(self) -> int:
         """Train, and print what to do next."""

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from csv import DictReader
 from pathlib import Path
 from types import MappingProxyType
@@ -16,7 +16,7 @@ from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 from pedzoo.cli.parsing import PARSER_SETTINGS
 from pedzoo.cli.signals import hear_again
 from pedzoo.core.configs import load_config
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, at_least_one
 from pedzoo.core.registry import file_path, import_path, names_code
 from pedzoo.models.zoo.loading import read_checkpoint
 from pedzoo.train.run import RunFolder
@@ -106,7 +106,13 @@ def check_seed(seed: int) -> None:
 
 
 class RunCLI(LightningCLI):
-    """LightningCLI of one command, whose trainer writes into a run folder."""
+    """LightningCLI of one command, whose trainer writes into a run folder.
+
+    Attributes:
+        run: The folder; None where there is none, or none yet.
+    """
+
+    run: RunFolder | None = None
 
     def __init__(self, *classes: type, args: list[str], **texts: str) -> None:
         """Parse ``args`` and build trainer and ``classes``; ``texts`` are prog, usage and description."""
@@ -126,6 +132,25 @@ class RunCLI(LightningCLI):
 
     def _parse_ckpt_path(self) -> None:
         """Leave the command line alone: it wins over what a checkpoint remembers."""
+
+    def instantiate_trainer(self, **kwargs: Any) -> Any:
+        """Build the trainer; where it refuses its options, the run's folder is let go of.
+
+        Raises:
+            UserError: It does.
+        """
+        with ExitStack() as if_it_fails:
+            if self.run:
+                if_it_fails.callback(self.run.end)
+            for name in ("check_val_every_n_epoch", "accumulate_grad_batches"):
+                if (number := self.config_init["trainer"].get(name)) is not None:
+                    at_least_one(f"--trainer.{name}", number)
+            try:
+                trainer = super().instantiate_trainer(**kwargs)
+            except ValueError as error:
+                raise UserError(str(error)) from error
+            if_it_fails.pop_all()
+        return trainer
 
     def go_on_from_last(self, run: RunFolder) -> None:
         """Start from the last checkpoint where the run of a Slurm job goes on that is run again."""

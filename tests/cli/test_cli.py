@@ -113,6 +113,15 @@ def test_options_may_be_written_as_people_write_them(typed):
         ),
         (["--trainer.max_epoch", "4"], "did you mean --trainer.max_epochs?"),  # no silent abbreviation
         (["--model.lr", "fast"], "--model.lr: expected float, not 'fast'"),
+        (["--model.lr", "-1"], "--model.lr -1.0: expected at least 0"),
+        (["--model.lr_discriminator", "-1"], "--model.lr_discriminator -1.0: expected at least 0"),
+        (["--model.clip", "-2"], "--model.clip -2.0: expected at least 0"),  # it would train uphill
+        (
+            ["--trainer.check_val_every_n_epoch", "0"],
+            "--trainer.check_val_every_n_epoch 0: expected at least 1",
+        ),
+        (["--trainer.accelerator", "foo"], "invalid accelerator name: `accelerator='foo'`"),
+        (["--trainer.strategy", "foo"], "invalid strategy name: `strategy='foo'`"),
         (
             ["--model.generator.architecture.noise_dim", "x"],
             "--model.generator.architecture.noise_dim: expected int, not 'x'",

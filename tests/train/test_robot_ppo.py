@@ -348,6 +348,8 @@ def test_the_command_line_trains_resumes_and_loads(
         ({"envs": 1, "steps": 2}, "--model.minibatches 16: there are 2"),
         ({"std": 0.0}, "--model.std 0.0"),
         ({"gamma": 1.5}, "gamma 1.5"),
+        ({"lr": -1e-3}, "--model.lr -0.001: expected at least 0"),
+        ({"clip": 0.0}, "--model.clip 0.0: expected above 0"),  # no gradient would be left
     ],
 )
 def test_what_cannot_be_is_refused(options: dict[str, Any], said: str) -> None:
