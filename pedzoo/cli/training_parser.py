@@ -10,6 +10,7 @@ from typing import Any
 
 import yaml
 from jsonargparse import Namespace
+from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.callbacks import Callback, RichProgressBar
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 
@@ -163,6 +164,13 @@ class RunCLI(LightningCLI):
         try:
             try:
                 yield
+            except (
+                UserError,
+                MisconfigurationException,
+            ):  # with these options there is nothing to go on with
+                if run:
+                    run.forget()
+                raise
             finally:
                 if run:
                     run.end()  # before Slurm hears of it: another run of the job may begin at once

@@ -341,6 +341,26 @@ def test_the_command_line_trains_resumes_and_loads(
 
 
 @pytest.mark.parametrize(
+    ("option", "said"),
+    [
+        ("--model.robot=diff_drv", "did you mean 'diff_drive'?"),
+        ("--trainer.accelerator=foo", "invalid accelerator name"),
+        ("--monitor=val/retrn", "did you mean 'val/return'?"),
+    ],
+)
+def test_a_mistake_leaves_no_run(
+    option: str,
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main([*FIT, "--model.scenarios=[crowdnav:crowds=8]", "--trainer.max_epochs=1", option]) == 2
+    assert said in capsys.readouterr().err and not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
     ("options", "said"),
     [
         ({"scenarios": []}, "at least one"),

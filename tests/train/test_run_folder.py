@@ -139,6 +139,31 @@ def test_options_with_which_a_run_cannot_go_on_are_not_kept(capsys: pytest.Captu
     assert ((RUN / "config.yaml").read_bytes(), (RUN / "versions.json").read_bytes()) == (config, record)
 
 
+@pytest.mark.parametrize(
+    ("options", "near"),
+    [
+        (["--monitor", "val/adee"], "val/ade"),  # known from the sanity check
+        (["--monitor", "val/adee", "--trainer.num_sanity_val_steps", "0"], "val/ade"),
+        (["--monitor", "train/varity"], "train/variety"),
+    ],
+)
+def test_a_metric_that_is_not_logged_is_refused_and_leaves_no_folder(
+    options: list[str], near: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*FIT, *options]) == 2
+    error = capsys.readouterr().err
+    assert f"unknown metric to --monitor '{options[1]}': did you mean '{near}'?" in error
+    assert error.count("\n") == 1 and not Path("runs").exists()
+
+
+def test_a_run_does_not_go_on_with_a_misspelt_metric(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(FIT) == 0
+    config = (RUN / "config.yaml").read_bytes()
+    assert main(["fit", "--resume", str(RUN), "--monitor", "val/adee", "--trainer.max_epochs", "2"]) == 2
+    assert "did you mean 'val/ade'?" in capsys.readouterr().err
+    assert (RUN / "config.yaml").read_bytes() == config and LAST.is_file()
+
+
 def test_one_process_at_a_time_trains_in_a_folder(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(FIT) == 0
     before = contents(RUN)
