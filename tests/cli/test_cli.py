@@ -189,6 +189,21 @@ def test_options_without_a_model_say_what_to_give(capsys):
     assert "needs generator, too: start from --config NAME (" in refused(capsys, "fit", "--model.lr", "1")
 
 
+@pytest.mark.parametrize("command", ["test", "validate"])
+def test_files_that_are_no_checkpoints_are_called_so(command, capsys):
+    for name in ("cut.ckpt", "good.csv", "weights.safetensors"):
+        Path(name).write_bytes(b"PK, and no more")
+    assert "checkpoint 'cut.ckpt' cannot be read (File is not a zip file): is it cut off?" in refused(
+        capsys, command, "--ckpt_path", "cut.ckpt"
+    )
+    said = "--ckpt_path good.csv: expected a .ckpt file, as pedzoo fit writes it\n"
+    assert said in refused(capsys, command, "--ckpt_path", "good.csv")
+    assert (
+        "expected a .ckpt file, as pedzoo fit writes it; weights are measured by: pedzoo forecast"
+        in refused(capsys, command, "--ckpt_path", "weights.safetensors")
+    )
+
+
 def test_mistakes_inside_a_command_are_one_line_and_leave_nothing(capsys, elsewhere, monkeypatch):
     monkeypatch.delenv("PEDZOO_DATA", raising=False)
     assert "PEDZOO_DATA" in refused(capsys, "fit", "--config", "sgan", "--data.fold", "zara1")
