@@ -167,6 +167,34 @@ def test_lists_need_no_brackets(typed, wanted):
 
 
 @pytest.mark.parametrize(
+    ("typed", "expected"),
+    [
+        ("--size 12 9", "--size 12: expected 2 values with a comma between them, as --size 12,9"),
+        ("--size=12,9,3", "--size 12,9,3: expected 2 values with a comma between them, as --size 12,9"),
+        ("--doors 1 --size 12,9", "--doors 1: expected 2 values with a comma between them, as --doors 1,1"),
+        ("--size [12]", "--size: expected tuple[float, float] or null, not '[12]'"),
+        ("--size 1,2,3 --doors 1,2 --any 3,4,5", "--size 1,2"),
+    ],
+)
+def test_pairs_say_how_they_are_typed(typed, expected):
+    parser = ArgumentParser(**PARSER_SETTINGS)
+    parser.add_argument("--size", type=tuple[float, float] | None)
+    parser.add_argument("--doors", type=tuple[float, float])
+    parser.add_argument("--any", type=tuple[int, ...])
+    with pytest.raises(UserError, match=f"{re.escape(expected)}$"):
+        parse(parser, typed.split())
+    assert parse(parser, ["--size", "12,9", "--any", "1,2,3"]).any == (1, 2, 3)
+
+
+def test_every_option_of_plans_has_a_help_text(capsys):
+    with pytest.raises(SystemExit):
+        main(["plans", "--help"])
+    text = " ".join(capsys.readouterr().out.split())
+    for part in ("metres, as ``12,9``", "Side of a cell", "From 0, bare rooms", "largest width of a door"):
+        assert part in text
+
+
+@pytest.mark.parametrize(
     ("yaml", "expected"),
     [
         ("modell: {lr: 1}", "unknown option --modell.lr: did you mean --model.lr?"),
