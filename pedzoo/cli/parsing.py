@@ -9,7 +9,7 @@ import re
 from argparse import ArgumentError
 from collections.abc import Iterable
 from difflib import get_close_matches
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from pydoc import locate
 from typing import Any, get_args, get_origin
 
@@ -21,7 +21,7 @@ from pedzoo.core.adapters import option_types
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import find_config
-from pedzoo.core.spec import homes
+from pedzoo.core.spec import homes, split
 
 PARSER_SETTINGS: dict[str, Any] = {"exit_on_error": False, "allow_abbrev": False}
 """For every parser used with `parse`: errors are raised, and ``--trainer.max_epoch`` is a misspelling."""
@@ -98,7 +98,8 @@ def explain(message: str, known: list[str]) -> str:
     if match := re.search(r"Subtypes: \[(.*)\]", message):
         path, _ = _place(message[: match.start()])
         value = re.search(r"Given value: (.*)", message)
-        return _mismatch(path, " or ".join(map(_plain, match[1].split(", "))), value[1] if value else "?")
+        expected = " or ".join(_plain(part.strip()) for part in split(match[1]))
+        return _mismatch(path, expected, value[1] if value else "?")
     return message
 
 
@@ -179,21 +180,35 @@ def _written_out(parser: ArgumentParser, argv: list[str]) -> list[str]:
         hint, follows = known.get(flag), argv[i + 1 : i + 2]
         if hint is bool and not joined and not (follows and follows[0].lower() in _TRUTH):
             result[i] = f"{flag}=true"
-        item, alone = _item_type(hint)
-        if item is None or not (joined or follows):
+        kind, alone = _list_type(hint)
+        if kind is None or not (joined or follows):
             continue
+        item = get_args(kind)[0]
         value = value if joined else follows[0]
         if not value.startswith(("[", "-", "{")) and value != "null" and (alone or "," in value):
+            if get_origin(kind) is tuple and ... not in get_args(kind):
+                _check_count(flag, len(get_args(kind)), value, argv[i + 1 + (not joined) :])
             listed = json.dumps(split_names(value)) if item is str else f"[{value}]"
             result[i if joined else i + 1] = f"{flag}={listed}" if joined else listed
     return result
 
 
-def _item_type(hint: object) -> tuple[object | None, bool]:
-    """Return what a list or tuple type holds, None for another type, and whether it is the only choice."""
+def _check_count(option: str, count: int, value: str, behind: list[str]) -> None:
+    """Refuse another number of values than ``count``; words ``behind`` were meant as further ones."""
+    given = value.split(",")
+    if len(given) == count:
+        return
+    further = takewhile(lambda word: not word.startswith("--"), behind)
+    example = [*given, *further, *given * count][:count]
+    expected = f"{count} values with a comma between them, as {option} {','.join(example)}"
+    raise UserError(f"{option} {value}: expected {expected}")
+
+
+def _list_type(hint: object) -> tuple[object | None, bool]:
+    """Return the list or tuple type in a type, or None, and whether it is the only choice."""
     options = (hint, *get_args(hint))
     for option in options:
         if get_origin(option) in (list, tuple):
             others = [one for one in options if one not in (hint, option, type(None))]
-            return get_args(option)[0], hint is option or not others
+            return option, hint is option or not others
     return None, False

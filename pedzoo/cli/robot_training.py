@@ -15,6 +15,10 @@ from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.train.robots.ppo import RobotPPO
 from pedzoo.train.run import RunFolder, run_name
+from pedzoo.train.run_settings import check_unchanged
+
+PLACE = ("scenarios", "people", "robot", "decision_dt")
+"""Settings of a robot's training that its card has: where it was trained, among whom, and in which body."""
 
 
 def trains_robots(argv: list[str]) -> bool:
@@ -35,7 +39,6 @@ class RobotTrainingCLI(RunCLI):
     def __init__(self, typed: list[str], about: str, example: str) -> None:
         """Parse the command line as it was ``typed``, and build trainer and model."""
         self.typed, argv = typed, typed
-        self.run: RunFolder | None = None
         if folder := given(typed, "--resume"):
             self.run = RunFolder.resume(folder)
             argv = [
@@ -65,6 +68,8 @@ class RobotTrainingCLI(RunCLI):
         """Parse, with errors in one line."""
         self.config = parse(parser, args, [("model", RobotPPO)])
         check_seed(self.config["seed_everything"])
+        if self.run:
+            check_unchanged(self.run.path, self.plain_config(), "model.init_args", PLACE, RobotPPO)
 
     def instantiate_trainer(self, **kwargs: Any) -> Any:
         """Build the trainer with the run folder's loggers and checkpoints."""

@@ -6,6 +6,7 @@ from typing import Literal, NamedTuple
 from pedzoo.cli.suggestions import given
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import names_code
+from pedzoo.models.zoo.loading import read_checkpoint
 from pedzoo.models.zoo.typed_fields import refuse_code
 from pedzoo.train.fine_tuning import architecture_options, config_beside, options_of, options_to_continue
 from pedzoo.train.run import RunFolder
@@ -31,7 +32,7 @@ def expand(command: Command, argv: list[str]) -> ExpandedCommand:
     """Write out what ``--resume RUN``, ``--weights NAME`` and a checkpoint in a run folder stand for.
 
     Raises:
-        UserError: No such run, checkpoint or weights, or two of them at once.
+        UserError: No such run, checkpoint or weights, a damaged checkpoint, or two of them at once.
     """
     options = ("--resume", "--ckpt_path", "--weights") if command == "fit" else ("--ckpt_path",)
     named = {option: value for option in options if (value := given(argv, option))}
@@ -54,7 +55,18 @@ def expand(command: Command, argv: list[str]) -> ExpandedCommand:
     if command != "fit" and checkpoint and not configured:
         if config := config_beside(checkpoint):
             return ExpandedCommand(["--config", str(config), *argv], beside=config)
+        _check_checkpoint(checkpoint)
     return ExpandedCommand(argv)
+
+
+def _check_checkpoint(file: str) -> None:
+    """Refuse what is no checkpoint, where it would be said that there is no model."""
+    if Path(file).suffix != ".ckpt":
+        weights = (
+            f"; weights are measured by: pedzoo forecast {file}" if file.endswith(".safetensors") else ""
+        )
+        raise UserError(f"--ckpt_path {file}: expected a .ckpt file, as pedzoo fit writes it{weights}")
+    read_checkpoint(file)
 
 
 def _without_code(options: list[str], argv: list[str], weights: str) -> list[str]:

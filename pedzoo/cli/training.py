@@ -8,7 +8,6 @@ import shlex
 import warnings
 from argparse import SUPPRESS
 from collections.abc import Mapping
-from contextlib import ExitStack
 from pathlib import Path
 from time import monotonic
 from typing import Any, Literal, cast
@@ -33,6 +32,7 @@ from pedzoo.models.zoo.loading import architecture_of, read_checkpoint
 from pedzoo.train.fine_tuning import start_from
 from pedzoo.train.modules.module import ForecastModule
 from pedzoo.train.run import RunFolder, Wandb, finish_wandb, run_name
+from pedzoo.train.run_settings import DATA, check_unchanged
 from pedzoo.train.validation.rollout_validation import ClosedLoopValidation
 
 _EXPECTED = (
@@ -119,6 +119,8 @@ class TrainingCLI(RunCLI):
         ]
         self.config = parse(parser, args, [("model", ForecastModule)])
         check_seed(self.config["seed_everything"])
+        if self.command == "fit" and self.config["resume"] and self.run:
+            check_unchanged(self.run.path, self.plain_config(), "data", DATA, TrajectoryDataModule)
 
     def instantiate_trainer(self, **kwargs: Any) -> Any:
         """Build the trainer with the run folder's loggers and checkpoints."""
@@ -153,12 +155,7 @@ class TrainingCLI(RunCLI):
             callbacks += self.run.callbacks(self.plain_config(), typed, monitor, self.config["monitor_mode"])
             if options.get("logger") in (None, True):
                 kwargs |= {"logger": self.run.loggers(self.config["wandb"])}
-        with ExitStack() as if_it_fails:
-            if self.run:
-                if_it_fails.callback(self.run.end)
-            trainer = super().instantiate_trainer(callbacks=callbacks, **kwargs)
-            if_it_fails.pop_all()
-        return trainer
+        return super().instantiate_trainer(callbacks=callbacks, **kwargs)
 
     def fit(self) -> int:
         """Train, and print what to do next."""

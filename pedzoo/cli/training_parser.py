@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from csv import DictReader
 from pathlib import Path
 from types import MappingProxyType
@@ -10,13 +10,14 @@ from typing import Any
 
 import yaml
 from jsonargparse import Namespace
+from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.callbacks import Callback, RichProgressBar
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 
 from pedzoo.cli.parsing import PARSER_SETTINGS
 from pedzoo.cli.signals import hear_again
 from pedzoo.core.configs import load_config
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, at_least_one
 from pedzoo.core.registry import file_path, import_path, names_code
 from pedzoo.models.zoo.loading import read_checkpoint
 from pedzoo.train.run import RunFolder
@@ -106,7 +107,13 @@ def check_seed(seed: int) -> None:
 
 
 class RunCLI(LightningCLI):
-    """LightningCLI of one command, whose trainer writes into a run folder."""
+    """LightningCLI of one command, whose trainer writes into a run folder.
+
+    Attributes:
+        run: The folder; None where there is none, or none yet.
+    """
+
+    run: RunFolder | None = None
 
     def __init__(self, *classes: type, args: list[str], **texts: str) -> None:
         """Parse ``args`` and build trainer and ``classes``; ``texts`` are prog, usage and description."""
@@ -143,6 +150,25 @@ class RunCLI(LightningCLI):
                 raise cause from None
             raise
 
+    def instantiate_trainer(self, **kwargs: Any) -> Any:
+        """Build the trainer; where it refuses its options, the run's folder is let go of.
+
+        Raises:
+            UserError: It does.
+        """
+        with ExitStack() as if_it_fails:
+            if self.run:
+                if_it_fails.callback(self.run.end)
+            for name in ("check_val_every_n_epoch", "accumulate_grad_batches"):
+                if (number := self.config_init["trainer"].get(name)) is not None:
+                    at_least_one(f"--trainer.{name}", number)
+            try:
+                trainer = super().instantiate_trainer(**kwargs)
+            except ValueError as error:
+                raise UserError(str(error)) from error
+            if_it_fails.pop_all()
+        return trainer
+
     def go_on_from_last(self, run: RunFolder) -> None:
         """Start from the last checkpoint where the run of a Slurm job goes on that is run again."""
         if run.goes_on and not self.config["resume"] and run.last.is_file():
@@ -154,6 +180,13 @@ class RunCLI(LightningCLI):
         try:
             try:
                 yield
+            except (
+                UserError,
+                MisconfigurationException,
+            ):  # with these options there is nothing to go on with
+                if run:
+                    run.forget()
+                raise
             finally:
                 if run:
                     run.end()  # before Slurm hears of it: another run of the job may begin at once

@@ -1,5 +1,6 @@
 """Errors that a person can act on: the given value, the expected one, the fix; packages that are missing."""
 
+import math
 from collections.abc import Callable, Iterable
 from difflib import get_close_matches
 from functools import cache, wraps
@@ -83,6 +84,21 @@ def at_least_one(what: str, number: int) -> None:
     """
     if number < 1:
         raise UserError(f"{what} {number}: expected at least 1")
+
+
+def at_least_zero(place: str, **numbers: float) -> None:
+    """Refuse numbers that are negative, infinite or none.
+
+    Args:
+        place: What stands before the names in the message, such as ``--model.``.
+        numbers: By name.
+
+    Raises:
+        UserError: One is.
+    """
+    for name, number in numbers.items():
+        if not 0 <= number < math.inf:
+            raise UserError(f"{place}{name} {number}: expected at least 0")
 
 
 @cache

@@ -9,13 +9,12 @@ mixing function is SplitMix64's (Steele et al., OOPSLA 2014).
 from __future__ import annotations
 
 from functools import lru_cache
-from numbers import Integral
 from zlib import crc32
 
 import torch
 from torch import Tensor
 
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import check_whole
 
 
 def _signed(value: int) -> int:
@@ -84,8 +83,7 @@ class Draws:
         Raises:
             UserError: The seed is no whole number.
         """
-        if not isinstance(seed, Integral):
-            raise UserError(f"seed {seed!r}: expected a whole number")
+        check_whole("seed", seed)
         return cls(join(torch.zeros_like(episode) + _signed(seed % 2**64), episode), episode)
 
     def keys(self, what: str, *shape: int) -> Tensor:

@@ -194,15 +194,16 @@ class TrajectoryDataModule(L.LightningDataModule):
         if scene is None or split == "test":
             return source.recordings(split)
         fold = None if self.hparams["files"] else find_fold(scene)
-        if fold is None or not fold.tested or fold.name == self.fold:
-            raise UserError(
-                f"--data.hold_out {scene}: expected another scene of the recordings of {self.fold!r}"
-            )
+        tested = tuple(fold.tested or ()) if fold and fold.name != self.fold else ()
         parts: tuple[Split, ...] = ("train",) if split == "train" else ("train", "val")
         every = [one for part in parts for one in source.recordings(part)]
         # a part of a recording begins with the name of the whole
-        tested = tuple(fold.tested)
-        return [one for one in every if one.tracks.name.startswith(tested) == (split == "val")]
+        held = [one.tracks.name.startswith(tested) for one in every]
+        if not any(held):
+            raise UserError(
+                f"--data.hold_out {scene}: expected another scene of the recordings of {self.fold!r}"
+            )
+        return [one for one, out in zip(every, held, strict=True) if out == (split == "val")]
 
     def crowds(self, split: Split) -> list[tuple[Tracks, int]]:
         """Return the recordings of a split on the true clock, each with the ``map_id`` of its floor plan.

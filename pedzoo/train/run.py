@@ -23,7 +23,9 @@ from lightning.pytorch.utilities import rank_zero_only
 from pedzoo.core.errors import UserError, need
 from pedzoo.core.machine import versions
 from pedzoo.core.paths import PARTS, shipped, write_whole
-from pedzoo.train.metrics_file import MetricsFile, WholeMetrics
+from pedzoo.models.export.run_record import RECORDS
+from pedzoo.train.metrics_file import MetricsFile, WholeMetrics, rows_of
+from pedzoo.train.monitor import KnownMonitor
 from pedzoo.train.slurm import job_record, left_by_this_job
 
 Wandb = Literal["off", "offline", "online"]
@@ -118,6 +120,13 @@ class RunFolder:
             self._keep_earlier()
 
     @rank_zero_only
+    def forget(self) -> None:
+        """Remove the records of a run that began and has no checkpoint: `end` finds an empty folder then."""
+        if not self.goes_on and not any(self.path.rglob("*.ckpt")):
+            for name in RECORDS:
+                (self.path / name).unlink(missing_ok=True)
+
+    @rank_zero_only
     def end(self) -> None:
         """Unlock the folder. That of a run that failed before it wrote anything is removed."""
         self._holder.unlink(missing_ok=True)
@@ -136,12 +145,11 @@ class RunFolder:
 
     def _keep_earlier(self) -> None:
         """Copy the records of the runs so far aside: a resumed run writes its own in their place."""
-        records = [self.path / name for name in ("config.yaml", "versions.json", "metrics.csv")]
         stored = self.path / f"before-resume-{len(list(self.path.glob('before-resume-*'))) + 1}"
         stored.mkdir()
-        for record in records:
-            if record.is_file():
-                shutil.copy2(record, stored)
+        for name in RECORDS:
+            if (self.path / name).is_file():
+                shutil.copy2(self.path / name, stored)
 
     def trainer_options(self, plugins: Any) -> dict[str, Any]:
         """Return the trainer's options that keep all of a run in its folder, whole, beside ``plugins``.
@@ -180,7 +188,9 @@ class RunFolder:
         best = ModelCheckpoint(filename=self.best.stem, monitor=monitor, mode=mode, **common)
         # Apart from the best one, so that it is written after every epoch, validated or not.
         last = ModelCheckpoint(filename=self.last.stem, save_on_train_epoch_end=True, **common)
-        return [*result, ValidatesLast(), best, last]
+        earlier = rows_of(self._metrics.path) if self.goes_on else []
+        known = KnownMonitor(monitor, {key for row in earlier for key in row})
+        return [*result, ValidatesLast(), known, best, last]
 
 
 def finish_wandb(succeeded: bool) -> None:
@@ -215,17 +225,26 @@ class ValidatesLast(Callback):
 
 
 class RunRecorder(Callback):
-    """Writes configuration and versions."""
+    """Writes configuration and versions after the first step.
+
+    What fails before leaves nothing in a new run, and in a resumed one the options that it had.
+    """
 
     def __init__(self, run: RunFolder, config: dict[str, Any], argv: list[str]) -> None:
         """Record a run of the resolved ``config``, started by the command line ``argv``."""
         self.run, self.config, self.argv = run, config, argv
+        self._written = False
 
     def on_fit_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-        """Write ``config.yaml`` and ``versions.json``: data and model are known to fit together by now."""
+        """Say where the run goes: data and model are known to fit together by now."""
         if trainer.is_global_zero:
             print(f"run folder: {self.run.path}", flush=True)
+
+    def on_train_batch_end(self, trainer: L.Trainer, pl_module: L.LightningModule, *_: Any) -> None:
+        """Write ``config.yaml`` and ``versions.json``, once."""
+        if trainer.is_global_zero and not self._written:
             settings = yaml.safe_dump(self.config, sort_keys=False)
             record = {"command": self.argv, "versions": versions(), **job_record()}
             write_whole(self.run.path / "config.yaml", settings.encode())
             write_whole(self.run.path / "versions.json", f"{json.dumps(record, indent=2)}\n".encode())
+            self._written = True

@@ -4,12 +4,15 @@ A checkpoint may come from anywhere, and so may the configuration beside it. It 
 on which data, for how long and how it was measured. It names no code, no place to write to, no logger.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from inspect import signature
 from pathlib import Path
 from pydoc import locate
 from typing import Any, get_args, get_type_hints
 
+from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
+from pedzoo.core.spec import setting_groups
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.models.zoo.typed_fields import refuse_code
 from pedzoo.train.modules.module import ForecastModule
@@ -25,6 +28,57 @@ SCHEDULE = (
 """Settings of the trainer, all of them numbers."""
 
 GROUPS = {"data": TrajectoryDataModule, "rollout": ClosedLoopValidation}
+
+DATA = tuple(
+    name
+    for name in signature(TrajectoryDataModule).parameters
+    if name != "root" and name not in setting_groups(TrajectoryDataModule)
+)
+"""Settings of the data that say what is trained and tested; others say where they lie and how they load."""
+
+
+def check_unchanged(
+    run: Path, settings: Mapping[str, Any], path: str, names: Iterable[str], owner: type
+) -> None:
+    """Check that a run goes on with the data and the seed that it began with: its card has one of each.
+
+    Args:
+        run: Its folder.
+        settings: Those with which it is to go on.
+        path: Group of settings that are compared, such as ``model.init_args``.
+        names: Of these settings.
+        owner: Class that takes them: an earlier version may not have written what has a default.
+
+    Raises:
+        UserError: A setting has another value.
+    """
+    earlier, defaults = load_config(run / "config.yaml"), signature(owner).parameters
+    pairs = [("seed_everything", earlier.get("seed_everything", 0), settings["seed_everything"])]
+    before, now = _group(earlier, path), _group(settings, path)
+    option = path.removesuffix(".init_args")
+    pairs += [
+        (f"{option}.{name}", before.get(name, defaults[name].default), now.get(name, defaults[name].default))
+        for name in names
+    ]
+    for name, old, new in pairs:
+        if old != new:
+            raise UserError(
+                f"--{name} {_typed(new)}: the run {str(run)!r} goes on with {_typed(old)}, with which it "
+                "began: leave it out, or begin another run without --resume"
+            )
+
+
+def _group(settings: Any, path: str) -> Mapping[str, Any]:
+    for key in path.split("."):
+        settings = settings.get(key) if isinstance(settings, Mapping) else None
+    return settings if isinstance(settings, Mapping) else {}
+
+
+def _typed(value: Any) -> str:
+    """Return a value as people type it."""
+    if isinstance(value, list):
+        return ",".join(map(str, value))
+    return "null" if value is None else str(value)
 
 
 def reusable_settings(settings: Mapping[str, Any], file: Path) -> dict[str, Any]:

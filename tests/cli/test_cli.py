@@ -113,6 +113,15 @@ def test_options_may_be_written_as_people_write_them(typed):
         ),
         (["--trainer.max_epoch", "4"], "did you mean --trainer.max_epochs?"),  # no silent abbreviation
         (["--model.lr", "fast"], "--model.lr: expected float, not 'fast'"),
+        (["--model.lr", "-1"], "--model.lr -1.0: expected at least 0"),
+        (["--model.lr_discriminator", "-1"], "--model.lr_discriminator -1.0: expected at least 0"),
+        (["--model.clip", "-2"], "--model.clip -2.0: expected at least 0"),  # it would train uphill
+        (
+            ["--trainer.check_val_every_n_epoch", "0"],
+            "--trainer.check_val_every_n_epoch 0: expected at least 1",
+        ),
+        (["--trainer.accelerator", "foo"], "invalid accelerator name: `accelerator='foo'`"),
+        (["--trainer.strategy", "foo"], "invalid strategy name: `strategy='foo'`"),
         (
             ["--model.generator.architecture.noise_dim", "x"],
             "--model.generator.architecture.noise_dim: expected int, not 'x'",
@@ -158,6 +167,34 @@ def test_lists_need_no_brackets(typed, wanted):
 
 
 @pytest.mark.parametrize(
+    ("typed", "expected"),
+    [
+        ("--size 12 9", "--size 12: expected 2 values with a comma between them, as --size 12,9"),
+        ("--size=12,9,3", "--size 12,9,3: expected 2 values with a comma between them, as --size 12,9"),
+        ("--doors 1 --size 12,9", "--doors 1: expected 2 values with a comma between them, as --doors 1,1"),
+        ("--size [12]", "--size: expected tuple[float, float] or null, not '[12]'"),
+        ("--size 1,2,3 --doors 1,2 --any 3,4,5", "--size 1,2"),
+    ],
+)
+def test_pairs_say_how_they_are_typed(typed, expected):
+    parser = ArgumentParser(**PARSER_SETTINGS)
+    parser.add_argument("--size", type=tuple[float, float] | None)
+    parser.add_argument("--doors", type=tuple[float, float])
+    parser.add_argument("--any", type=tuple[int, ...])
+    with pytest.raises(UserError, match=f"{re.escape(expected)}$"):
+        parse(parser, typed.split())
+    assert parse(parser, ["--size", "12,9", "--any", "1,2,3"]).any == (1, 2, 3)
+
+
+def test_every_option_of_plans_has_a_help_text(capsys):
+    with pytest.raises(SystemExit):
+        main(["plans", "--help"])
+    text = " ".join(capsys.readouterr().out.split())
+    for part in ("metres, as ``12,9``", "Side of a cell", "From 0, bare rooms", "largest width of a door"):
+        assert part in text
+
+
+@pytest.mark.parametrize(
     ("yaml", "expected"),
     [
         ("modell: {lr: 1}", "unknown option --modell.lr: did you mean --model.lr?"),
@@ -178,6 +215,21 @@ def test_misspelt_keys_in_a_config_are_refused(yaml, expected, capsys, elsewhere
 def test_options_without_a_model_say_what_to_give(capsys):
     assert "no model: choose one with --config NAME (" in refused(capsys, "fit")
     assert "needs generator, too: start from --config NAME (" in refused(capsys, "fit", "--model.lr", "1")
+
+
+@pytest.mark.parametrize("command", ["test", "validate"])
+def test_files_that_are_no_checkpoints_are_called_so(command, capsys):
+    for name in ("cut.ckpt", "good.csv", "weights.safetensors"):
+        Path(name).write_bytes(b"PK, and no more")
+    assert "checkpoint 'cut.ckpt' cannot be read (File is not a zip file): is it cut off?" in refused(
+        capsys, command, "--ckpt_path", "cut.ckpt"
+    )
+    said = "--ckpt_path good.csv: expected a .ckpt file, as pedzoo fit writes it\n"
+    assert said in refused(capsys, command, "--ckpt_path", "good.csv")
+    assert (
+        "expected a .ckpt file, as pedzoo fit writes it; weights are measured by: pedzoo forecast"
+        in refused(capsys, command, "--ckpt_path", "weights.safetensors")
+    )
 
 
 def test_mistakes_inside_a_command_are_one_line_and_leave_nothing(capsys, elsewhere, monkeypatch):

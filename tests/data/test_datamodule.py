@@ -308,3 +308,9 @@ def test_a_scene_that_is_held_out_is_what_validation_is_on(shared: Path) -> None
     for scene in ("zara1", "eth_ucy", "mall"):
         with pytest.raises(UserError, match=f"hold_out {scene}: expected another scene"):
             TrajectoryDataModule("zara1", str(shared / "data"), hold_out=scene).setup("fit")
+
+
+@pytest.mark.parametrize("stage", ["fit", "validate"])
+def test_the_scene_of_another_dataset_cannot_be_held_out(stage: str) -> None:
+    with pytest.raises(UserError, match="hold_out zara1: expected another scene of the recordings of 'embed"):
+        TrajectoryDataModule(hold_out="zara1").setup(stage)

@@ -321,6 +321,13 @@ def test_the_command_line_trains_resumes_and_loads(
     best = run / "checkpoints" / "best.ckpt"
     assert f"next: pedzoo evaluate {best} straight --suite robots --people orca --quick" in printed
     assert run.name == f"{scenario.partition(':')[0]}-seed0"
+    for option, value in (
+        ("model.people", "go_to_goal"),
+        ("model.robot", "jackal"),
+        ("seed_everything", "1"),
+    ):
+        assert main(["fit", "--resume", str(run), f"--{option}", value]) == 2
+        assert f"--{option} {value}: the run '{run}' goes on with " in capsys.readouterr().err
     assert main(["fit", "--resume", str(run), "--trainer.max_epochs=2"]) == 0
     logged = (run / "metrics.csv").read_text()
     for name in ("train/samples_per_s", "train/kl", "val/success", "val/return"):
@@ -337,6 +344,26 @@ def test_the_command_line_trains_resumes_and_loads(
 
 
 @pytest.mark.parametrize(
+    ("option", "said"),
+    [
+        ("--model.robot=diff_drv", "did you mean 'diff_drive'?"),
+        ("--trainer.accelerator=foo", "invalid accelerator name"),
+        ("--monitor=val/retrn", "did you mean 'val/return'?"),
+    ],
+)
+def test_a_mistake_leaves_no_run(
+    option: str,
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main([*FIT, "--model.scenarios=[crowdnav:crowds=8]", "--trainer.max_epochs=1", option]) == 2
+    assert said in capsys.readouterr().err and not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
     ("options", "said"),
     [
         ({"scenarios": []}, "at least one"),
@@ -346,6 +373,8 @@ def test_the_command_line_trains_resumes_and_loads(
         ({"gamma": 1.5}, "gamma 1.5"),
         ({"people": "social_force"}, "--model.people social_force: no use for people with crowdnav"),
         ({"people": "orcaa", "scenarios": ["crowdnav", "door"]}, "did you mean 'orca'"),
+        ({"lr": -1e-3}, "--model.lr -0.001: expected at least 0"),
+        ({"clip": 0.0}, "--model.clip 0.0: expected above 0"),  # no gradient would be left
     ],
 )
 def test_what_cannot_be_is_refused(options: dict[str, Any], said: str) -> None:

@@ -102,6 +102,68 @@ def test_a_run_goes_on_after_it_was_cut_off_in_a_write(file: str, monkeypatch: p
     assert [path.name for path in LAST.parent.iterdir() if path.name.startswith(".")] == []
 
 
+def test_a_run_goes_on_with_the_data_that_it_began_with(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(FIT) == 0
+    before = contents(RUN)
+    capsys.readouterr()
+    for option, value, old in (
+        ("data.fold", "zara1", "embedded"),
+        ("data.clock", "true", "benchmark"),
+        ("data.hold_out", "zara2", "null"),
+        ("data.files", "a.csv,b.csv", "null"),
+        ("seed_everything", "3", "0"),
+    ):
+        for name in ("a.csv", "b.csv"):
+            Path(name).write_text("frame,agent,x,y\n")
+        assert main(["fit", "--resume", str(RUN), f"--{option}", value, "--trainer.max_epochs", "2"]) == 2
+        error = capsys.readouterr().err
+        assert f"--{option} {value}: the run '{RUN}' goes on with {old}, with which it began" in error
+        assert error.count("\n") == 1 and contents(RUN) == before
+    settings = (RUN / "config.yaml").read_text()
+    lines = [line for line in settings.splitlines() if not line.startswith("  hold_out:")]
+    (RUN / "config.yaml").write_text("\n".join(lines))  # of a version without this setting
+    assert main(["fit", "--resume", str(RUN), "--data.hold_out", "zara2"]) == 2
+    assert (
+        main(["fit", "--resume", str(RUN), "--trainer.max_epochs", "2", "--data.loading.batch_size", "4"])
+        == 0
+    )
+    assert torch.load(LAST)["epoch"] == 1
+
+
+def test_options_with_which_a_run_cannot_go_on_are_not_kept(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*FIT, "--trainer.max_epochs", "3"]) == 0
+    config, record = ((RUN / name).read_bytes() for name in ("config.yaml", "versions.json"))
+    capsys.readouterr()
+    assert resume(1) == 2
+    assert "current_epoch=2, but you have set Trainer(max_epochs=1)" in capsys.readouterr().err
+    assert ((RUN / "config.yaml").read_bytes(), (RUN / "versions.json").read_bytes()) == (config, record)
+
+
+@pytest.mark.parametrize(
+    ("options", "near"),
+    [
+        (["--monitor", "val/adee"], "val/ade"),  # known from the sanity check
+        (["--monitor", "val/adee", "--trainer.num_sanity_val_steps", "0"], "val/ade"),
+        (["--monitor", "train/varity"], "train/variety"),
+    ],
+)
+def test_a_metric_that_is_not_logged_is_refused_and_leaves_no_folder(
+    options: list[str], near: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*FIT, *options]) == 2
+    error = capsys.readouterr().err
+    assert f"unknown metric to --monitor '{options[1]}': did you mean '{near}'?" in error
+    assert error.count("\n") == 1 and not Path("runs").exists()
+
+
+def test_a_run_does_not_go_on_with_a_misspelt_metric(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(FIT) == 0
+    config = (RUN / "config.yaml").read_bytes()
+    assert main(["fit", "--resume", str(RUN), "--monitor", "val/adee", "--trainer.max_epochs", "2"]) == 2
+    assert "did you mean 'val/ade'?" in capsys.readouterr().err
+    assert (RUN / "config.yaml").read_bytes() == config and LAST.is_file()
+
+
 def test_one_process_at_a_time_trains_in_a_folder(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(FIT) == 0
     before = contents(RUN)

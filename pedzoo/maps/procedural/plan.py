@@ -87,15 +87,15 @@ def generate(
     Args:
         kind: ``apartment`` (a hall and 4 to 7 rooms) or ``office`` (corridors, rooms, open-plan rooms).
         seed: At least 0.
-        size: Outer width and height, metres; None: 8 to 14 m each for apartments, 20 to 40 m by 12 to 25 m
-            for offices.
+        size: Outer width and height, metres, as ``12,9``; None: 8 to 14 m each for apartments, 20 to 40 m by
+            12 to 25 m for offices.
         resolution: Side of a cell, metres: 0.05 or a whole part of it.
         furnished: From 0, bare rooms, to 1; the rooms are the same.
-        doors: Least and largest width of a door, metres, within 0.7 to 1.5.
+        doors: Least and largest width of a door, metres, as ``0.8,1.2``, within 0.7 to 1.5.
 
     Raises:
-        UserError: A setting is out of range, no plan was found for the size, or some cells are cut off at a
-        fine resolution.
+        UserError: A setting is out of range, no plan was found for the size, or some cells are cut off at
+            a fine resolution.
     """
     if kind not in KINDS:
         raise unknown("kind of floor plan", kind, KINDS)

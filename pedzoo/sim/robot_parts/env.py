@@ -12,7 +12,7 @@ from torchrl.data import Bounded, Composite
 from torchrl.envs.utils import ExplorationType, make_composite_from_td, set_exploration_type
 
 from pedzoo.core.adapters import tensordict_of
-from pedzoo.core.batch import agents_of
+from pedzoo.core.batch import actions_of, agents_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.maps.planning.guidance import Guidance
@@ -164,7 +164,7 @@ class RobotEnv(PedestrianEnv):
         assert scenes is not None
         guidance = scenes.guidance
         first = self.view(before, guidance)
-        action = cast("Tensor", tensordict["robots", "action"])
+        action = actions_of(tensordict, "robots")
         command = self.fleet.commands(action, first.heading)
         state, outcome, happened, taken = before, None, [], []
         for _ in range(self._parts):
@@ -174,7 +174,7 @@ class RobotEnv(PedestrianEnv):
             )
             # how the robots' policy explores is no matter of people's
             with set_exploration_type(ExplorationType.RANDOM):
-                velocity = cast("Tensor", self._people(seen)["agents", "action"])
+                velocity = actions_of(self._people(seen))
             after, guidance, events = kernel.step(state, velocity, self.physics, self.rules)
             result = outcome_of(
                 state, after, events, self.robots, self.scenes.robot_goals, self._time_limit, self._ends_at

@@ -1,6 +1,5 @@
 """Training a walker on whole recorded crowds, and beside them in scenarios."""
 
-import math
 from typing import Any, cast
 
 import torch
@@ -9,7 +8,7 @@ from tensordict import TensorDict
 from torch import Tensor
 from torch.optim import Optimizer
 
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, at_least_zero
 from pedzoo.core.types import OBS_LEN
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planning.planner import Planner
@@ -90,10 +89,9 @@ class CrowdModule(ForecastModule):
                 f"course_every {course_every}, course_steps {course_steps}, max_segments {max_segments}: "
                 "expected at least 1, and before at least one number from 0"
             )
-        if not 0 <= annotation_noise < math.inf:
-            raise UserError(f"annotation_noise {annotation_noise}: expected metres, at least 0")
-        if not 0 <= weight_decay < math.inf:
-            raise UserError(f"weight_decay {weight_decay}: expected at least 0")
+        at_least_zero(
+            "--model.", annotation_noise=annotation_noise, weight_decay=weight_decay, judge_lr=judge_lr
+        )
         self.automatic_optimization = False
         self.likeness, self.walking = likeness, walking or LoopLosses()
         self.steps, self.before, self.scenes, self.walks = steps, before, scenes, samples_walked

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from pedzoo.core.batch import agents_of
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, at_least_zero
 from pedzoo.models.architectures.sgan import SGAN, Encoded
 from pedzoo.models.base import true_displacements
 from pedzoo.models.blocks.discriminator import Discriminator
@@ -40,6 +40,7 @@ class GANModule(ForecastModule):
         super().__init__(generator, **options)
         if not hasattr(generator, "variety"):
             raise UserError(f"{type(generator).__name__} has no variety loss: train it with PlainModule")
+        at_least_zero("--model.", lr_discriminator=lr_discriminator)
         self.automatic_optimization = False
         self.discriminator = discriminator
         self.lr_discriminator, self.adversarial_weight = lr_discriminator, adversarial_weight

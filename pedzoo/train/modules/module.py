@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.optim import Optimizer
 
 from pedzoo.core import renamed
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, at_least_zero
 from pedzoo.core.spec import setting_groups, setting_types
 from pedzoo.metrics.forecast import ForecastScore
 from pedzoo.models.base import Forecaster
@@ -51,8 +51,12 @@ class ForecastModule(L.LightningModule):
             final_lr: Share of ``lr`` left at the end of the cosine; 1 keeps it constant.
             clip: Largest norm of the generator's gradient; 0 for any.
             samples: K of the best-of-K errors in validation and test.
+
+        Raises:
+            UserError: A number is out of range.
         """
         super().__init__()
+        at_least_zero("--model.", lr=lr, warmup=warmup, final_lr=final_lr, clip=clip, samples=samples)
         self.generator = generator
         self.lr, self.warmup, self.final_lr, self.clip = lr, warmup, final_lr, clip
         self.seed = torch.initial_seed() % 2**31

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, at_least_zero
 from pedzoo.models.base import Forecaster
 from pedzoo.policies.learned.walker import Noise, Walker
 from pedzoo.sim.make import make_scenario, prepare_scenario
@@ -104,6 +104,7 @@ class Optimisation:
             if not fits:
                 value = getattr(self, name)
                 raise UserError(f"--model.optimisation.{name} {value}: expected {expected}")
+        at_least_zero("--model.optimisation.", lr_critic=self.lr_critic)
 
 
 class PPOModule(ForecastModule):

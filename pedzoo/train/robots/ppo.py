@@ -13,7 +13,7 @@ from tensordict import TensorDict
 from torch import Tensor
 from torch.utils.data import DataLoader
 
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, at_least_zero
 from pedzoo.core.spec import parse
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.robots.attention import Attention
@@ -114,6 +114,9 @@ class RobotPPO(L.LightningModule):
         for name, count in (counts | {"passes": passes, "minibatches": minibatches}).items():
             if count < 1:
                 raise UserError(f"--model.{name} {count}: expected at least 1")
+        at_least_zero("--model.", imitate=imitate, lr=lr, final_lr=final_lr)
+        if clip <= 0:
+            raise UserError(f"--model.clip {clip}: expected above 0")
         if minibatches > envs * steps:
             raise UserError(f"--model.minibatches {minibatches}: there are {envs * steps} decisions in all")
         if not scenarios:
