@@ -42,8 +42,9 @@ did not see that scene. [docs/score.md](../../docs/score.md) has the formulas. I
 over blocks of time. `real halves`: two halves of the real people, as near as people are to each other.
 `real others`: other people in similar situations. Less is better for realism, AUC (.5: a classifier cannot
 distinguish them) and minADE. More is better for likelihood. Ratios are best at 1, standing and touches as
-those of `real`. Companions near: of the steps that recorded companions share, those within 1.5 m. *Coarse* positions are
-means over three steps. Rows called `-seed1` and `-seed2` are trainings whose weights are not in the zoo."""
+those of `real`. Companions near: of the steps that recorded companions share, those within 1.5 m. *Coarse*
+positions are means over three steps. Rows called `-seed1` and `-seed2` are trainings whose weights are not
+in the zoo."""
 
 WITH_STOPS = """`pedzoo score --stops`: people also have the places where the recorded ones stood for 2 s or
 more as goals, in turn, and wait there as long. That tells policies more of the future than exits alone do.
