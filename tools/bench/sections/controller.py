@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from statistics import median
+from typing import cast
 
 import numpy as np
 import torch
@@ -79,8 +80,7 @@ def deciding(
     model: Forecaster, plan: OccupancyGrid | None, people: int, now: Clock
 ) -> tuple[float, float, float]:
     """Return seconds of the first call, of one that decides, and of the network in it (medians)."""
-    policy = Noted(model)
-    steering = controller.Controller(policy, plan)
+    steering = controller.Controller(Noted(model), plan)
     position, goals = scene(plan, people)
     noise = torch.zeros(1, people, model.noise_dim)
     steps, networks = [], []
@@ -92,7 +92,7 @@ def deciding(
 
     @torch.no_grad()
     def alone() -> None:
-        model.next_steps(policy.seen, noise, 1, PRED_LEN)
+        model.next_steps(cast("Noted", steering.policy).seen, noise, 1, PRED_LEN)
 
     for _ in range(OBS_LEN + CALLS):
         steps.append(seconds_of(step, now))
