@@ -155,7 +155,9 @@ def _typed(where: str, value: Any, hint: Any, written: bool) -> Any:
         return parser.parse_object({"value": [value]}).value[0]
     except (ArgumentError, OverflowError) as error:  # the latter: a number with hundreds of digits
         shown = value if written else repr(value)
-        raise UserError(f"{where:.200}={shown:.200}: expected {_short(hint)}") from error
+        is_one = written and _short(hint).startswith("list[") and not shown.startswith("[")
+        cure = f"; write a list of one as [{shown:.200}]" if is_one else ""
+        raise UserError(f"{where:.200}={shown:.200}: expected {_short(hint)}{cure}") from error
 
 
 def _short(hint: Any) -> str:

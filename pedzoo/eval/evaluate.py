@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from contextlib import closing
 from functools import partial
+from inspect import isabstract
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from pedzoo.core.machine import usable
 from pedzoo.core.registry import SUITES
 from pedzoo.eval.packed_episodes import without_plans
 from pedzoo.eval.results import SuiteColumns
-from pedzoo.eval.suite import EvaluationOptions, OwnRecordings, Suite, WorkUnit, check_names
+from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, OwnRecordings, Suite, WorkUnit, check_names
 from pedzoo.eval.summary import summary
 from pedzoo.eval.work_units import digest, work
 from pedzoo.eval.workers.journal import Journal, Rows
@@ -146,8 +147,7 @@ class Evaluation:
             raise UserError("no seeds: expected at least one")
         self._deterministic = deterministic
         self._suites = [
-            SUITES.get(name, Suite)(name)
-            for name in dict.fromkeys(map(renamed.suite, check_names("suites", suites)))
+            _suite(name) for name in dict.fromkeys(map(renamed.suite, check_names("suites", suites)))
         ]
         _check_use(self.options, self._suites)
         asked = self.options.metrics
@@ -157,7 +157,7 @@ class Evaluation:
             suite.check(policy)
         self.units: list[WorkUnit] = []
         for suite in self._suites:
-            for case in suite.cases(self.options):
+            for case in _cases(suite, self.options):
                 physics_class(case.physics).check()
                 if self.options.clearance is not None:
                     case = case._replace(clearance=self.options.clearance)
@@ -230,6 +230,34 @@ class Evaluation:
             )
             for suite in self._suites
         }
+
+
+def _suite(name: str) -> Suite:
+    """Return a suite by its name; errors as of `evaluate`."""
+    cls = SUITES.get(name, Suite)
+    if isabstract(cls):
+        raise UserError(f"suite {name!r} has no cases: write its method cases(self, options)")
+    if getattr(suite := cls(name), "name", None) != name:
+        raise UserError(f"suite {name!r} does not keep its name: call super().__init__(name) in its __init__")
+    return suite
+
+
+def _cases(suite: Suite, options: EvaluationOptions) -> list[EvaluationCase]:
+    """Return the cases of a suite; errors as of `evaluate`, also for what a suite in a file returns."""
+    cases = suite.cases(options)
+    is_list = isinstance(cases, list) and bool(cases)
+    if not is_list or not all(isinstance(case, EvaluationCase) for case in cases):
+        raise UserError(
+            f"suite {suite.name!r}: its cases(options) returned {cases!r:.200}, expected a list of one or "
+            "more pedzoo.eval.suite.EvaluationCase"
+        )
+    for case in cases:
+        if case.suite != suite.name:
+            raise UserError(
+                f"suite {suite.name!r}: its case {case.name!r} is of the suite {case.suite!r}, in whose "
+                "table it would stand; write EvaluationCase(suite=self.name, ...)"
+            )
+    return cases
 
 
 def _with_progress(meter: ProgressMeter, unit: WorkUnit) -> Rows:

@@ -110,8 +110,9 @@ def _results(functions: dict[str, Callable[[Rollout], Any]], rollout: Rollout) -
 
 def _checked(name: str, result: Any, episodes: int) -> Ratio:
     """Return the two sums that a metric gave."""
-    sums = result[:2] if isinstance(result, tuple) else ()
-    if len(sums) != 2 or any(not isinstance(v, Tensor) or v.shape != (episodes,) for v in sums):
+    sums, more = (result[:2], result[2:]) if isinstance(result, tuple) else ((), ())
+    right = len(sums) == 2 and all(isinstance(v, Tensor) and v.shape == (episodes,) for v in sums)
+    if not right or len(more) > 1 or not all(isinstance(is_share, bool) for is_share in more):
         given = f"({', '.join(map(_kind, result))})" if isinstance(result, tuple) else _kind(result)
         raise UserError(
             f"metric {name}: expected two tensors (sum, count) of shape ({episodes},), a value of each "
@@ -120,7 +121,11 @@ def _checked(name: str, result: Any, episodes: int) -> Ratio:
     above, below = (value.double() for value in sums)
     if not bool((above.isfinite() & below.isfinite()).all()):
         raise UserError(f"metric {name}: a sum is not finite; expected 0 and 0 for episodes without a value")
-    return Ratio(above, below, *result[2:])
+    if bool((below < 0).any()):
+        raise UserError(f"metric {name}: a count is below 0; expected how many its sum is over")
+    if any(more) and bool(((above < 0) | (above > below)).any()):
+        raise UserError(f"metric {name}: a share is outside 0 to 1; pedzoo.metrics.ratios.ratio makes others")
+    return Ratio(above, below, *more)
 
 
 def _kind(value: Any) -> str:

@@ -8,6 +8,7 @@ sample for all people of a window together (Gupta et al., "Social GAN", CVPR 201
 import torch
 from torch import Tensor
 
+from pedzoo.core.errors import UserError
 from pedzoo.metrics.statistics.scene_mean import SceneMean
 
 MISS = 2.0
@@ -20,7 +21,18 @@ def positions(prediction: Tensor, history: Tensor) -> Tensor:
 
 
 def displacement_error(prediction: Tensor, history: Tensor, future: Tensor) -> Tensor:
-    """Return distances (B, K, A, T) of predicted displacements (B, K, A, T, 2) from the true future."""
+    """Return distances (B, K, A, T) of predicted displacements (B, K, A, T, 2) from the true future.
+
+    Raises:
+        UserError: They have another shape: torch would stretch them silently.
+    """
+    given = tuple(prediction.shape) if isinstance(prediction, Tensor) else ()
+    if given[:1] + given[2:] != future.shape:
+        scenes, *rest = future.shape
+        raise UserError(
+            f"a model returned {given or type(prediction).__name__}: expected displacements (B, K, A, T, 2), "
+            f"here {(scenes, 'K', *rest)}; pedzoo.models.base.for_all_samples makes them from one path"
+        )
     return (positions(prediction, history) - future.unsqueeze(1)).norm(dim=-1)
 
 

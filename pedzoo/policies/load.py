@@ -108,12 +108,19 @@ def load_policy(name: str) -> Policy | Walker:
     """
     joined = ("+" in name or "share" in name) and is_crowd(name)
     result = Teams(crowd_of(name)) if joined else _one_policy(name)
+    if not hasattr(result, "decision_dt"):
+        raise UserError(f"policy {name!r} has no decision_dt: call super().__init__(dt) in its __init__")
     result.name = name
     return result
 
 
 def _one_policy(name: str) -> Policy | Walker:
     spec, more = parse(name), {}
+    if names_code(spec.name) and not _is_pedestrian(spec.name):
+        raise UserError(
+            f"{spec.name!r} is no policy: expected a subclass of pedzoo.policies.policy.Policy, or of "
+            "pedzoo.models.base.Forecaster"
+        )
     own = names_code(spec.name) and issubclass(POLICIES.get(spec.name), Policy)
     if own or spec.name in POLICIES.names():
         kind, cls = "policy", POLICIES.get(spec.name, Policy)

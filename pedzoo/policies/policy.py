@@ -2,6 +2,9 @@
 
 from typing import Any, ClassVar
 
+from tensordict import TensorDictBase
+
+from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
 from pedzoo.policies.base import NamedPolicy
 from pedzoo.policies.learned.walker import Walker
@@ -24,6 +27,20 @@ class Policy(NamedPolicy):
         if not decision_dt > 0:
             raise UserError(f"dt {decision_dt}: expected seconds between decisions, above 0")
         self.decision_dt = decision_dt
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        """Return what ``forward`` returns: the batch, in which the velocities are.
+
+        Raises:
+            UserError: ``forward`` returns something else, or has written none.
+        """
+        result = super().__call__(*args, **kwargs)
+        who = f"policy {self.name or type(self).__name__!r}: its forward(tensordict)"
+        if not isinstance(result, TensorDictBase):
+            raise UserError(f"{who} returned {type(result).__name__}: write `return tensordict` at its end")
+        if "action" not in agents_of(result).keys():
+            raise UserError(f'{who} wrote no velocities: set tensordict["agents", "action"] (B, A, 2)')
+        return result
 
 
 def walkers(policy: Policy | Walker) -> list[Walker]:

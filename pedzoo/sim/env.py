@@ -87,7 +87,7 @@ class PedestrianEnv(EnvBase):
         """
         trace_points = round(decision_dt / TRACE_SECONDS) if 0 < decision_dt <= WARM_SECONDS + 1e-6 else 0
         if trace_points < 1 or abs(trace_points * TRACE_SECONDS - decision_dt) > 1e-6:
-            most = f"{TRACE_SECONDS} s up to {WARM_SECONDS} s"
+            most = f"{TRACE_SECONDS:g} s up to {WARM_SECONDS:g} s"
             raise UserError(f"decision_dt {decision_dt}: expected a multiple of {most}")
         if prepared.script is not None and TRACE_PER_STEP % trace_points:
             raise UserError(

@@ -169,10 +169,11 @@ class Episodes:
         """Check that floor plans and bodies are as the scenario says: sub-steps are as long as these allow.
 
         Raises:
-            UserError: One is not.
+            UserError: One is not, or a number is not finite.
         """
         scenario = self._prepared.scenario
         name, bank = type(scenario).__name__, self._prepared.bank
+        _check_numbers(layout, name)
         known = torch.tensor([-1, *(bank.id_of(plan) for plan in bank.names)], device=layout.map_id.device)
         if (foreign := ~torch.isin(layout.map_id, known)).any():
             plans = ", ".join(f"prepared.bank.id_of({plan!r})" for plan in bank.names[:3])
@@ -209,6 +210,18 @@ class Episodes:
             f"no way from {here} to the goal {there} keeps {clearance} m from walls: passages have to be "
             f"wider than {2 * clearance} m, or the clearance smaller (--clearance, make_env(clearance=))"
         )
+
+
+def _check_numbers(layout: Layout, name: str) -> None:
+    """Check that a scenario's layout is one, and that present agents have a place and a speed."""
+    if not isinstance(layout, Layout):
+        raise UserError(
+            f"{name}.layout returned {type(layout).__name__}: expected a "
+            "pedzoo.sim.scenario_parts.scenario.Layout"
+        )
+    for field in ("start", "pref_speed"):
+        if not getattr(layout, field)[layout.mask].isfinite().all():
+            raise UserError(f"{field} of an agent in the layout of {name} is not finite: expected a number")
 
 
 def _all_present(layout: Layout) -> SceneStarts:

@@ -91,6 +91,14 @@ PHYSICS = '''
             along = torch.stack((state.heading.cos(), state.heading.sin()), dim=-1)
             path = state.position[:, :, None] + self.speed * time[:, None] * along[:, :, None]
             return OwnedMotion(path.unflatten(2, (ticks, substeps)), heading, torch.full_like(heading, 0.2))
+
+
+    class Sticky(Torch):
+        """All that move touch a wall."""
+
+        def contacts(self, path, people):
+            found = super().contacts(path, people)
+            return found._replace(wall=torch.ones_like(found.wall))
 '''
 
 LOSS = '''
@@ -187,6 +195,12 @@ def test_what_a_backend_owns_touches_others_and_reaches_goals(folder: Path) -> N
 def test_evaluations_run_as_many_scenes_as_a_backend_says(folder: Path) -> None:
     _, env = rollout("go_to_goal", "door:people=2", physics=f"{folder / 'carts.py'}:Carts", episodes=5)
     assert env.batch_size[0] == 2
+
+
+def test_contacts_of_a_backend_of_ones_own_are_those_of_its_walks(folder: Path) -> None:
+    for physics, touch in (("torch", False), (f"{folder / 'carts.py'}:Sticky", True)):
+        walked, _ = rollout("go_to_goal", "circle:people=2", physics=physics, episodes=1)
+        assert bool(walked.wall_contact.any()) is touch
 
 
 def test_a_loss(folder: Path) -> None:

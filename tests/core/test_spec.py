@@ -105,6 +105,11 @@ def test_mistakes(name: str, message: str) -> None:
         load_policy(name)
 
 
+def test_a_list_of_one_is_written_in_brackets() -> None:
+    with pytest.raises(UserError, match=r"files=a.csv: expected list.*; write a list of one as \[a.csv\]$"):
+        build(SCENARIOS, "replay:files=a.csv,dt=0.1", Scenario)
+
+
 def test_a_class_of_the_wrong_kind(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text("class Mine:\n    pass\n")
     with pytest.raises(UserError, match="is no scenario"):

@@ -247,6 +247,55 @@ def test_whatever_is_misspelt_is_refused_before_anything_walks(
         assert message in error and error.count("\n") == 1
 
 
+WRONG_SUITES = """
+from pedzoo.eval.suite import EvaluationCase, Suite
+
+class Without(Suite):
+    pass
+
+class Nameless(Suite):
+    def __init__(self, name):
+        pass
+    def cases(self, options):
+        return []
+
+class Nothing(Suite):
+    def cases(self, options):
+        return None
+
+class Empty(Suite):
+    def cases(self, options):
+        return []
+
+class Names(Suite):
+    def cases(self, options):
+        return ["circle"]
+
+class OfAnother(Suite):
+    def cases(self, options):
+        return [EvaluationCase("door", "door", "circle", "compiled", 2, {})]
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("Without", "has no cases: write its method cases"),
+        ("Nameless", r"does not keep its name: call super\(\).__init__"),
+        ("Nothing", "returned None, expected a list of one or more"),
+        ("Empty", r"returned \[\], expected a list of one or more"),
+        ("Names", r"returned \['circle'\], expected"),
+        ("OfAnother", "its case 'door' is of the suite 'door'.*EvaluationCase.suite=self.name"),
+    ],
+)
+def test_what_a_suite_in_a_file_lacks_is_said(name: str, message: str, tmp_path: Path) -> None:
+    file = tmp_path / "wrong.py"
+    file.write_text(WRONG_SUITES)
+    with pytest.raises(UserError, match=message) as error:
+        Evaluation(["go_to_goal"], ["door", f"{file}:{name}"], EvaluationOptions(physics="compiled"))
+    assert f"{file}:{name}" in str(error.value)
+
+
 def test_suites_have_the_cases_that_papers_ask_for(tmp_path: Path) -> None:
     by_name = {name: SUITES.get(name)(name) for name in SUITES.names()}
     (door,) = by_name["door"].cases(EvaluationOptions())

@@ -12,6 +12,7 @@ from tensordict import TensorDict
 from torch import Tensor
 from torchmetrics import Metric
 
+from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import rotate
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.metrics import displacement as d
@@ -266,3 +267,15 @@ def test_calibration_by_hand() -> None:
     assert error((30.0, 30.0), (-5.0, -5.0)) == pytest.approx(
         sum(abs(0.5 - k / 20) for k in range(1, 20)) / 19
     )
+
+
+@pytest.mark.parametrize(
+    ("shape", "given"),
+    [((3, 2, 4, 1, 2), r"\(3, 2, 4, 1, 2\)"), ((3, 4, 8, 2), r"\(3, 4, 8, 2\)"), (None, "NoneType")],
+)
+def test_predictions_of_another_shape_are_refused(shape: tuple[int, ...] | None, given: str) -> None:
+    """One step for all eight, or no axis of samples, would be stretched to wrong errors."""
+    history, future = torch.zeros(3, 4, 8, 2), torch.zeros(3, 4, 8, 2)
+    prediction = cast("Tensor", None if shape is None else torch.zeros(shape))
+    with pytest.raises(UserError, match=rf"a model returned {given}: expected .* here \(3, 'K', 4, 8, 2\)"):
+        d.displacement_error(prediction, history, future)

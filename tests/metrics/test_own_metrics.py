@@ -35,6 +35,15 @@ METRICS = '''
     def of_people(rollout):
         return rollout.mask, rollout.mask
 
+    def with_count(rollout):
+        return rollout.mask.sum(1), rollout.mask.sum(1), rollout.mask.sum(1)
+
+    def below_0(rollout):
+        return rollout.mask.sum(1), -rollout.mask.sum(1)
+
+    def more_than_all(rollout):
+        return share(2.0 * rollout.mask, rollout.mask)
+
     def fails(rollout):
         return rollout.mask.sum(1) / {}["gone"]
 '''
@@ -113,6 +122,10 @@ def test_metrics_that_are_refused(folder: Path) -> None:
     said = r"of_people: expected two tensors \(sum, count\) of shape \(2,\), .* got \(a tensor of shape"
     with pytest.raises(UserError, match=said):
         closed_loop(walked, [f"{file}:of_people"])
+    with pytest.raises(
+        UserError, match=r"with_count: expected two tensors .* got \(a tensor .*, a tensor .*, "
+    ):
+        closed_loop(walked, [f"{file}:with_count"])
 
 
 def test_every_shipped_metric_says_what_it_is_without_an_import() -> None:

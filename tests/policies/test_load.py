@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 import torch
 
 import pedzoo
 from pedzoo.core.errors import UserError
+from pedzoo.policies.load import load_policy
 
 
 def test_all_public_names_exist_and_are_documented():
@@ -74,3 +77,20 @@ def test_environments_are_short_and_plots_are_one_call(tmp_path):
     pedzoo.plot(walked, tmp_path / "one.png")
     pedzoo.plot({"mine": walked, "again": walked}, tmp_path / "two.png")
     assert (tmp_path / "two.png").stat().st_size > (tmp_path / "one.png").stat().st_size
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("Other", "is no policy: expected a subclass of pedzoo.policies.policy.Policy, or of"),
+        ("Timeless", r"has no decision_dt: call super\(\).__init__\(dt\)"),
+    ],
+)
+def test_classes_that_are_no_whole_policy_are_refused(name: str, message: str, tmp_path: Path) -> None:
+    file = tmp_path / "half.py"
+    file.write_text(
+        "from pedzoo.policies.policy import Policy\n\n\nclass Other:\n    pass\n\n\n"
+        "class Timeless(Policy):\n    def __init__(self):\n        pass\n"
+    )
+    with pytest.raises(UserError, match=message):
+        load_policy(f"{file}:{name}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 import gymnasium
@@ -41,6 +42,39 @@ def test_actions_of_another_width_are_refused(width: int) -> None:
         env.step(Wide(width)(env.reset()))
     with pytest.raises(UserError, match=r"expected \(1, 1, 2\)"):
         Wide(width).controller().step({1: (0, 0)}, {1: (0, -5)})
+
+
+class Forgetful(Policy):
+    """Writes no velocities, or does not return the batch."""
+
+    def __init__(self, result: Callable[[TensorDictBase], Any]) -> None:
+        """Take what to return of the batch."""
+        super().__init__(0.4)
+        self.result = result
+
+    def forward(self, tensordict: TensorDictBase) -> Any:
+        """Write nothing."""
+        return self.result(tensordict)
+
+
+@pytest.mark.parametrize(
+    ("result", "message"),
+    [
+        (
+            lambda batch: batch,
+            "'Forgetful'.* wrote no velocities: set tensordict",
+        ),
+        (lambda batch: None, "returned NoneType: write `return tensordict` at its end"),
+        (lambda batch: batch["agents", "velocity"], "returned Tensor: write `return tensordict`"),
+    ],
+)
+def test_a_policy_that_forgets_the_actions_or_the_batch_is_told(
+    result: Callable[[TensorDictBase], Any], message: str
+) -> None:
+    with pytest.raises(UserError, match=message):
+        Forgetful(result)(pedzoo.make_env("circle:people=2", 2).reset())
+    with pytest.raises(UserError, match=message):
+        Forgetful(result).controller().step({1: (0, 0)}, {1: (0, -5)})
 
 
 @pytest.mark.parametrize("scenario", ["door", "circle:people=4"])

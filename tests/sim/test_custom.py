@@ -139,6 +139,23 @@ class OtherPlan(NoLayout):
         start = torch.zeros(scenes, self.people, 2)
         goal = torch.zeros(scenes, self.people, dtype=torch.long)
         return Layout(torch.full((scenes,), 7), start, mask, self.speeds(draws), goal)
+
+
+class Nowhere(OtherPlan):
+    def layout(self, prepared, draws):
+        layout = super().layout(prepared, draws)
+        return layout._replace(start=layout.start / 0)
+
+
+class Unhurried(OtherPlan):
+    def layout(self, prepared, draws):
+        layout = super().layout(prepared, draws)
+        return layout._replace(pref_speed=layout.pref_speed / 0)
+
+
+class Forgetful(NoLayout):
+    def layout(self, prepared, draws):
+        pass
 """
 
 
@@ -147,6 +164,9 @@ class OtherPlan(NoLayout):
     [
         ("NoLayout", r"NoLayout has no layout: a Scenario needs layout\(self, prepared: .*pedzoo\.sim\.scen"),
         ("OtherPlan", r"map_id 7 in the layout of OtherPlan: expected -1 for open floor: OtherPlan\.plans"),
+        ("Nowhere", "start of an agent in the layout of Nowhere is not finite: expected a number"),
+        ("Unhurried", "pref_speed of an agent in the layout of Unhurried is not finite"),
+        ("Forgetful", r"Forgetful\.layout returned NoneType: expected a pedzoo\.sim\..*\.Layout"),
     ],
 )
 def test_mistakes_in_a_class(name: str, message: str, tmp_path: Path) -> None:

@@ -136,7 +136,10 @@ def test_what_is_no_result_is_refused(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     for name, message in (
         ("none.json", "cannot read"),
-        ("text.json", "is no JSON: expected JSON that pedzoo"),
+        (
+            "text.json",
+            "is no JSON: expected JSON that pedzoo evaluate, rollout, forecast, score or bench wrote",
+        ),
         ("list.json", "has no rows with name and metrics"),
         ("empty", "no training in"),
     ):

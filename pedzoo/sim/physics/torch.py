@@ -50,6 +50,8 @@ class Torch(Physics):
 
     def _advance(self, state: State, inputs: MotionInput) -> Motion:
         """See `Physics.advance`."""
+        if not type(self).contacts.__module__.startswith("pedzoo."):  # a subclass in a file has its own
+            return super()._advance(state, inputs)
         # hundreds of short operations: not to track them at all saves a sixth
         with torch.inference_mode(not torch.is_grad_enabled()):
             path = self._integrated(state, inputs)

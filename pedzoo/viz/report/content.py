@@ -69,7 +69,8 @@ def shorten(content: dict[str, Any], largest: int = LARGEST - _ROOM) -> None:
 
 def _read(path: Path) -> dict[str, Any]:
     wanted = (
-        "expected JSON that pedzoo evaluate, rollout, forecast or bench wrote, or the folder of a training"
+        "expected JSON that pedzoo evaluate, rollout, forecast, score or bench wrote, or the folder of a "
+        "training"
     )
     try:
         report = json.loads(path.read_text(encoding="utf-8"))
