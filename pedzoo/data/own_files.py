@@ -35,6 +35,8 @@ class OwnFiles:
         ``plan`` is its ``map``, and ``option`` the one that has ``dt``.
         """
         check_dt(dt, option=option)
+        if twice := [file for i, file in enumerate(files) if file in files[:i]]:
+            raise UserError(f"files name {twice[0]!r} twice: its people would count twice; leave one out")
         self.files, self.dt, self.plan = files, cast("float", dt), Path(plan) if plan else None
         self.option = option
         self.shares = _shares(split)

@@ -161,6 +161,11 @@ def test_bad_own_files_are_refused(tmp_path: Path, options: dict[str, Any], word
         assert word in message
 
 
+def test_a_file_that_is_named_twice_is_refused() -> None:
+    with pytest.raises(UserError, match=r"files name 'a\.csv' twice"):
+        TrajectoryDataModule(files=["a.csv", "b.csv", "a.csv"], dt=0.4)
+
+
 @pytest.mark.parametrize("option", [{"dt": 0.1}, {"map": "m.yaml"}, {"homography": "H.txt"}])
 def test_options_of_own_files_mean_nothing_without_files(option: dict[str, Any]) -> None:
     assert f"--data.{next(iter(option))} given without --data.files" in refused(**option)
