@@ -277,7 +277,7 @@ def test_a_controller_and_a_datamodule_take_a_name(tmp_path: Path) -> None:
     rows = [f"{frame},{agent},{frame / 4},{agent}" for frame in range(80) for agent in (1, 2)]
     (tmp_path / "a.csv").write_text("\n".join(["frame,agent,x,y", *rows]))
     file = str(tmp_path / "a.csv")
-    data = TrajectoryDataModule(files=[file, file], dt=0.4, split="0.5,0.25,0.25", map="apartment.3")
+    data = TrajectoryDataModule(files=[file], dt=0.4, split="0.5,0.25,0.25", map="apartment.3")
     data.setup("fit")
     assert data.bank.names == ("apartment.3",)
 
