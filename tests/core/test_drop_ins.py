@@ -70,6 +70,7 @@ PHYSICS = '''
 
     from pedzoo.core.batch import ROBOT
     from pedzoo.sim.step_result import OwnedMotion
+    from pedzoo.sim.physics.compiled import Compiled
     from pedzoo.sim.physics.torch import Torch
 
 
@@ -95,6 +96,14 @@ PHYSICS = '''
 
     class Sticky(Torch):
         """All that move touch a wall."""
+
+        def contacts(self, path, people):
+            found = super().contacts(path, people)
+            return found._replace(wall=torch.ones_like(found.wall))
+
+
+    class Glue(Compiled):
+        """The same over compiled loops."""
 
         def contacts(self, path, people):
             found = super().contacts(path, people)
@@ -198,7 +207,9 @@ def test_evaluations_run_as_many_scenes_as_a_backend_says(folder: Path) -> None:
 
 
 def test_contacts_of_a_backend_of_ones_own_are_those_of_its_walks(folder: Path) -> None:
-    for physics, touch in (("torch", False), (f"{folder / 'carts.py'}:Sticky", True)):
+    own = folder / "carts.py"
+    cases = ("torch", False), (f"{own}:Sticky", True), ("compiled", False), (f"{own}:Glue", True)
+    for physics, touch in cases:
         walked, _ = rollout("go_to_goal", "circle:people=2", physics=physics, episodes=1)
         assert bool(walked.wall_contact.any()) is touch
 
