@@ -80,10 +80,16 @@ def walked(page: str = "RESULTS.md") -> str:
     return f"\n{table}\n"
 
 
+def cells_of(table: str) -> list[list[str]]:
+    """Return the cells of a Markdown table, the head first, without the line of dashes."""
+    lines = table.strip().splitlines()
+    head, _, *rows = ([cell.strip() for cell in line.strip("|").split("|")] for line in lines)
+    return [head, *rows]
+
+
 def indoors() -> str:
     """Return the headline of what people do indoors, a policy in each column."""
-    lines = walked("INDOOR.md").strip().splitlines()
-    head, _, *rows = ([cell.strip() for cell in line.strip("|").split("|")] for line in lines)
+    head, *rows = cells_of(walked("INDOOR.md"))
     columns = [[name.replace("_", " ") for name in head], *rows]
     columns[1:] = [[f"`{name}`", *cells] for name, *cells in rows]
     turned = ["| " + " | ".join(cells) + " |" for cells in zip(*columns, strict=True)]
@@ -96,11 +102,10 @@ def in_the_loop() -> str:
     Among recorded people those walk that have not seen them; where there are none, others, marked.
     """
     page = (ROOT / "checkpoints" / "results" / "LOOP.md").read_text()
-    lines = page.partition("## Targets\n")[2].partition("\n## ")[0].strip().splitlines()
-    head, _, *rows = ([cell.strip() for cell in line.strip("|").split("|")] for line in lines)
+    head, *rows = cells_of(page.partition("## Targets\n")[2].partition("\n## ")[0])
     columns = {column: [name for name in names if name in head] for column, names in COLUMNS.items()}
     columns = {column: names for column, names in columns.items() if names}
-    cells_of = {(row[0], row[1].split()[0]): dict(zip(head, row, strict=True)) for row in rows}
+    by_target = {(row[0], row[1].split()[0]): dict(zip(head, row, strict=True)) for row in rows}
     seen = re.findall(r"^\* loop_replay: (\S+) was trained on", page, re.MULTILINE)
     text = f"\n| | {' | '.join(f'`{name}`' for name in columns)} |\n|---|{'---|' * len(columns)}\n"
     for key, label in SHOWN.items():
@@ -108,7 +113,7 @@ def in_the_loop() -> str:
         cells = []
         for names in columns.values():
             fresh = [name for name in names if name not in seen] if recorded else names
-            cells.append(_span([cells_of[key][name] for name in fresh or names]) + "*" * (not fresh))
+            cells.append(_span([by_target[key][name] for name in fresh or names]) + "*" * (not fresh))
         text += f"| {label} | {' | '.join(cells)} |\n"
     return text
 

@@ -189,10 +189,9 @@ def walked(card: ModelCard, case: str) -> dict[str, float]:
 
 def in_results(name: str) -> dict[str, float]:
     """Return the metrics of a policy in drawn buildings of RESULTS.md; empty where it is not there."""
-    page = (RESULTS / "RESULTS.md").read_text().partition("\n## goals drawn")[2].partition("\n\n## ")[0]
-    lines = [line.strip("|").split("|") for line in page.splitlines() if line.startswith("|")]
-    head = [cell.strip() for cell in lines[0]]
-    row = next((row for row in lines if row[0].strip() == name), [])
+    page = (RESULTS / "RESULTS.md").read_text().partition("\n## goals drawn: mean")[2]
+    head, *rows = results_tables.cells_of(page.partition("\n\n")[2].partition("\n\n")[0])
+    row = next((row for row in rows if row[0] == name), [])
     cells = {key: cell.split()[0] for key, cell in zip(head[1:], row[1:], strict=False)}
     return {key: float(cell) for key, cell in cells.items() if cell != "-"}
 
@@ -200,9 +199,7 @@ def in_results(name: str) -> dict[str, float]:
 def targets() -> dict[str, dict[tuple[str, str], float]]:
     """Return the numbers of the first table of LOOP.md, by policy, case and metric."""
     page = (RESULTS / "LOOP.md").read_text().partition("## Targets\n")[2].partition("\n## ")[0]
-    head, _, *rows = (
-        [cell.strip() for cell in line.strip("|").split("|")] for line in page.strip().splitlines()
-    )
+    head, *rows = results_tables.cells_of(page)
     result: dict[str, dict[tuple[str, str], float]] = {}
     for column, name in enumerate(head[2:], 2):
         values = ((row[0], row[1].split()[0], row[column].split()[0]) for row in rows)
@@ -216,10 +213,9 @@ def realism(name: str, cells: dict[str, dict[tuple[str, str], float]]) -> float 
     here = here or scored(name)
     if here:
         return sum(here) / len(here)
-    page = results_tables.walked().strip().splitlines()
-    column = page[0].split("|").index(" replay all realism ")
-    rows = {line.split("|")[1].strip(): line.split("|")[column] for line in page[2:]}
-    return float(rows[name].split()[0]) if name in rows else None
+    head, *rows = results_tables.cells_of(results_tables.walked())
+    column = head.index("replay all realism")
+    return next((float(row[column]) for row in rows if row[0] == name), None)
 
 
 def scored(name: str) -> list[float]:
