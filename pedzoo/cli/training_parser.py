@@ -180,11 +180,8 @@ class RunCLI(LightningCLI):
         try:
             try:
                 yield
-            except (
-                UserError,
-                MisconfigurationException,
-            ):  # with these options there is nothing to go on with
-                if run:
+            except (UserError, MisconfigurationException):
+                if run:  # with these options there is nothing to go on with
                     run.forget()
                 raise
             finally:
