@@ -59,6 +59,9 @@ if TYPE_CHECKING:
 PERSON, ROBOT = 0, 1
 """Values of ``agents/kind``."""
 
+HOLDS_BELOW = 0.99
+"""Of the speed that people like: those whose desired velocity is less hold a place; the rest is rounding."""
+
 
 def usual_body(radius: Tensor) -> Tensor:
     """Return which bodies are as wide as a person's usual one (...) bool, for radii (...) in metres."""
@@ -201,6 +204,24 @@ def goals_of(batch: TensorDictBase, who: str) -> tuple[Tensor, Tensor]:
             "set --data.goal to window_end, destination or random_future"
         )
     return cast("Tensor", agents["goal"]), cast("Tensor", agents["desired_velocity"])
+
+
+def share_of_speed(batch: TensorDictBase) -> Tensor | None:
+    """Return desired velocities as shares of preferred speeds (B, A); None where there are none."""
+    agents = agents_of(batch)
+    if "desired_velocity" not in agents.keys():
+        return None
+    desired, liked = (cast("Tensor", agents[key]) for key in ("desired_velocity", "pref_speed"))
+    return desired.norm(dim=-1) / liked[..., 0]
+
+
+def goes_on(batch: TensorDictBase) -> Tensor:
+    """Return which agents the policy moves on (B, A) bool: it controls them, and they hold no place.
+
+    People hold a place whose desired velocity is less than the speed that they like: see `HOLDS_BELOW`.
+    """
+    controlled, share = cast("Tensor", agents_of(batch)["controlled"]), share_of_speed(batch)
+    return controlled if share is None else controlled & (share >= HOLDS_BELOW)
 
 
 def actions_of(batch: TensorDictBase, group: str = "agents") -> Tensor:

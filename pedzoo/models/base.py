@@ -16,7 +16,7 @@ from torch.nn import functional
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.spec import flat, make_ungrouped
-from pedzoo.core.types import GoalProtocol
+from pedzoo.core.types import PRED_LEN, GoalProtocol
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -54,6 +54,8 @@ class Forecaster(nn.Module):
         noise_periods: How often each number of the noise is drawn when it walks, seconds, see
             `pedzoo.models.blocks.timed_noise`; empty where `walking_noise` says it for all.
         remembers: Whether its policy keeps how people began, see `pedzoo.policies.learned.first_seen`.
+        keeps_distance: Whether its people keep more room than their bodies need, so that the safety layer
+            need not.
         mode_at_zero: The most likely future is that of noise zero.
         walking_noise: How often its noise is drawn when it walks, by default.
         walking_safety: Whether its steps are kept clear of people and walls when it walks, by default;
@@ -72,6 +74,7 @@ class Forecaster(nn.Module):
     noise_dim: int = 0
     noise_periods: tuple[float, ...] = ()
     remembers: ClassVar[bool] = False
+    keeps_distance: bool = False
     mode_at_zero: ClassVar[bool] = False
     walking_noise: Noise = "episode"
     walking_safety: bool = False
@@ -123,6 +126,14 @@ class Forecaster(nn.Module):
         """
         future = self.sample(batch, 1, horizon) if noise is not None else self.mode(batch, horizon)
         return future[:, 0, :, :steps]
+
+    def step_and_wish(self, batch: TensorDict, noise: Tensor | None) -> tuple[Tensor, Tensor]:
+        """Return the next steps (B, A, 2), metres, and those that people wish for.
+
+        The two differ where people hold back behind others: see `keeps_distance`.
+        """
+        step = self.next_steps(batch, noise, 1, PRED_LEN)[:, :, 0]
+        return step, step
 
     def policy(self, noise: Noise | None = None, execute_steps: int = 1) -> Walker:
         """Return the model as a TorchRL policy; arguments as `pedzoo.policies.learned.walker.Walker`."""

@@ -118,7 +118,7 @@ def test_people_are_hindered_who_stand_though_they_were_asked_to_walk() -> None:
         place[:, 0, :, 0] = torch.tensor([1.0, 1, 1, 1, 1, 1, 1, 2]) if step < 2 else 2.0
         place[:, 1, :, 0] = torch.arange(8.0) + step
         seen = agents_of(memory.added(batch))
-        memory.asked(asked)
+        memory.asked(asked, asked)
         hindered.append(seen["hindered"][0, :, 0].tolist())
     # at the second decision both were asked to stand, so the first one does that of its own accord
     assert hindered == [[False, False]] * 3 + [[True, False]] * 2

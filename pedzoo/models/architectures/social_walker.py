@@ -7,7 +7,6 @@ companions, the walls and on how late the person is. It is trained on whole walk
 """
 
 import math
-from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
@@ -17,8 +16,10 @@ from torch.nn import functional
 
 from pedzoo.core.geometry import rotate, smooth_norm, unrotate
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS, GoalProtocol
+from pedzoo.models.architectures.walker_architecture import WalkerArchitecture
 from pedzoo.models.base import Forecaster, Walking, known_displacements, true_displacements
 from pedzoo.models.blocks.people.evasion import evasion
+from pedzoo.models.blocks.people.following import held_back
 from pedzoo.models.blocks.people.narrow import narrowness
 from pedzoo.models.blocks.people.nearest import FEATURES, nearest
 from pedzoo.models.blocks.people.setting_out import setting_out
@@ -28,42 +29,6 @@ from pedzoo.models.blocks.timed_noise import timed_noise
 
 LASTING, SMOOTH, EVERY_STEP, JITTER = 3, (24.0, 8.0, 4.0, 2.0), 4, 2
 """Noise: numbers that last, periods of those that change smoothly (s), and numbers drawn at every step."""
-
-
-@dataclass(frozen=True)
-class WalkerArchitecture:
-    """The network's architecture, and which of its parts are used.
-
-    Attributes:
-        hidden_dim: Width of the two hidden layers; 0 for none: then all that is learned is a linear function
-            of a person's own state, some hundred numbers, which few recordings suffice for.
-        near_dim: Width of a neighbour's features.
-        walls: Whether it sees the floor plan.
-        style: Whether it sees how people walked in their first steps.
-        held: Whether velocities can be held.
-        halts: Whether people halt now and then, beside what slows them down.
-        step_noise: Whether changes of velocity are drawn at every step.
-        companions: Whether it sees companions.
-        lasting_halts: Whether halts last for some seconds, and begin by braking; else each is one step.
-        groups: Whether companions are those of ``agents/group``; else they are guessed from how people walk.
-        style_prior: Whether velocities are held as often, and places jitter as much, as in people's first
-            steps before training; else people differ in that only as far as the network has learned.
-        avoids: Whether people evade others on a collision course before training, too, and set out again
-            where somebody stopped them. If they see walls, they turn faster near them.
-    """
-
-    hidden_dim: int = 64
-    near_dim: int = 32
-    walls: bool = True
-    style: bool = True
-    held: bool = True
-    halts: bool = True
-    step_noise: bool = True
-    companions: bool = True
-    lasting_halts: bool = False
-    groups: bool = False
-    style_prior: bool = False
-    avoids: bool = False
 
 
 OWN = 6
@@ -76,7 +41,10 @@ GATE_NOISE = 1.7
 """Spread of the chance by which velocities are held, in units of the gate."""
 
 ASTRAY, LOOKING_UP = 0.3, 3.0
-"""Velocities farther off what people want than a share of their speed open the gate by so much more."""
+"""Velocities farther off what people want than a share of their speed open the gate by so much more.
+
+People who follow others change them faster, too.
+"""
 
 USUAL_GATE = 2.0
 """Of the gate: before training velocities change in 9 of 10 steps, but for what first steps show."""
@@ -123,6 +91,7 @@ class SocialWalker(Forecaster):
         super().__init__()
         self.built_with(architecture, walking)
         self.architecture = a = architecture
+        self.keeps_distance = a.follows
         self.sees_walls = a.walls and (a.hidden_dim > 0 or a.avoids)
         self.needs = frozenset({"goal", "map"} if self.sees_walls else {"goal"})
         if a.hidden_dim:
@@ -143,8 +112,11 @@ class SocialWalker(Forecaster):
             nn.Linear(seen, a.hidden_dim), nn.ReLU(), nn.Linear(a.hidden_dim, a.hidden_dim), nn.ReLU()
         )
 
-    def velocity(self, now: Situation, noise: Tensor) -> Tensor:
-        """Return the velocities until the next decision (B, A, 2), m/s, for noise (B, A, Z)."""
+    def velocities(self, now: Situation, noise: Tensor) -> tuple[Tensor, Tensor]:
+        """Return velocities until the next decision (B, A, 2), m/s, and those that people wish for.
+
+        Noise is (B, A, Z).
+        """
         a, z = self.architecture, noise
         frame = now.ahead.unsqueeze(2)
         past = unrotate(now.history.diff(dim=2), frame) / STEP_SECONDS
@@ -191,6 +163,9 @@ class SocialWalker(Forecaster):
         base = (recent.unsqueeze(-1) * past.flip(2)[:, :, :4]).sum(2)
         rate = (out[..., 7:8] - 1).sigmoid()
         rate = rate + (1 - rate) * 0.8 * close
+        off = (smooth_norm(past[:, :, -1] - want) / now.pref_speed - ASTRAY).clamp_min(0)
+        if a.follows:
+            rate = rate + (1 - rate) * 0.8 * off.clamp_max(1).unsqueeze(-1)
         if a.avoids:
             rate = rate + (1 - rate) * out[..., 18:19].sigmoid() * urgent
             narrow = narrowness(now.walls) if a.walls else torch.zeros_like(stands)
@@ -215,7 +190,6 @@ class SocialWalker(Forecaster):
             again = stands * setting_out(now, too_late, a.avoids)
             often: Tensor | float = USUAL_GATE
             if a.style_prior:
-                off = (smooth_norm(past[:, :, -1] - want) / now.pref_speed - ASTRAY).clamp_min(0)
                 changed = 1 - held_of(usual).clamp(0.03, 0.97)
                 often = GATE_NOISE * torch.special.ndtri(changed) + LOOKING_UP * off * (1 - stands)
             if a.avoids:
@@ -232,13 +206,25 @@ class SocialWalker(Forecaster):
                 result = torch.lerp(_braked(past[:, :, -1]), result, goes)
             else:
                 result = goes * result
-        return rotate(result, now.ahead)
+        wish = rotate(result, now.ahead)
+        return held_back(wish, now, others) if a.follows else wish, wish
+
+    def velocity(self, now: Situation, noise: Tensor) -> Tensor:
+        """Return velocities until the next decision (B, A, 2), m/s, for noise (B, A, Z)."""
+        return self.velocities(now, noise)[0]
+
+    def step_and_wish(self, batch: TensorDict, noise: Tensor | None) -> tuple[Tensor, Tensor]:
+        """Return the next steps (B, A, 2), metres, and those that people wish for."""
+        now = Situation.of(batch, self.sees_walls)
+        noise = now.history.new_zeros(*now.mask.shape, self.noise_dim) if noise is None else noise
+        there = now.mask.unsqueeze(-1)
+        step, wish = (torch.where(there, v * STEP_SECONDS, 0.0) for v in self.velocities(now, noise))
+        return step, wish
 
     def next_steps(self, batch: TensorDict, noise: Tensor | None, steps: int, horizon: int) -> Tensor:
         """Return the first steps of one future (B, A, steps, 2); others go on as they do."""
         now = Situation.of(batch, self.sees_walls)
-        if noise is None:
-            noise = now.history.new_zeros(*now.mask.shape, self.noise_dim)
+        noise = now.history.new_zeros(*now.mask.shape, self.noise_dim) if noise is None else noise
         there = now.mask.unsqueeze(-1)
         path = []
         for _ in range(steps):

@@ -8,9 +8,8 @@ from torch import Tensor
 
 from pedzoo.core import randomness
 from pedzoo.core.adapters import copied
-from pedzoo.core.batch import agents_of, ids_of
+from pedzoo.core.batch import agents_of, goes_on, ids_of
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS
-from pedzoo.policies.learned.holding import goes_on
 from pedzoo.policies.scene_memory import SceneMemory
 
 _OTHER_GOAL = 1.0
@@ -35,7 +34,9 @@ class FirstSeen(NamedTuple):
         left: Length of the rest at the last decision (S, A), metres.
         last: When that was (S, A), seconds.
         goes_on: Whether the policy moved it on then (S, A) bool; not where it held a place.
-        tried: Whether the policy has asked it to walk since it walked last (S, A) bool.
+        tried: Whether it has wished to walk since it walked last (S, A) bool.
+        asked: Whether the policy asked it to walk at the last decision (S, A) bool.
+        pressing: For how many decisions, one after the other, it was asked to walk and stood (S, A).
     """
 
     key: Tensor
@@ -47,17 +48,21 @@ class FirstSeen(NamedTuple):
     last: Tensor
     goes_on: Tensor
     tried: Tensor
+    asked: Tensor
+    pressing: Tensor
 
 
 class FirstSeenMemory:
-    """Adds ``first_history``, ``elapsed``, ``progress``, ``called`` and ``hindered`` to scene batches.
+    """Adds to scene batches what they do not show.
 
     * ``agents/first_history`` (B, A, 8, 2): the first 8 known positions, metres.
     * ``agents/elapsed`` (B, A, 1): seconds since then, or since the present goal was given.
     * ``agents/progress`` (B, A, 1): metres by which the path to the goal has become shorter since then.
     * ``agents/called`` (B, A, 1) bool: whether another goal was given since the last decision, or the
       policy moves an agent on now that it did not move on then.
-    * ``agents/hindered`` (B, A, 1) bool: whether it stands since the policy asked it to walk in vain.
+    * ``agents/hindered`` (B, A, 1) bool: whether it stands since it wished to walk in vain.
+    * ``agents/pressing`` (B, A, 1): for how many decisions, one after the other, the policy asked it to walk
+      and it stood.
 
     Batches that have them already stay as they are.
     """
@@ -79,14 +84,17 @@ class FirstSeenMemory:
         time = cast("Tensor", scenes["time"]).expand(person.shape)
         history, path = cast("Tensor", agents["history"]).detach(), left.detach()
         moves = goes_on(scenes)
-        now = FirstSeen(key, person, history, time, path, path, time, moves, torch.zeros_like(moves))
+        no, never = torch.zeros_like(moves), torch.zeros_like(path)
+        now = FirstSeen(key, person, history, time, path, path, time, moves, no, no, never)
         before = self._memory.recall(now._replace(person=torch.full_like(person, -1)), person)
         # a scene that is walked a second time has the same key, and its clock went back
         since = time - before.last
         known = (before.person == person) & complete & (since > -1e-3) & (since < _ABSENT)
         sets_out = moves & ~before.goes_on
         on_way = known & (path < before.left + _OTHER_GOAL) & ~sets_out
-        hindered = known & before.tried & ~walks(history[:, :, -1] - history[:, :, -2])
+        stands = known & ~walks(history[:, :, -1] - history[:, :, -2])
+        hindered = stands & before.tried
+        pressing = (before.pressing + 1).where(stands & before.asked, 0.0)
         first = FirstSeen(
             key,
             person,
@@ -97,6 +105,8 @@ class FirstSeenMemory:
             time,
             moves,
             hindered,
+            no,
+            pressing,
         )
         self._memory.keep(first)
         self._last = first
@@ -107,12 +117,14 @@ class FirstSeenMemory:
         seen["progress"] = (first.path - left).unsqueeze(-1)
         seen["called"] = (known & ~on_way).unsqueeze(-1)
         seen["hindered"] = hindered.unsqueeze(-1)
+        seen["pressing"] = pressing.unsqueeze(-1)
         return result
 
-    def asked(self, step: Tensor) -> None:
-        """Remember the steps (B, A, 2), metres, that the policy asks for in the scenes of `added`."""
+    def asked(self, wish: Tensor, step: Tensor) -> None:
+        """Remember the steps (B, A, 2), metres, that people wish for, and those that they are asked for."""
         if self._last is not None:
-            self._memory.keep(self._last._replace(tried=self._last.tried | walks(step.detach())))
+            tried, asked = self._last.tried | walks(wish.detach()), walks(step.detach())
+            self._memory.keep(self._last._replace(tried=tried, asked=asked))
             self._last = None
 
 

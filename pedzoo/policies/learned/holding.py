@@ -6,26 +6,8 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from pedzoo.core.batch import agents_of
+from pedzoo.core.batch import HOLDS_BELOW, agents_of, share_of_speed
 from pedzoo.core.types import STEP_SECONDS
-
-_WALKS = 0.99
-"""Of the speed that people like: those whose desired velocity is less hold a place; the rest is rounding."""
-
-
-def share_of_speed(batch: TensorDictBase) -> Tensor | None:
-    """Return desired velocities as shares of preferred speeds (B, A); None where there are none."""
-    agents = agents_of(batch)
-    if "desired_velocity" not in agents.keys():
-        return None
-    desired, liked = (cast("Tensor", agents[key]) for key in ("desired_velocity", "pref_speed"))
-    return desired.norm(dim=-1) / liked[..., 0]
-
-
-def goes_on(batch: TensorDictBase) -> Tensor:
-    """Return which agents the policy moves on (B, A) bool: it controls them, and they hold no place."""
-    controlled, share = cast("Tensor", agents_of(batch)["controlled"]), share_of_speed(batch)
-    return controlled if share is None else controlled & (share >= _WALKS)
 
 
 def holding_places(batch: TensorDictBase, step: Tensor) -> Tensor:
@@ -43,4 +25,4 @@ def holding_places(batch: TensorDictBase, step: Tensor) -> Tensor:
         return step
     there = cast("Tensor", agents_of(batch)["desired_velocity"]) * STEP_SECONDS
     share = share.unsqueeze(-1)
-    return torch.where(share < _WALKS, torch.lerp(there, step, share.clamp_max(1)), step)
+    return torch.where(share < HOLDS_BELOW, torch.lerp(there, step, share.clamp_max(1)), step)

@@ -19,6 +19,7 @@ from pedzoo.policies.base import NamedPolicy, deterministic
 from pedzoo.policies.learned.first_seen import FirstSeenMemory
 from pedzoo.policies.learned.holding import holding_places
 from pedzoo.policies.learned.same_spot import led_apart
+from pedzoo.policies.safety_layer.clearance import SHOULDERS
 from pedzoo.policies.safety_layer.layer import safe
 
 
@@ -120,14 +121,17 @@ class Walker(NamedPolicy):
         """Write each person's velocity (B, A, 2), m/s."""
         check_interval(tensordict, STEP_SECONDS, "a learned model")
         if self.execute_steps == 1:
-            step = self._predicted(tensordict, 1)[..., 0, :]
+            step, wish = self.model.step_and_wish(self._seen(tensordict), self.noise_of(tensordict))
         else:
-            step = self._of_stored(tensordict)
-        step = holding_places(tensordict, step) + led_apart(tensordict)
-        self._first_seen.asked(step)
+            step = wish = self._of_stored(tensordict)
+        apart = led_apart(tensordict)
+        step, wish = (holding_places(tensordict, one) + apart for one in (step, wish))
+        self._first_seen.asked(wish, step)
+        if self.model.keeps_distance:
+            tensordict["agents", "wished"] = wish / STEP_SECONDS
         if self.safety:
             tensordict["agents", "asked"] = step / STEP_SECONDS
-            step = safe(tensordict, step)
+            step = safe(tensordict, step, 0.0 if self.model.keeps_distance else SHOULDERS)
         tensordict["agents", "action"] = step / STEP_SECONDS
         return tensordict
 
@@ -149,9 +153,12 @@ class Walker(NamedPolicy):
         return stored.steps[torch.arange(len(key), device=key.device), :, now - stored.begun]
 
     def _predicted(self, tensordict: TensorDictBase, steps: int) -> Tensor:
+        return self.model.next_steps(self._seen(tensordict), self.noise_of(tensordict), steps, PRED_LEN)
+
+    def _seen(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Return the scenes as the model sees them."""
         scenes = extend_goals(tensordict) if self.extend_goal else tensordict
-        scenes = self._first_seen.added(scenes) if self.model.remembers else scenes
-        return self.model.next_steps(scenes, self.noise_of(tensordict), steps, PRED_LEN)
+        return self._first_seen.added(scenes) if self.model.remembers else scenes
 
     def noise_of(self, tensordict: TensorDictBase) -> Tensor | None:
         """Return each person's noise (B, A, noise_dim) in scenes as they are now, None for none."""

@@ -133,10 +133,10 @@ class PairConstraints(NamedTuple):
     stands: Tensor
 
     @classmethod
-    def of(cls, steps: ProposedSteps, narrow: Tensor | None) -> PairConstraints:
+    def of(cls, steps: ProposedSteps, narrow: Tensor | None, shoulders: float = SHOULDERS) -> PairConstraints:
         """Return the pairs; ``narrow`` says which agents are in a narrow place (B, A) bool.
 
-        Steps are at most the longest ones.
+        Steps are at most the longest ones; ``shoulders`` is the room in narrow places, metres.
         """
         position = steps.position.movedim(-1, 0)
         away = position.unsqueeze(3) - position.unsqueeze(2)
@@ -159,8 +159,8 @@ class PairConstraints(NamedTuple):
         if narrow is not None:
             broad = (narrow.unsqueeze(2) | narrow.unsqueeze(1)) & ~wait
             # the other need not make more room than the one who goes first takes
-            room = torch.where(order > 0.5, past, torch.where(order < -0.5, past.mT, SHOULDERS))
-            wanted = torch.where(broad, wanted.maximum(room.clamp_max(SHOULDERS)), wanted)
+            room = torch.where(order > 0.5, past, torch.where(order < -0.5, past.mT, shoulders))
+            wanted = torch.where(broad, wanted.maximum(room.clamp_max(shoulders)), wanted)
         rooms = [wanted] if steps.velocity is None else [wanted, bodies, bodies, bodies]
         room = torch.where(both, torch.minimum(apart, torch.stack(rooms)), -1.0)
         if steps.velocity is not None:

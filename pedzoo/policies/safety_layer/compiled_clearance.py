@@ -15,7 +15,6 @@ from pedzoo.policies.safety_layer.clearance import (
     ROUNDING,
     ROUNDS,
     SHARES,
-    SHOULDERS,
     ProposedSteps,
 )
 from pedzoo.policies.safety_layer.precedence import AHEAD, LEAD_SECONDS, LEAST_ASKED, LEAST_SHARE, SPREAD, TIE
@@ -32,9 +31,9 @@ def loops_take(steps: ProposedSteps) -> bool:
     return not constants and compiles(*numbers)
 
 
-def kept_clear_compiled(steps: ProposedSteps, walls: LocalWalls | None) -> Tensor:
+def kept_clear_compiled(steps: ProposedSteps, walls: LocalWalls | None, shoulders: float) -> Tensor:
     """`pedzoo.policies.safety_layer.layer.kept_clear`, compiled, with its gradients."""
-    return _KeptClear.apply(steps.position, steps.step, steps.velocity, steps, walls)
+    return _KeptClear.apply(steps.position, steps.step, steps.velocity, steps, walls, shoulders)
 
 
 class _KeptClear(torch.autograd.Function):
@@ -45,7 +44,7 @@ class _KeptClear(torch.autograd.Function):
         """Return the steps (B, A, 2); given are positions, steps and velocities, all steps and the walls."""
         from pedzoo.policies.safety_layer.clearance_loops import keep_clear
 
-        steps, walls = given[3:]
+        steps, walls, shoulders = given[3:]
         people, stored = _people(steps), torch.empty_like(steps.step, memory_format=torch.contiguous_format)
         size = steps.moved.shape
         result = (
@@ -56,11 +55,11 @@ class _KeptClear(torch.autograd.Function):
         record = np.empty((size[0], ROUNDS, size[1], 7)) if records else _NO_RECORD
         stands = np.empty(size, np.bool_)
         keep_clear(
-            *people, _order(steps), SHARES, ROUNDS, MARGIN, SHOULDERS, NARROW, steps.first, steps.beyond,
+            *people, _order(steps), SHARES, ROUNDS, MARGIN, shoulders, NARROW, steps.first, steps.beyond,
             ROUNDING, *_wall_arrays(walls), stored.numpy(), *result, record, stands,
         )  # fmt: skip
         if records:
-            ctx.order = _order(steps)
+            ctx.order, ctx.shoulders = _order(steps), shoulders
             ctx.people, ctx.paths, ctx.result = people, (steps.first, steps.beyond), (*result, record, stands)
         return stored
 
@@ -71,11 +70,11 @@ class _KeptClear(torch.autograd.Function):
 
         values = [torch.empty_like(gradients[0], memory_format=torch.contiguous_format) for _ in range(3)]
         keep_clear_slope(
-            *ctx.people, ctx.order, MARGIN, SHOULDERS, *ctx.paths, ROUNDING, *ctx.result,
+            *ctx.people, ctx.order, MARGIN, ctx.shoulders, *ctx.paths, ROUNDING, *ctx.result,
             gradients[0].detach().numpy(), *(part.numpy() for part in values),
         )  # fmt: skip
         place, step, velocity = values
-        return place, step, TRACE_SECONDS * velocity if ctx.needs_input_grad[2] else None, None, None
+        return place, step, TRACE_SECONDS * velocity if ctx.needs_input_grad[2] else None, None, None, None
 
 
 def _people(steps: ProposedSteps) -> list[Any]:

@@ -21,6 +21,7 @@ from pedzoo.policies.safety_layer.clearance import (
     NARROW,
     ROUNDS,
     SHARES,
+    SHOULDERS,
     PairConstraints,
     ProposedSteps,
     WallConstraints,
@@ -36,18 +37,20 @@ otherwise they wait for ever.
 """
 
 
-def kept_clear(steps: ProposedSteps, walls: LocalWalls | None = None) -> Tensor:
+def kept_clear(steps: ProposedSteps, walls: LocalWalls | None = None, shoulders: float = SHOULDERS) -> Tensor:
     """Return steps (B, A, 2), metres, near those that are asked for, without contacts of bodies or walls.
 
     Two people share a correction, by who goes first: see `precedence`. Agents that the policy does not move
     take no part in it, and robots leave it to people: the other one makes all of it. Agents that touch
     already come no closer. Neither turning a scene nor the order of its people changes anything.
-    Differentiable. Walls are those of `MapBank.walls_around`.
+    Differentiable. Walls are those of `MapBank.walls_around`; ``shoulders`` is the room in narrow places,
+    metres: 0 for bodies alone.
     """
-    return kept_clear_compiled(steps, walls) if loops_take(steps) else kept_clear_in_torch(steps, walls)
+    compiled = loops_take(steps)
+    return (kept_clear_compiled if compiled else kept_clear_in_torch)(steps, walls, shoulders)
 
 
-def safe(batch: TensorDictBase, step: Tensor) -> Tensor:
+def safe(batch: TensorDictBase, step: Tensor, shoulders: float = SHOULDERS) -> Tensor:
     """Return the next steps of all agents (B, A, 2), metres, kept clear; see `kept_clear`."""
     agents, bank = agents_of(batch), maps_of(batch)
     moved = agents["mask"] & agents["controlled"]
@@ -68,7 +71,7 @@ def safe(batch: TensorDictBase, step: Tensor) -> Tensor:
         _ranks(batch, waits),
     )
     walls = bank.walls_around(batch["map_id"][:, 0], batch["scene_pose"]) if bank.grids else None
-    return kept_clear(steps._replace(step=yielding(steps, walls)), walls)
+    return kept_clear(steps._replace(step=yielding(steps, walls)), walls, shoulders)
 
 
 def _ranks(batch: TensorDictBase, waits: Tensor) -> Tensor | None:
@@ -84,7 +87,9 @@ def scene_keys(batch: TensorDictBase) -> Tensor:
     return torch.zeros_like(batch["map_id"]) if keys is None else cast("Tensor", keys)
 
 
-def kept_clear_in_torch(steps: ProposedSteps, walls: LocalWalls | None) -> Tensor:
+def kept_clear_in_torch(
+    steps: ProposedSteps, walls: LocalWalls | None, shoulders: float = SHOULDERS
+) -> Tensor:
     """`kept_clear` on any device and in any precision."""
     narrow = wall_constraints = None
     if walls is not None:
@@ -97,7 +102,7 @@ def kept_clear_in_torch(steps: ProposedSteps, walls: LocalWalls | None) -> Tenso
             steps, walls, gap[0] + ((here - here.detach()) * away[:, 0]).sum(0)
         )
     step = _capped(steps, steps.step)
-    pairs = PairConstraints.of(steps._replace(step=step.detach()), narrow)
+    pairs = PairConstraints.of(steps._replace(step=step.detach()), narrow, shoulders)
     step = torch.where(pairs.stands.unsqueeze(-1), 0.0, step)
     for _ in range(ROUNDS):
         step = step + pairs.correction(steps.integrate(step)).movedim(0, -1)

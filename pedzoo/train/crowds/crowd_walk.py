@@ -76,7 +76,8 @@ def walked_on(policy: Policy, real: Excerpts, planner: Planner, key: Tensor, bef
         return planner.guidance(here, goal_id, row, real.pose, real.pref_speed, AHEAD_SECONDS, fastest)
 
     asked, walked = [], []
-    tried = torch.zeros_like(real.walks)
+    tried = was_asked = torch.zeros_like(real.walks)
+    pressing = torch.zeros_like(real.pref_speed)
     for number in range(steps):
         frame = OBS_LEN - 1 + number
         simulated = real.walks & (real.taken <= frame)
@@ -85,11 +86,17 @@ def walked_on(policy: Policy, real: Excerpts, planner: Planner, key: Tensor, bef
         others = real.there[:, :, frame] & ~simulated
         with torch.set_grad_enabled(number >= before and torch.is_grad_enabled()):
             batch = _observed(real, planner.bank, guide, path, there, mine, mine | others, key, number)
-            tried = tried & ~walks((path[-1] - path[-2]).detach())
-            batch["agents", "hindered"] = tried.unsqueeze(2)
+            stands = ~walks((path[-1] - path[-2]).detach())
+            tried, pressing = tried & stands, (pressing + 1).where(was_asked & stands, 0.0)
+            batch["agents", "hindered"], batch["agents", "pressing"] = (
+                tried.unsqueeze(2),
+                pressing.unsqueeze(2),
+            )
             agents = cast("TensorDictBase", policy(batch)["agents"])
             here, command = path[-1], cast("Tensor", agents["action"])
-            tried = tried | (mine & walks(STEP_SECONDS * agents.get("asked", command).detach()))
+            wanted = agents.get("asked", command)
+            was_asked = mine & walks(STEP_SECONDS * wanted.detach())
+            tried = tried | (mine & walks(STEP_SECONDS * agents.get("wished", wanted).detach()))
             command = limit_speed(command, top_speed_of(real.pref_speed))
             plays = real.there[:, :, frame + 1] & ~simulated
             place = torch.where(
@@ -103,7 +110,7 @@ def walked_on(policy: Policy, real: Excerpts, planner: Planner, key: Tensor, bef
         there.append(mine | plays)
         scored.append(mine & ~arrives if number >= before else torch.zeros_like(mine))
         if number >= before:
-            asked.append(agents.get("asked", command))
+            asked.append(wanted)
             walked.append(command)
     return CrowdWalk(*(torch.stack(values, 2) for values in (path, there, scored, asked, walked)))
 

@@ -33,6 +33,7 @@ class Neighbours(NamedTuple):
     Attributes:
         features: Relative place and velocity, and those of the closest approach (B, A, k, 12).
         absent: Where there are fewer than k (B, A, k) bool.
+        other: Their slots (B, A, k) long.
         place: Mean place of companions (B, A, 2), metres from the person; 0 without any.
         velocity: Their mean velocity (B, A, 2) against the person's, m/s.
         company: How many they are (B, A, 1): a weight of at most 1 for each.
@@ -42,6 +43,7 @@ class Neighbours(NamedTuple):
 
     features: Tensor
     absent: Tensor
+    other: Tensor
     place: Tensor
     velocity: Tensor
     company: Tensor
@@ -118,4 +120,4 @@ def nearest(
     weight = weight.unsqueeze(-1)
     company = weight.sum(2)
     share = weight / company.unsqueeze(2).clamp_min(0.1)
-    return Neighbours(features, absent, (share * turned).sum(2), (share * moving).sum(2), company)
+    return Neighbours(features, absent, other, (share * turned).sum(2), (share * moving).sum(2), company)

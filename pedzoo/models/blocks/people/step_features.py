@@ -7,7 +7,7 @@ from tensordict import TensorDict
 from torch import Tensor
 from torch.nn import functional
 
-from pedzoo.core.batch import agents_of, companions_of, goals_of, maps_of
+from pedzoo.core.batch import agents_of, companions_of, goals_of, goes_on, maps_of
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.models.blocks.floor_plan.map_encoder import distances_at, rings
 from pedzoo.models.blocks.people.style import kinks_of, style_of, unless_even
@@ -31,6 +31,7 @@ class Situation(NamedTuple):
         late: By how much they are behind a walk at that speed (B, A), seconds.
         called: 1 for people who have just got another goal, or are moved from now on, else 0 (B, A).
         hindered: 1 for people who stand since they tried to walk in vain, else 0 (B, A).
+        pressing: For how many steps, one after the other, they were asked to walk and stood (B, A).
         stood: In which share of the steps that are seen first they stood (B, A).
         style: Their styles (B, A, 6), and ...
         crowd_style: ... the mean over the agents of the scene (B, 1, 6).
@@ -40,6 +41,7 @@ class Situation(NamedTuple):
         walls: Distances to walls around them (B, A, 17), metres, in the frame of ``ahead``; anything where
             the network sees none.
         companions: Which agents walk in company (B, A, A) bool, see `companions_of`.
+        moves: Which agents the policy moves on (B, A) bool, see `goes_on`.
     """
 
     history: Tensor
@@ -50,6 +52,7 @@ class Situation(NamedTuple):
     late: Tensor
     called: Tensor
     hindered: Tensor
+    pressing: Tensor
     stood: Tensor
     style: Tensor
     crowd_style: Tensor
@@ -57,13 +60,14 @@ class Situation(NamedTuple):
     radius: Tensor
     walls: Tensor
     companions: Tensor
+    moves: Tensor
 
     @classmethod
     def of(cls, batch: TensorDict, walls: bool = True) -> Self:
         """Return the situation of a scene batch, with walls or without.
 
-        ``first_history``, ``elapsed``, ``progress``, ``called`` and ``hindered`` are a policy's memory, see
-        `pedzoo.policies.learned.first_seen`. Without them people are seen for the first time.
+        ``first_history``, ``elapsed``, ``progress``, ``called``, ``hindered`` and ``pressing`` are a policy's
+        memory, see `pedzoo.policies.learned.first_seen`. Without them people are seen for the first time.
         """
         agents = agents_of(batch)
         there = agents["mask"]
@@ -91,13 +95,13 @@ class Situation(NamedTuple):
         around = _walls(batch, history[:, :, -1], ahead) if walls else late.unsqueeze(-1)
         late = torch.where(there, late, 0.0)
         remaining = torch.where(there & remaining.isfinite(), remaining, 0.0)
-        called, hindered = (
+        called, hindered, pressing = (
             torch.zeros_like(late) if key not in agents.keys() else agents[key][..., 0].to(late.dtype)
-            for key in ("called", "hindered")
+            for key in ("called", "hindered", "pressing")
         )
-        manner = pref_speed, remaining, late, called, hindered, stood, style, crowd, change
-        company = companions_of(batch)
-        return cls(history, there, ahead, *manner, agents["radius"][..., 0], around, company)
+        manner = pref_speed, remaining, late, called, hindered, pressing, stood, style, crowd, change
+        company, moves = companions_of(batch), goes_on(batch) & there
+        return cls(history, there, ahead, *manner, agents["radius"][..., 0], around, company, moves)
 
     @property
     def usual_style(self) -> Tensor:
@@ -119,6 +123,7 @@ class Situation(NamedTuple):
             late=self.late + STEP_SECONDS - done / self.pref_speed,
             called=torch.zeros_like(self.called),
             hindered=torch.zeros_like(self.hindered),
+            pressing=torch.zeros_like(self.pressing),
         )
 
 

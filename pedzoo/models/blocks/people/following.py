@@ -1,0 +1,113 @@
+"""How people keep behind others, so that a safety layer has hardly anything left to do.
+
+Those behind get no nearer to those in front than a gap in time allows: a collision-free speed model (Tordeux,
+Chraibi and Seyfried, Traffic and Granular Flow 2015), here of the speeds that the others will have.
+"""
+
+import torch
+from torch import Tensor
+
+from pedzoo.core.geometry import smooth_norm
+from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
+from pedzoo.models.blocks.people.narrow import narrowness
+from pedzoo.models.blocks.people.nearest import Neighbours
+from pedzoo.models.blocks.people.step_features import Situation
+
+GAP_SECONDS = 0.2
+"""Seconds within which people could close the gap to one in front, if that one walked on."""
+
+WIDTH, WIDTH_AT_WALLS = 0.55, 0.66
+"""Metres between the centres of two people at which a gap is none: in the open, and in narrow places."""
+
+IN_FRONT = 0.02
+"""Metres by which another is ahead of a person from which on that person keeps behind."""
+
+WALKS = 0.15
+"""m/s: people who want to walk slower, or stand, are no one to queue behind, but in the way."""
+
+ROUNDS = 3
+"""Of knowing how fast those in front will be: so many people set out at once, one behind the other."""
+
+STILL, NEXT_TO = 0.1, 1.0
+"""m/s below which people stand, and metres: the first of those who stand so near waits for none of them."""
+
+PRESSES, PRESSED = 2, 0.6
+"""Decisions after which people who cannot get on press, and metres within which others do so with them."""
+
+
+def held_back(wish: Tensor, now: Situation, others: Neighbours) -> Tensor:
+    """Return velocities (B, A, 2), m/s: those that people wish for, slowed down behind others.
+
+    No arch of people holds itself: of all who stand before a door, one has the shortest way left and waits
+    for none of those who stand. If this one cannot get on, those around press, too, and a safety layer
+    leads them past each other.
+
+    Args:
+        wish: The velocities that people wish for (B, A, 2), m/s.
+        now: The situation.
+        others: The nearest others of each person.
+    """
+    moves = now.moves.unsqueeze(-1)
+    last = (now.history[:, :, -1] - now.history[:, :, -2]) / STEP_SECONDS
+    pairs = _Pairs(now, others, torch.where(moves, wish, last), last)
+    # others start at the speed that they have, and are known better in every round
+    slowest = torch.minimum(smooth_norm(last), smooth_norm(wish)) / smooth_norm(wish).clamp_min(1e-3)
+    going = torch.where(moves, wish * slowest.unsqueeze(-1), last)
+    for _ in range(ROUNDS):
+        going = torch.where(moves, pairs.slowed(wish, going), last)
+    presses = pairs.near(now.pressing >= PRESSES, PRESSED) | (now.pressing >= PRESSES)
+    return torch.where(moves & ~presses.unsqueeze(-1), going, wish)
+
+
+class _Pairs:
+    """Each person and the k nearest others.
+
+    Attributes:
+        place: From the person to the other (B, A, k, 2), metres.
+        width: Distance from which on a gap is none (B, A, k), metres.
+        behind: How far a person keeps behind the other (B, A, k), 0 to 1.
+    """
+
+    def __init__(self, now: Situation, others: Neighbours, wants: Tensor, last: Tensor) -> None:
+        here, ahead = now.history[:, :, -1], now.ahead
+        self._absent, self._other = others.absent, others.other
+        self._scene = torch.arange(len(here), device=here.device).view(-1, 1, 1)
+        self.place = self._of_other(here) - here.unsqueeze(2)
+        narrow = narrowness(now.walls) if now.walls.dim() == 3 else torch.zeros_like(now.late)
+        narrow = torch.maximum(narrow.unsqueeze(2), self._of_other(narrow))
+        bodies = now.radius.unsqueeze(2) + self._of_other(now.radius) - 2 * BODY_RADIUS
+        self.width = WIDTH + (WIDTH_AT_WALLS - WIDTH) * narrow + bodies
+        with torch.no_grad():
+            way = self._of_other(ahead)
+            front = 0.5 * (self.place * (ahead.unsqueeze(2) + way)).sum(-1) / IN_FRONT
+            alike = (ahead.unsqueeze(2) * way).sum(-1) > 0
+            walks = smooth_norm(wants) > WALKS
+            behind = torch.where(alike & self._of_other(walks) & ~self._absent, front.clamp(0, 1), 0.0)
+            stands = (smooth_norm(last) < STILL) & now.mask
+            close = self._of_other(stands) & (self.place.square().sum(-1) < NEXT_TO**2) & ~self._absent
+            shorter = close & (self._of_other(now.remaining) <= now.remaining.unsqueeze(2))
+            first = stands & (now.hindered > 0) & ~shorter.any(2)
+            self.behind = behind.masked_fill(first.unsqueeze(2) & close, 0.0)
+
+    def _of_other(self, values: Tensor) -> Tensor:
+        """Return values (B, A, ...) of the others (B, A, k, ...)."""
+        return values[self._scene, self._other]
+
+    def near(self, people: Tensor, distance: float) -> Tensor:
+        """Return who has one of these people (B, A) bool at less than a distance, metres."""
+        close = self.place.square().sum(-1) < distance**2
+        return (self._of_other(people) & close & ~self._absent).any(2)
+
+    def slowed(self, wish: Tensor, going: Tensor) -> Tensor:
+        """Return velocities (B, A, 2) behind others who go at velocities ``going`` (B, A, 2), m/s."""
+        speed = smooth_norm(wish)
+        way = (wish / speed.clamp_min(1e-3).unsqueeze(-1)).unsqueeze(2)
+        along = (self.place * way).sum(-1)
+        aside = self.place[..., 0] * way[..., 1] - self.place[..., 1] * way[..., 0]
+        in_way = (along > 0) & (aside.abs() < self.width)
+        until = torch.where(in_way, self.width.square() - aside.square(), 1.0).sqrt()
+        gap = (along - until).clamp_min(0)
+        allowed = (gap / GAP_SECONDS + (self._of_other(going) * way).sum(-1)).clamp_min(0)
+        lack = self.behind * (speed.unsqueeze(2) - allowed).clamp_min(0)
+        lack = torch.where(in_way, lack, 0.0).amax(2)
+        return wish * (1 - lack / speed.clamp_min(1e-3)).clamp(0, 1).unsqueeze(-1)
