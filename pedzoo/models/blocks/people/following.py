@@ -34,13 +34,16 @@ STILL, NEXT_TO = 0.1, 1.0
 PRESSES, PRESSED = 2, 0.6
 """Decisions after which people who cannot get on press, and metres within which others do so with them."""
 
+BACKS_OFF, BACK = 5, 0.6
+"""Decisions after which one of two who press against each other backs off, and how fast, m/s."""
+
 
 def held_back(wish: Tensor, now: Situation, others: Neighbours) -> Tensor:
     """Return velocities (B, A, 2), m/s: those that people wish for, slowed down behind others.
 
     No arch of people holds itself: of all who stand before a door, one has the shortest way left and waits
     for none of those who stand. If this one cannot get on, those around press, too, and a safety layer
-    leads them past each other.
+    leads them past each other. Of two who press against each other the one with the longer way backs off.
 
     Args:
         wish: The velocities that people wish for (B, A, 2), m/s.
@@ -56,7 +59,8 @@ def held_back(wish: Tensor, now: Situation, others: Neighbours) -> Tensor:
     for _ in range(ROUNDS):
         going = torch.where(moves, pairs.slowed(wish, going), last)
     presses = pairs.near(now.pressing >= PRESSES, PRESSED) | (now.pressing >= PRESSES)
-    return torch.where(moves & ~presses.unsqueeze(-1), going, wish)
+    result = torch.where(moves & ~presses.unsqueeze(-1), going, wish)
+    return torch.where(pairs.backs_off(now).unsqueeze(-1), -BACK * now.ahead, result)
 
 
 class _Pairs:
@@ -97,6 +101,14 @@ class _Pairs:
         """Return who has one of these people (B, A) bool at less than a distance, metres."""
         close = self.place.square().sum(-1) < distance**2
         return (self._of_other(people) & close & ~self._absent).any(2)
+
+    def backs_off(self, now: Situation) -> Tensor:
+        """Return who backs off for another who presses the other way, and has less of it left (B, A) bool."""
+        presses = (now.pressing >= BACKS_OFF) & now.moves
+        against = (now.ahead.unsqueeze(2) * self._of_other(now.ahead)).sum(-1) < -0.5
+        goes_first = self._of_other(now.remaining) < now.remaining.unsqueeze(2)
+        close = (self.place.square().sum(-1) < PRESSED**2) & ~self._absent
+        return presses & (self._of_other(presses) & against & goes_first & close).any(2)
 
     def slowed(self, wish: Tensor, going: Tensor) -> Tensor:
         """Return velocities (B, A, 2) behind others who go at velocities ``going`` (B, A, 2), m/s."""
