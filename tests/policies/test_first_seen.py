@@ -124,6 +124,24 @@ def test_people_are_hindered_who_stand_though_they_were_asked_to_walk() -> None:
     assert hindered == [[False, False]] * 3 + [[True, False]] * 2
 
 
+def test_people_whom_the_policy_holds_back_are_hindered_and_those_whom_it_asks_in_vain_press() -> None:
+    """Both wish to walk, and stand; the first one is asked to, the second one held back."""
+    memory, left = FirstSeenMemory(), torch.tensor([9.0, 6.0])
+    wish = torch.full((2, 2, 2), 0.3)
+    asked = wish * torch.tensor([1.0, 0.0]).view(1, 2, 1)
+    hindered, pressing = [], []
+    for step in range(4):
+        batch = scenes(0, left)
+        batch["time"] = torch.full((2, 1), 0.4 * step)
+        agents_of(batch)["history"][:] = 2.0
+        seen = agents_of(memory.added(batch))
+        memory.asked(wish, asked if step < 2 else torch.zeros_like(wish))
+        hindered.append(seen["hindered"][0, :, 0].tolist())
+        pressing.append(seen["pressing"][0, :, 0].tolist())
+    assert hindered == [[False, False]] + [[True, True]] * 3
+    assert pressing == [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [0.0, 0.0]]
+
+
 def test_a_clock_that_went_back_and_a_long_absence_begin_anew() -> None:
     memory, left = FirstSeenMemory(), torch.tensor([9.0, 6.0])
     for step in range(3):

@@ -163,12 +163,12 @@ class SocialWalker(Forecaster):
         base = (recent.unsqueeze(-1) * past.flip(2)[:, :, :4]).sum(2)
         rate = (out[..., 7:8] - 1).sigmoid()
         rate = rate + (1 - rate) * 0.8 * close
+        narrow = narrowness(now.walls) if self.sees_walls else torch.zeros_like(stands)
         off = (smooth_norm(past[:, :, -1] - want) / now.pref_speed - ASTRAY).clamp_min(0)
         if a.follows:
             rate = rate + (1 - rate) * 0.8 * off.clamp_max(1).unsqueeze(-1)
         if a.avoids:
             rate = rate + (1 - rate) * out[..., 18:19].sigmoid() * urgent
-            narrow = narrowness(now.walls) if a.walls else torch.zeros_like(stands)
             rate = rate + (1 - rate) * 0.8 * narrow.unsqueeze(-1)
         push = 0.8 * (out[..., 8:10] / 2).tanh() * (1 - 0.7 * close)
         closer = 0.3 * out[..., 10:11].tanh() * with_me[0]
@@ -207,7 +207,7 @@ class SocialWalker(Forecaster):
             else:
                 result = goes * result
         wish = rotate(result, now.ahead)
-        return held_back(wish, now, others) if a.follows else wish, wish
+        return held_back(wish, now, others, narrow) if a.follows else wish, wish
 
     def velocity(self, now: Situation, noise: Tensor) -> Tensor:
         """Return velocities until the next decision (B, A, 2), m/s, for noise (B, A, Z)."""

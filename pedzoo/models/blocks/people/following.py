@@ -9,7 +9,6 @@ from torch import Tensor
 
 from pedzoo.core.geometry import smooth_norm
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
-from pedzoo.models.blocks.people.narrow import narrowness
 from pedzoo.models.blocks.people.nearest import Neighbours
 from pedzoo.models.blocks.people.step_features import Situation
 
@@ -38,7 +37,7 @@ BACKS_OFF, BACK = 5, 0.6
 """Decisions after which one of two who press against each other backs off, and how fast, m/s."""
 
 
-def held_back(wish: Tensor, now: Situation, others: Neighbours) -> Tensor:
+def held_back(wish: Tensor, now: Situation, others: Neighbours, narrow: Tensor) -> Tensor:
     """Return velocities (B, A, 2), m/s: those that people wish for, slowed down behind others.
 
     No arch of people holds itself: of all who stand before a door, one has the shortest way left and waits
@@ -49,10 +48,11 @@ def held_back(wish: Tensor, now: Situation, others: Neighbours) -> Tensor:
         wish: The velocities that people wish for (B, A, 2), m/s.
         now: The situation.
         others: The nearest others of each person.
+        narrow: How narrow it is around people (B, A), 0 to 1.
     """
     moves = now.moves.unsqueeze(-1)
     last = (now.history[:, :, -1] - now.history[:, :, -2]) / STEP_SECONDS
-    pairs = _Pairs(now, others, torch.where(moves, wish, last), last)
+    pairs = _Pairs(now, others, narrow, torch.where(moves, wish, last), last)
     # others start at the speed that they have, and are known better in every round
     slowest = torch.minimum(smooth_norm(last), smooth_norm(wish)) / smooth_norm(wish).clamp_min(1e-3)
     going = torch.where(moves, wish * slowest.unsqueeze(-1), last)
@@ -72,12 +72,13 @@ class _Pairs:
         behind: How far a person keeps behind the other (B, A, k), 0 to 1.
     """
 
-    def __init__(self, now: Situation, others: Neighbours, wants: Tensor, last: Tensor) -> None:
+    def __init__(
+        self, now: Situation, others: Neighbours, narrow: Tensor, wants: Tensor, last: Tensor
+    ) -> None:
         here, ahead = now.history[:, :, -1], now.ahead
         self._absent, self._other = others.absent, others.other
         self._scene = torch.arange(len(here), device=here.device).view(-1, 1, 1)
         self.place = self._of_other(here) - here.unsqueeze(2)
-        narrow = narrowness(now.walls) if now.walls.dim() == 3 else torch.zeros_like(now.late)
         narrow = torch.maximum(narrow.unsqueeze(2), self._of_other(narrow))
         bodies = now.radius.unsqueeze(2) + self._of_other(now.radius) - 2 * BODY_RADIUS
         self.width = WIDTH + (WIDTH_AT_WALLS - WIDTH) * narrow + bodies

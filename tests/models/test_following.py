@@ -1,0 +1,195 @@
+"""People keep behind others: who slows down, and why no arch of people holds itself."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+
+from pedzoo.core.batch import agents_of
+from pedzoo.core.geometry import identity_pose, rotate
+from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
+from pedzoo.maps.bank import MapBank
+from pedzoo.models.architectures.social_walker import SocialWalker
+from pedzoo.models.blocks.people.following import (
+    BACK,
+    BACKS_OFF,
+    GAP_SECONDS,
+    PRESSES,
+    WIDTH,
+    WIDTH_AT_WALLS,
+    held_back,
+)
+from pedzoo.models.blocks.people.nearest import nearest
+from pedzoo.models.blocks.people.step_features import Situation
+from pedzoo.policies.learned.walker import Walker
+from pedzoo.policies.safety_layer.layer import kept_clear, kept_clear_in_torch
+from tests.helpers.batches import changed, make_batch
+from tests.helpers.crowds import ROOM
+from tests.helpers.crowds import crowd as about_a_door
+
+
+def situation(place: Tensor, velocity: Tensor, ahead: Tensor, **more: Tensor) -> Situation:
+    """Return people (A, 2) who have walked at velocities (A, 2), m/s, and want to go ``ahead`` (A, 2)."""
+    back = torch.arange(-7.0, 1.0).view(8, 1) * STEP_SECONDS
+    history = (place.unsqueeze(1) + back * velocity.unsqueeze(1)).unsqueeze(0)
+    batch = make_batch((len(place),), padding=0.0)
+    wanted = {"goal": (place + 20 * ahead).unsqueeze(0), "desired_velocity": 1.25 * ahead.unsqueeze(0)}
+    liked, radius = (torch.full((1, len(place), 1), value) for value in (1.25, BODY_RADIUS))
+    now = Situation.of(
+        changed(batch, history=history, pref_speed=liked, radius=radius, **wanted), walls=False
+    )
+    return now._replace(**{key: value.unsqueeze(0) for key, value in more.items()})
+
+
+def held(wish: Tensor, now: Situation, narrow: float = 0.0) -> Tensor:
+    """Return the velocities (A, 2) of people who wish for velocities (A, 2)."""
+    others = nearest(now.history, now.mask, now.radius, now.ahead)
+    return held_back(wish.unsqueeze(0), now, others, torch.full_like(now.late, narrow))[0]
+
+
+EAST = torch.tensor([[1.0, 0.0], [1.0, 0.0]])
+
+
+def one_behind(
+    gap: float, aside: float = 0.0, speed: float = 0.5, **more: Tensor
+) -> tuple[Tensor, Situation]:
+    """Return wishes of two who go east: the second one walks at 1.2 m/s, this far behind the first."""
+    along = math.sqrt(WIDTH**2 - aside**2) + gap
+    place = torch.tensor([[along, aside], [0.0, 0.0]])
+    wish = torch.tensor([[speed, 0.0], [1.2, 0.0]])
+    return wish, situation(place, wish, EAST, **more)
+
+
+@pytest.mark.parametrize(("gap", "aside"), [(0.1, 0.0), (0.05, 0.3), (0.0, 0.0)])
+def test_people_close_a_gap_no_faster_than_in_its_time(gap: float, aside: float) -> None:
+    wish, now = one_behind(gap, aside)
+    result = held(wish, now)
+    assert torch.equal(result[0], wish[0])
+    assert result[1].tolist() == pytest.approx([0.5 + gap / GAP_SECONDS, 0.0], abs=1e-3)
+
+
+def test_people_walk_on_who_are_far_behind_or_beside_or_behind_somebody_who_stands() -> None:
+    for wish, now in (one_behind(0.4), one_behind(0.1, 0.54, 1.2), one_behind(0.1, speed=0.0)):
+        assert torch.equal(held(wish, now), wish)
+    far_aside = torch.tensor([[0.3, 0.56], [0.0, 0.0]])
+    wish = torch.tensor([[0.5, 0.0], [1.2, 0.0]])
+    assert torch.equal(held(wish, situation(far_aside, wish, EAST)), wish)
+
+
+def test_those_who_come_the_other_way_are_no_ones_to_follow() -> None:
+    ahead = torch.tensor([[-1.0, 0.0], [1.0, 0.0]])
+    wish = 1.2 * ahead
+    assert torch.equal(held(wish, situation(torch.tensor([[0.7, 0.0], [0.0, 0.0]]), wish, ahead)), wish)
+
+
+def test_near_walls_people_keep_more_room() -> None:
+    wish, now = one_behind(WIDTH_AT_WALLS - WIDTH + 0.02)
+    open_space, narrow = (held(wish, now, how) for how in (0.0, 1.0))
+    assert float(open_space[1, 0]) == pytest.approx(1.15, abs=1e-3)
+    assert float(narrow[1, 0]) == pytest.approx(0.5 + 0.02 / GAP_SECONDS, abs=1e-3)
+
+
+def test_a_row_of_people_sets_out_at_once() -> None:
+    """They stand; each knows that the one in front goes: three rounds for as many followers."""
+    place = torch.tensor([[-0.62 * number, 0.0] for number in range(5)])
+    ahead, wish = torch.tensor([[1.0, 0.0]]).expand(5, 2), torch.tensor([[1.2, 0.0]]).expand(5, 2)
+    speed = held(wish, situation(place, torch.zeros(5, 2), ahead))[:, 0]
+    assert speed.tolist() == pytest.approx([1.2, 1.2, 1.2, 1.05, 1.05], abs=1e-3)
+    moves = torch.tensor([False, True, True, True, True])  # the first one is not ours, and stands
+    assert torch.equal(
+        held(wish[:2], situation(place[:2], torch.zeros(2, 2), EAST, moves=moves[:2])), wish[:2]
+    )
+
+
+def arch(pressing: float = 0.0) -> tuple[Tensor, Situation]:
+    """Return three who stand in a ring, each behind the next: a taut way round a corner can lead so."""
+    angle = torch.arange(3) * (2 * math.pi / 3)
+    place = 0.3 * torch.stack((angle.cos(), angle.sin()), -1)
+    ahead = torch.nn.functional.normalize(place.roll(-1, 0) - place, dim=-1)
+    ahead = torch.nn.functional.normalize(ahead + torch.tensor([1.2, 0.0]), dim=-1)
+    more = {"hindered": torch.ones(3), "remaining": torch.tensor([4.0, 4.2, 4.4])}
+    now = situation(place, torch.zeros(3, 2), ahead, **more, pressing=torch.tensor([pressing, 0.0, 0.0]))
+    return 1.2 * (place.roll(-1, 0) - place) / 0.52, now
+
+
+def test_of_those_who_stand_the_one_with_the_shortest_way_waits_for_none() -> None:
+    wish, now = arch()
+    result = held(wish, now)
+    assert torch.equal(result[0], wish[0])
+    walked = held(wish, now._replace(hindered=torch.zeros(1, 3)))
+    assert float(walked.norm(dim=-1).max()) <= float(result.norm(dim=-1).max())
+
+
+def test_those_around_a_person_who_cannot_get_on_press_too() -> None:
+    wish, now = arch(pressing=float(PRESSES))
+    assert torch.equal(held(wish, now), wish)
+    assert not torch.equal(held(wish, arch(pressing=PRESSES - 1.0)[1]), wish)
+
+
+@pytest.mark.parametrize("longer", [0, 1])
+def test_of_two_who_press_against_each_other_the_one_with_the_longer_way_backs_off(longer: int) -> None:
+    ahead = torch.tensor([[-1.0, 0.0], [1.0, 0.0]])
+    left = torch.tensor([4.0, 4.0])
+    left[longer] = 6.0
+    more = {"hindered": torch.ones(2), "remaining": left, "pressing": torch.full((2,), float(BACKS_OFF))}
+    now = situation(torch.tensor([[0.32, 0.0], [0.0, 0.0]]), torch.zeros(2, 2), ahead, **more)
+    result = held(ahead.clone(), now)
+    assert torch.equal(result[1 - longer], ahead[1 - longer])
+    assert torch.equal(result[longer], -BACK * ahead[longer])
+
+
+def follower(follows: bool = True) -> SocialWalker:
+    torch.manual_seed(0)
+    parts = {"hidden_dim": 0, "style_prior": True, "avoids": True, "walls": False, "follows": follows}
+    return SocialWalker.of(**parts).eval()
+
+
+def crowd() -> TensorDict:
+    """Return five people close behind each other."""
+    batch = make_batch((5,), padding=0.0, seed=3)
+    agents = agents_of(batch)
+    agents["history"] *= 0.12
+    agents["desired_velocity"] = 1.25 * torch.nn.functional.normalize(agents["desired_velocity"], dim=-1)
+    agents["pref_speed"] = torch.full_like(agents["pref_speed"], 1.25)
+    return batch
+
+
+@torch.no_grad()
+def test_turning_and_renumbering_a_crowd_turns_and_renumbers_its_steps() -> None:
+    model, batch, order = follower(), crowd(), torch.tensor([3, 0, 4, 1, 2])
+    noise = torch.randn(1, 5, model.noise_dim, generator=torch.Generator().manual_seed(1))
+    step, wish = model.step_and_wish(batch, noise)
+    assert not torch.allclose(step, wish, atol=1e-3)
+    agents, turn = agents_of(batch), torch.tensor([math.cos(1.1), math.sin(1.1)])
+    turned = {key: rotate(agents[key], turn) for key in ("history", "goal", "desired_velocity")}
+    there, _ = model.step_and_wish(changed(batch, **turned), noise)
+    torch.testing.assert_close(there, rotate(step, turn), atol=1e-4, rtol=1e-3)
+    swapped = changed(batch, **{key: agents[key][:, order] for key in map(str, agents.keys())})
+    again, _ = model.step_and_wish(swapped, noise[:, order])
+    torch.testing.assert_close(again, step[:, order], atol=1e-5, rtol=1e-4)
+
+
+@torch.no_grad()
+def test_a_walker_remembers_what_people_wish_for_and_what_they_are_asked() -> None:
+    batch = crowd()
+    agents_of(batch)["remaining_path"] = torch.full((1, 5, 1), 9.0)
+    batch["scene_key"], batch["time"] = torch.tensor([[5]]), torch.zeros(1, 1)
+    for follows in (True, False):
+        seen = agents_of(Walker(follower(follows), safety=False)(batch.clone()))
+        assert ("wished" in seen.keys()) == follows
+        if follows:
+            assert (seen["wished"].norm(dim=-1) >= seen["action"].norm(dim=-1) - 1e-5).all()
+
+
+@pytest.mark.parametrize("shoulders", [0.0, 0.71])
+def test_the_layer_keeps_as_much_room_in_narrow_places_as_it_is_asked_to(shoulders: float) -> None:
+    steps = about_a_door(6)
+    walls = MapBank([ROOM]).walls_around(torch.full((64,), ROOM.map_id), identity_pose(64))
+    one, other = (keep(steps, walls, shoulders) for keep in (kept_clear, kept_clear_in_torch))
+    torch.testing.assert_close(one, other, atol=2e-3, rtol=0)
+    usual = kept_clear(steps, walls)
+    assert torch.equal(one, usual) == (shoulders > 0)
