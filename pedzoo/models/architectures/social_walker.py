@@ -16,7 +16,6 @@ from torch.nn import functional
 
 from pedzoo.core.geometry import rotate, smooth_norm, unrotate
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS, GoalProtocol
-from pedzoo.models.architectures.walker_architecture import WalkerArchitecture
 from pedzoo.models.base import Forecaster, Walking, known_displacements, true_displacements
 from pedzoo.models.blocks.people.evasion import evasion
 from pedzoo.models.blocks.people.following import held_back
@@ -25,6 +24,7 @@ from pedzoo.models.blocks.people.nearest import FEATURES, nearest
 from pedzoo.models.blocks.people.setting_out import setting_out
 from pedzoo.models.blocks.people.step_features import RAYS, WALLS, Situation
 from pedzoo.models.blocks.people.style import STYLE_DIM, held_of, jitter_of, kink_of_change, kinks_of
+from pedzoo.models.blocks.people.walker_architecture import WalkerArchitecture
 from pedzoo.models.blocks.timed_noise import timed_noise
 
 LASTING, SMOOTH, EVERY_STEP, JITTER = 3, (24.0, 8.0, 4.0, 2.0), 4, 2
