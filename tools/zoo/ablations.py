@@ -39,6 +39,7 @@ PARTS: dict[str, dict[str, str]] = {
         f"{MODEL}.architecture.groups": "false",
     },
     "without evasion": {f"{MODEL}.architecture.avoids": "false"},
+    "without following": {f"{MODEL}.architecture.follows": "false"},
     "with two layers of 64": {f"{MODEL}.architecture.hidden_dim": "64"},
     "without weight decay": {"model.weight_decay": "0.0"},
     "without the layer in training": {f"{MODEL}.walking.safety": "false"},

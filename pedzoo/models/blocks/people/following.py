@@ -22,13 +22,13 @@ IN_FRONT = 0.02
 """Metres by which another is ahead of a person from which on that person keeps behind."""
 
 WALKS = 0.15
-"""m/s: people who want to walk slower, or stand, are no one to queue behind, but in the way."""
+"""m/s: people who wish to stand, or to walk slower, are passed and not followed."""
 
 ROUNDS = 3
-"""Of knowing how fast those in front will be: so many people set out at once, one behind the other."""
+"""How often people look at how fast those in front will be: so many set out at once, one behind the other."""
 
 STILL, NEXT_TO = 0.1, 1.0
-"""m/s below which people stand, and metres: the first of those who stand so near waits for none of them."""
+"""m/s below which people stand, and metres within which the first of those who stand waits for none of them."""
 
 PRESSES, PRESSED = 2, 0.6
 """Decisions after which people who cannot get on press, and metres within which others do so with them."""
@@ -99,12 +99,12 @@ class _Pairs:
         return values[self._scene, self._other]
 
     def near(self, people: Tensor, distance: float) -> Tensor:
-        """Return who has one of these people (B, A) bool at less than a distance, metres."""
+        """Return which people (B, A) bool have one of ``people`` (B, A) bool nearer than a distance, metres."""
         close = self.place.square().sum(-1) < distance**2
         return (self._of_other(people) & close & ~self._absent).any(2)
 
     def backs_off(self, now: Situation) -> Tensor:
-        """Return who backs off for another who presses the other way, and has less of it left (B, A) bool."""
+        """Return which people back off (B, A) bool: another presses the other way, and has less of it left."""
         presses = (now.pressing >= BACKS_OFF) & now.moves
         against = (now.ahead.unsqueeze(2) * self._of_other(now.ahead)).sum(-1) < -0.5
         goes_first = self._of_other(now.remaining) < now.remaining.unsqueeze(2)
