@@ -28,7 +28,7 @@ ROUNDS = 3
 """How often people look at how fast those in front will be: so many set out at once, one behind the other."""
 
 STILL, NEXT_TO = 0.1, 1.0
-"""m/s below which people stand, and metres within which the first of those who stand waits for none of them."""
+"""m/s below which people stand, and metres: of those who stand so near, the first waits for none."""
 
 PRESSES, PRESSED = 2, 0.6
 """Decisions after which people who cannot get on press, and metres within which others do so with them."""
@@ -90,7 +90,7 @@ class _Pairs:
             behind = torch.where(alike & self._of_other(walks) & ~self._absent, front.clamp(0, 1), 0.0)
             stands = (smooth_norm(last) < STILL) & now.mask
             close = self._of_other(stands) & (self.place.square().sum(-1) < NEXT_TO**2) & ~self._absent
-            shorter = close & (self._of_other(now.remaining) <= now.remaining.unsqueeze(2))
+            shorter = close & (self._of_other(now.remaining) < now.remaining.unsqueeze(2))
             first = stands & (now.hindered > 0) & ~shorter.any(2)
             self.behind = behind.masked_fill(first.unsqueeze(2) & close, 0.0)
 
@@ -99,12 +99,12 @@ class _Pairs:
         return values[self._scene, self._other]
 
     def near(self, people: Tensor, distance: float) -> Tensor:
-        """Return which people (B, A) bool have one of ``people`` (B, A) bool nearer than a distance, metres."""
+        """Return whether one of ``people`` (B, A) bool is nearer to each than a distance, metres (B, A) bool."""
         close = self.place.square().sum(-1) < distance**2
         return (self._of_other(people) & close & ~self._absent).any(2)
 
     def backs_off(self, now: Situation) -> Tensor:
-        """Return which people back off (B, A) bool: another presses the other way, and has less of it left."""
+        """Return which people back off (B, A) bool: another presses against them, and has less way left."""
         presses = (now.pressing >= BACKS_OFF) & now.moves
         against = (now.ahead.unsqueeze(2) * self._of_other(now.ahead)).sum(-1) < -0.5
         goes_first = self._of_other(now.remaining) < now.remaining.unsqueeze(2)
