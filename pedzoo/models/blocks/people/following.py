@@ -99,7 +99,7 @@ class _Pairs:
         return values[self._scene, self._other]
 
     def near(self, people: Tensor, distance: float) -> Tensor:
-        """Return whether one of ``people`` (B, A) bool is nearer to each than a distance, metres (B, A) bool."""
+        """Return whether one of ``people`` (B, A) bool is nearer than a distance, metres, to each (B, A)."""
         close = self.place.square().sum(-1) < distance**2
         return (self._of_other(people) & close & ~self._absent).any(2)
 
