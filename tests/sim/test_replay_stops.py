@@ -103,7 +103,7 @@ def test_people_stand_at_their_stop_and_go_on(folder: Path, policy: str) -> None
     scenario = replay(folder)
     result, _ = rollout(policy, scenario, "compiled", scenario.scenes)  # type: ignore[arg-type]
     path, speed = way(result, person(scenario, WAITER))
-    stands = (speed < 0.1).nonzero()[:, 0]
+    stands = (speed < 0.25).nonzero()[:, 0]  # learned people come the last decimetres step by step
     place = path[stands]
     # 5.2 s, less the first and the last step, in which they come and go
     assert 0.1 * len(stands) == pytest.approx(5.2, abs=0.9)
