@@ -117,10 +117,10 @@ def _begin(payload: bytes) -> None:
 @cache
 def _worker() -> Any:
     """Return the worker; from now on the process ends in good order when it is terminated."""
-    # not in `_begin`: the executor prints what is raised there, and without a job there is nothing to end
-    signal.signal(signal.SIGTERM, _leave)
     from pedzoo.eval.workers.jobs import Worker  # imports torch, which reads the variables above
 
+    # not before: without a job there is nothing to end, and Python prints what is raised within an import
+    signal.signal(signal.SIGTERM, _leave)
     return Worker(_payload)
 
 
