@@ -213,18 +213,21 @@ class SocialWalker(Forecaster):
         """Return velocities until the next decision (B, A, 2), m/s, for noise (B, A, Z)."""
         return self.velocities(now, noise)[0]
 
+    def _begun(self, batch: TensorDict, noise: Tensor | None) -> tuple[Situation, Tensor]:
+        """Return the situation of a scene batch, and the noise (B, A, Z): zeros for none."""
+        now = Situation.of(batch, self.sees_walls)
+        return now, now.history.new_zeros(*now.mask.shape, self.noise_dim) if noise is None else noise
+
     def step_and_wish(self, batch: TensorDict, noise: Tensor | None) -> tuple[Tensor, Tensor]:
         """Return the next steps (B, A, 2), metres, and those that people wish for."""
-        now = Situation.of(batch, self.sees_walls)
-        noise = now.history.new_zeros(*now.mask.shape, self.noise_dim) if noise is None else noise
+        now, noise = self._begun(batch, noise)
         there = now.mask.unsqueeze(-1)
         step, wish = (torch.where(there, v * STEP_SECONDS, 0.0) for v in self.velocities(now, noise))
         return step, wish
 
     def next_steps(self, batch: TensorDict, noise: Tensor | None, steps: int, horizon: int) -> Tensor:
         """Return the first steps of one future (B, A, steps, 2); others go on as they do."""
-        now = Situation.of(batch, self.sees_walls)
-        noise = now.history.new_zeros(*now.mask.shape, self.noise_dim) if noise is None else noise
+        now, noise = self._begun(batch, noise)
         there = now.mask.unsqueeze(-1)
         path = []
         for _ in range(steps):

@@ -88,10 +88,8 @@ def walked_on(policy: Policy, real: Excerpts, planner: Planner, key: Tensor, bef
             batch = _observed(real, planner.bank, guide, path, there, mine, mine | others, key, number)
             stands = ~walks((path[-1] - path[-2]).detach())
             tried, pressing = tried & stands, (pressing + 1).where(was_asked & stands, 0.0)
-            batch["agents", "hindered"], batch["agents", "pressing"] = (
-                tried.unsqueeze(2),
-                pressing.unsqueeze(2),
-            )
+            batch["agents", "hindered"] = tried.unsqueeze(2)
+            batch["agents", "pressing"] = pressing.unsqueeze(2)
             agents = cast("TensorDictBase", policy(batch)["agents"])
             here, command = path[-1], cast("Tensor", agents["action"])
             wanted = agents.get("asked", command)

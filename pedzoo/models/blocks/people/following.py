@@ -54,11 +54,13 @@ def held_back(wish: Tensor, now: Situation, others: Neighbours, narrow: Tensor) 
     last = (now.history[:, :, -1] - now.history[:, :, -2]) / STEP_SECONDS
     pairs = _Pairs(now, others, narrow, torch.where(moves, wish, last), last)
     # others start at the speed that they have, and are known better in every round
-    slowest = torch.minimum(smooth_norm(last), smooth_norm(wish)) / smooth_norm(wish).clamp_min(1e-3)
+    speed = smooth_norm(wish)
+    slowest = torch.minimum(smooth_norm(last), speed) / speed.clamp_min(1e-3)
     going = torch.where(moves, wish * slowest.unsqueeze(-1), last)
     for _ in range(ROUNDS):
         going = torch.where(moves, pairs.slowed(wish, going), last)
-    presses = pairs.near(now.pressing >= PRESSES, PRESSED) | (now.pressing >= PRESSES)
+    stuck = now.pressing >= PRESSES
+    presses = stuck | pairs.near(stuck, PRESSED)
     result = torch.where(moves & ~presses.unsqueeze(-1), going, wish)
     return torch.where(pairs.backs_off(now).unsqueeze(-1), -BACK * now.ahead, result)
 
