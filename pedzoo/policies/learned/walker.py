@@ -125,10 +125,13 @@ class Walker(NamedPolicy):
         else:
             step = wish = self._of_stored(tensordict)
         apart = led_apart(tensordict)
-        step, wish = (holding_places(tensordict, one) + apart for one in (step, wish))
-        self._first_seen.asked(wish, step)
+        step = holding_places(tensordict, step) + apart
         if self.model.keeps_distance:
+            wish = holding_places(tensordict, wish) + apart
             tensordict["agents", "wished"] = wish / STEP_SECONDS
+        else:
+            wish = step
+        self._first_seen.asked(wish, step)
         if self.safety:
             tensordict["agents", "asked"] = step / STEP_SECONDS
             step = safe(tensordict, step, 0.0 if self.model.keeps_distance else SHOULDERS)
