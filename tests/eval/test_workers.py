@@ -168,9 +168,12 @@ from multiprocessing.context import SpawnProcess
 from helpers.errands import process_of
 from pedzoo.eval.workers.pool import finished
 
+pressed = threading.Timer(0.3, os.killpg, (0, signal.SIGINT))
+
 def start(self, real=SpawnProcess.start):
     real(self)  # which then imports torch for seconds
-    threading.Timer(0.3, os.killpg, (0, signal.SIGINT)).start()
+    if not pressed.ident:
+        pressed.start()
 
 SpawnProcess.start = start
 try:
