@@ -46,10 +46,12 @@ def situation(place: Tensor, velocity: Tensor, ahead: Tensor, **more: Tensor) ->
     return now._replace(**{key: value.unsqueeze(0) for key, value in more.items()})
 
 
-def held(wish: Tensor, now: Situation, narrow: float = 0.0) -> Tensor:
+def held(wish: Tensor, now: Situation, narrow: float | Tensor = 0.0, chance: Tensor | None = None) -> Tensor:
     """Return the velocities (A, 2) of people who wish for velocities (A, 2)."""
     others = nearest(now.history, now.mask, now.radius, now.ahead)
-    return held_back(wish.unsqueeze(0), now, others, torch.full_like(now.late, narrow))[0]
+    around = torch.zeros_like(now.late) + narrow
+    chance = torch.zeros_like(now.late) if chance is None else chance.unsqueeze(0)
+    return held_back(wish.unsqueeze(0), now, others, around, chance)[0]
 
 
 EAST = torch.tensor([[1.0, 0.0], [1.0, 0.0]])

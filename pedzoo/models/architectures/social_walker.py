@@ -19,7 +19,7 @@ from pedzoo.core.types import OBS_LEN, STEP_SECONDS, GoalProtocol
 from pedzoo.models.base import Forecaster, Walking, known_displacements, true_displacements
 from pedzoo.models.blocks.people.evasion import evasion
 from pedzoo.models.blocks.people.following import held_back
-from pedzoo.models.blocks.people.narrow import narrowness
+from pedzoo.models.blocks.people.narrow import confinement, narrowness
 from pedzoo.models.blocks.people.nearest import FEATURES, nearest
 from pedzoo.models.blocks.people.setting_out import setting_out
 from pedzoo.models.blocks.people.step_features import RAYS, WALLS, Situation
@@ -54,6 +54,11 @@ RARE_HALT = 4.0
 
 HALT_PERIOD = LASTING + SMOOTH.index(8.0)
 """Number of the noise that begins and ends lasting halts: before training one lasts for some 5 s."""
+
+CARE, LOOKS_UP, WALKS_ON = 0.8, 4.0, 4.0
+"""Between walls: the share of drawn changes that people do without, and what opens the gates of changes and
+of going on. In a doorway people go where they want, and do not stop by themselves.
+"""
 
 CALM = 0.95
 """Of drawn changes: before training they are a third of those seen; ways and neighbours make the rest."""
@@ -163,13 +168,15 @@ class SocialWalker(Forecaster):
         base = (recent.unsqueeze(-1) * past.flip(2)[:, :, :4]).sum(2)
         rate = (out[..., 7:8] - 1).sigmoid()
         rate = rate + (1 - rate) * 0.8 * close
-        narrow = narrowness(now.walls) if self.sees_walls else torch.zeros_like(stands)
+        narrow, confined = torch.zeros_like(stands), torch.zeros_like(stands)
+        if self.sees_walls:
+            narrow, confined = narrowness(now.walls), confinement(now.walls) * float(a.avoids)
         off = (smooth_norm(past[:, :, -1] - want) / now.pref_speed - ASTRAY).clamp_min(0)
         if a.follows:
             rate = rate + (1 - rate) * 0.8 * off.clamp_max(1).unsqueeze(-1)
         if a.avoids:
             rate = rate + (1 - rate) * out[..., 18:19].sigmoid() * urgent
-            rate = rate + (1 - rate) * 0.8 * narrow.unsqueeze(-1)
+            rate = rate + (1 - rate) * torch.maximum(0.8 * narrow, confined).unsqueeze(-1)
         push = 0.8 * (out[..., 8:10] / 2).tanh() * (1 - 0.7 * close)
         closer = 0.3 * out[..., 10:11].tanh() * with_me[0]
         change = base - past[:, :, -1] + rate * (want - base) + push + closer
@@ -181,7 +188,8 @@ class SocialWalker(Forecaster):
         moves = change
         result = past[:, :, -1]
         if a.step_noise:
-            moves = change + (kinks + 0.03) * functional.softplus(out[..., 11:13] - calm) * step[..., 1:3]
+            kinks = (1 - CARE * confined.unsqueeze(-1)) * (kinks + 0.03)
+            moves = change + kinks * functional.softplus(out[..., 11:13] - calm) * step[..., 1:3]
             result = result + jitter * functional.softplus(out[..., 13:15] - 0.5) * z[..., -JITTER:]
         if a.held:
             log_patience = self.patience[0] + self.patience[1] * now.stood + self.patience[2] * z[..., 0]
@@ -194,20 +202,21 @@ class SocialWalker(Forecaster):
                 often = GATE_NOISE * torch.special.ndtri(changed) + LOOKING_UP * off * (1 - stands)
             if a.avoids:
                 stopped = narrow * stands * (1 - now.stood)
-                often = often + stopped * (USUAL_GATE - often)
+                often = often + stopped * (USUAL_GATE - often) + LOOKS_UP * confined * (1 - stands)
             gate = ((out[..., 15] + often + GATE_NOISE * step[..., 0] + late + again) / 0.2).sigmoid()
             # held velocities are exactly those of before; the gradient is that of the soft gate
             moves = _hard(gate).unsqueeze(-1) * moves
         result = result + moves
         if a.halts:
             drawn = z[..., HALT_PERIOD] if a.lasting_halts else step[..., 3]
-            goes = _hard(((RARE_HALT - out[..., 16] + 1.7 * drawn) / 0.4).sigmoid()).unsqueeze(-1)
+            going = RARE_HALT + WALKS_ON * confined - out[..., 16] + 1.7 * drawn
+            goes = _hard((going / 0.4).sigmoid()).unsqueeze(-1)
             if a.lasting_halts:
                 result = torch.lerp(_braked(past[:, :, -1]), result, goes)
             else:
                 result = goes * result
         wish = rotate(result, now.ahead)
-        return held_back(wish, now, others, narrow) if a.follows else wish, wish
+        return held_back(wish, now, others, narrow, z[..., 2]) if a.follows else wish, wish
 
     def velocity(self, now: Situation, noise: Tensor) -> Tensor:
         """Return velocities until the next decision (B, A, 2), m/s, for noise (B, A, Z)."""

@@ -24,6 +24,12 @@ IN_FRONT = 0.02
 WALKS = 0.15
 """m/s: people who wish to stand, or to walk slower, are passed and not followed."""
 
+MEETING, OPPOSED = 0.75, -0.7
+"""Metres kept between two who meet in a narrow place, and the cosine of the ways of two who meet at most."""
+
+COMES, LUCK = 0.4, 0.3
+"""m/s at which somebody comes for whom others wait, and how much chance says of who goes first."""
+
 ROUNDS = 3
 """How often people look at how fast those in front will be: so many set out at once, one behind the other."""
 
@@ -37,22 +43,25 @@ BACKS_OFF, BACK = 5, 0.6
 """Decisions after which one of two who press against each other backs off, and how fast, m/s."""
 
 
-def held_back(wish: Tensor, now: Situation, others: Neighbours, narrow: Tensor) -> Tensor:
+def held_back(wish: Tensor, now: Situation, others: Neighbours, narrow: Tensor, chance: Tensor) -> Tensor:
     """Return velocities (B, A, 2), m/s: those that people wish for, slowed down behind others.
 
     No arch of people holds itself: of all who stand before a door, one has the shortest way left and waits
     for none of those who stand. If this one cannot get on, those around press, too, and a safety layer
     leads them past each other. Of two who press against each other the one with the longer way backs off.
+    Of two who meet in a narrow place, the one who is farther from it waits as long as the other comes.
 
     Args:
         wish: The velocities that people wish for (B, A, 2), m/s.
         now: The situation.
         others: The nearest others of each person.
         narrow: How narrow it is around people (B, A), 0 to 1.
+        chance: Numbers that last (B, A): of two as near to a narrow place, the larger one's goes first.
     """
     moves = now.moves.unsqueeze(-1)
     last = (now.history[:, :, -1] - now.history[:, :, -2]) / STEP_SECONDS
     pairs = _Pairs(now, others, narrow, torch.where(moves, wish, last), last)
+    pairs.give_way(narrow + LUCK * chance, last)
     # others start at the speed that they have, and are known better in every round
     speed = smooth_norm(wish)
     slowest = torch.minimum(smooth_norm(last), speed) / speed.clamp_min(1e-3)
@@ -71,7 +80,7 @@ class _Pairs:
     Attributes:
         place: From the person to the other (B, A, k, 2), metres.
         width: Distance from which on a gap is none (B, A, k), metres.
-        behind: How far a person keeps behind the other (B, A, k), 0 to 1.
+        behind: How far a person keeps behind the other, or gives way to them (B, A, k), 0 to 1.
     """
 
     def __init__(
@@ -81,20 +90,33 @@ class _Pairs:
         self._absent, self._other = others.absent, others.other
         self._scene = torch.arange(len(here), device=here.device).view(-1, 1, 1)
         self.place = self._of_other(here) - here.unsqueeze(2)
-        narrow = torch.maximum(narrow.unsqueeze(2), self._of_other(narrow))
-        bodies = now.radius.unsqueeze(2) + self._of_other(now.radius) - 2 * BODY_RADIUS
-        self.width = WIDTH + (WIDTH_AT_WALLS - WIDTH) * narrow + bodies
+        self._narrow = torch.maximum(narrow.unsqueeze(2), self._of_other(narrow))
+        self._bodies = now.radius.unsqueeze(2) + self._of_other(now.radius) - 2 * BODY_RADIUS
+        self.width = WIDTH + (WIDTH_AT_WALLS - WIDTH) * self._narrow + self._bodies
         with torch.no_grad():
             way = self._of_other(ahead)
             front = 0.5 * (self.place * (ahead.unsqueeze(2) + way)).sum(-1) / IN_FRONT
-            alike = (ahead.unsqueeze(2) * way).sum(-1) > 0
-            walks = smooth_norm(wants) > WALKS
-            behind = torch.where(alike & self._of_other(walks) & ~self._absent, front.clamp(0, 1), 0.0)
+            self._alike = (ahead.unsqueeze(2) * way).sum(-1)
+            self._walks = self._of_other(smooth_norm(wants) > WALKS) & ~self._absent
+            behind = torch.where((self._alike > 0) & self._walks, front.clamp(0, 1), 0.0)
             stands = (smooth_norm(last) < STILL) & now.mask
             close = self._of_other(stands) & (self.place.square().sum(-1) < NEXT_TO**2) & ~self._absent
             shorter = close & (self._of_other(now.remaining) < now.remaining.unsqueeze(2))
             first = stands & (now.hindered > 0) & ~shorter.any(2)
             self.behind = behind.masked_fill(first.unsqueeze(2) & close, 0.0)
+
+    @torch.no_grad()
+    def give_way(self, rank: Tensor, last: Tensor) -> None:
+        """Have people wait near narrow places for others who come towards them and have a higher rank (B, A).
+
+        ``last`` (B, A, 2), m/s, are the velocities that all have: one who stands is not waited for.
+        """
+        apart = smooth_norm(self.place).clamp_min(0.1)
+        comes = -(self._of_other(last) * self.place).sum(-1) / apart > COMES
+        first = (self._of_other(rank) > rank.unsqueeze(2)) & (self._narrow > 0)
+        waits = (self._alike < OPPOSED) & self._walks & comes & first
+        self.behind = torch.where(waits, 1.0, self.behind)
+        self.width = torch.where(waits, MEETING + self._bodies, self.width)
 
     def _of_other(self, values: Tensor) -> Tensor:
         """Return values (B, A, ...) of the others (B, A, k, ...)."""
@@ -108,7 +130,7 @@ class _Pairs:
     def backs_off(self, now: Situation) -> Tensor:
         """Return which people back off (B, A) bool: another presses against them, and has less way left."""
         presses = (now.pressing >= BACKS_OFF) & now.moves
-        against = (now.ahead.unsqueeze(2) * self._of_other(now.ahead)).sum(-1) < -0.5
+        against = self._alike < -0.5
         goes_first = self._of_other(now.remaining) < now.remaining.unsqueeze(2)
         close = (self.place.square().sum(-1) < PRESSED**2) & ~self._absent
         return presses & (self._of_other(presses) & against & goes_first & close).any(2)
