@@ -18,7 +18,10 @@ from pedzoo.models.architectures.social_walker import SocialWalker
 from pedzoo.models.blocks.people.following import (
     BACK,
     BACKS_OFF,
+    COMES,
     GAP_SECONDS,
+    LUCK,
+    MEETING,
     PRESSES,
     WIDTH,
     WIDTH_AT_WALLS,
@@ -87,6 +90,56 @@ def test_those_who_come_the_other_way_are_no_ones_to_follow() -> None:
     ahead = torch.tensor([[-1.0, 0.0], [1.0, 0.0]])
     wish = 1.2 * ahead
     assert torch.equal(held(wish, situation(torch.tensor([[0.7, 0.0], [0.0, 0.0]]), wish, ahead)), wish)
+
+
+def two_who_meet(gap: float, turned: float = 0.0) -> tuple[Tensor, Situation]:
+    """Return wishes of two who come towards each other at 1 m/s, ``gap`` metres beyond `MEETING` apart.
+
+    The second one's way is turned, radians.
+    """
+    ahead = torch.tensor([[-1.0, 0.0], [math.cos(turned), math.sin(turned)]])
+    place = torch.tensor([[MEETING + gap, 0.0], [0.0, 0.0]])
+    return ahead.clone(), situation(place, ahead, ahead)
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_of_two_who_meet_the_one_nearer_to_the_narrow_place_goes_first(first: int) -> None:
+    wish, now = two_who_meet(1.5 * GAP_SECONDS)
+    around = torch.tensor([[0.2, 0.2]])
+    around[0, first] = 0.6
+    result = held(wish, now, around)
+    assert torch.equal(result[first], wish[first])
+    assert float(result[1 - first].norm()) == pytest.approx(0.5, abs=1e-3)  # 1.5 - the other's 1 m/s
+    luck = torch.zeros(2)
+    luck[1 - first] = 0.5 / LUCK  # chance tells the other one to go first, who is farther by 0.4 only
+    assert torch.equal(held(wish, now, around, luck)[1 - first], wish[1 - first])
+
+
+def test_mirror_images_go_one_after_the_other_by_chance() -> None:
+    wish, now = two_who_meet(0.1)
+    for first in (0, 1):
+        luck = torch.zeros(2)
+        luck[first] = 0.1
+        result = held(wish, now, 1.0, luck)
+        assert torch.equal(result[first], wish[first])
+        assert not result[1 - first].any()
+
+
+def test_people_do_not_wait_in_the_open_or_for_those_who_stand_or_cross_or_have_passed() -> None:
+    luck = torch.tensor([1.0, 0.0])
+    wish, now = two_who_meet(0.1)
+    assert torch.equal(held(wish, now, 0.0, luck), wish)  # in the open
+    assert not torch.equal(held(wish, now, 0.1, luck), wish)
+    crossing, across = two_who_meet(0.1, turned=1.2)
+    assert torch.equal(held(crossing, across, 1.0, luck), crossing)
+    slow = now.history.clone()
+    slow[0, 0, :-1] = slow[0, 0, -1:] + torch.tensor([0.9 * COMES * STEP_SECONDS, 0.0])
+    assert torch.equal(held(wish, now._replace(history=slow), 1.0, luck), wish)  # the first one stands
+    passed, behind = two_who_meet(-2 * MEETING)
+    assert torch.equal(held(passed, behind, 1.0, luck), passed)
+    aside = now.history.clone()
+    aside[0, 0, :, 1] += MEETING + 0.02
+    assert torch.equal(held(wish, now._replace(history=aside), 1.0, luck), wish)  # beside their way
 
 
 def test_near_walls_people_keep_more_room() -> None:

@@ -14,7 +14,7 @@ from pedzoo.core.geometry import rotate
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.models.architectures.social_walker import BRAKING, EVERY_STEP, HALT_PERIOD, JITTER, SocialWalker
 from pedzoo.models.blocks.people.evasion import evasion
-from pedzoo.models.blocks.people.narrow import narrowness
+from pedzoo.models.blocks.people.narrow import confinement, narrowness
 from pedzoo.models.blocks.people.nearest import Neighbours, nearest
 from pedzoo.models.blocks.people.step_features import Situation
 from pedzoo.models.blocks.people.style import USUAL, held_of, jitter_of, kinks_of, style_of, unless_even
@@ -355,6 +355,40 @@ def test_people_who_evade_pass_each_other() -> None:
 def test_places_are_narrow_by_the_nearest_wall() -> None:
     walls = torch.tensor([[[1.5, 0.3], [0.175, 1.0], [0.05, 0.4], [-0.2, 1.5]]])
     assert narrowness(walls)[0].tolist() == pytest.approx([0.0, 0.5, 1.0, 1.0], abs=1e-6)
+
+
+def test_places_are_confined_by_walls_on_both_sides() -> None:
+    """Rays are every 45 degrees from straight ahead to the left, on two rings, after the place itself."""
+    places = {"left": [3, 11], "right": [7], "both": [2, 14], "ahead": [1], "here": [0], "behind": [13]}
+    walls = torch.full((1, len(places), 17), 1.5)
+    for number, rays in enumerate(places.values()):
+        walls[0, number, rays] = 0.05
+    confined = dict(zip(places, confinement(walls)[0].tolist(), strict=True))
+    one_side = ("left", "right")
+    assert confined == {key: pytest.approx(float(key not in one_side)) for key in places}
+    assert (confinement(walls) <= narrowness(walls)).all()
+
+
+@torch.no_grad()
+def test_people_between_walls_neither_stop_by_themselves_nor_hold_a_wrong_velocity() -> None:
+    """They walk across their way, and a halt and a held velocity are drawn; in a doorway neither happens."""
+    model = SocialWalker.of(hidden_dim=0, style_prior=True, avoids=True).eval()
+    steps = torch.tensor([0.1, 0.4]).expand(1, 1, 7, 2)
+    history = torch.nn.functional.pad(steps.cumsum(2), (0, 0, 1, 0))
+    along, speed = torch.tensor([[[1.0, 0.0]]]), torch.full((1, 1, 1), 1.25)
+    places = {"history": history, "goal": history[:, :, -1] + 50 * along, "desired_velocity": along}
+    now = Situation.of(changed(make_batch((1,), padding=0.0), **places, pref_speed=speed), walls=False)
+    before = now.history[0, 0, -1] - now.history[0, 0, -2]
+    for number, value in ((-EVERY_STEP - JITTER, -3.0), (-JITTER - 1, -4.0)):
+        noise = torch.zeros(1, 1, model.noise_dim)
+        noise[..., number] = value
+        step = {}
+        for distance in (1.5, 0.05):
+            walls = torch.full((1, 1, 17), distance)
+            step[distance] = model.velocity(now._replace(walls=walls), noise)[0, 0] * STEP_SECONDS
+        same_way = torch.nn.functional.cosine_similarity(step[1.5], before, dim=0)
+        assert float(step[1.5].norm()) < 1e-3 or float(same_way) > 0.99
+        assert float(step[0.05][0]) > 0.25 > abs(float(step[0.05][1]))
 
 
 @torch.no_grad()
