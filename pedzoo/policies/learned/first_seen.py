@@ -10,13 +10,11 @@ from pedzoo.core import randomness
 from pedzoo.core.adapters import copied
 from pedzoo.core.batch import agents_of, goes_on, ids_of
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS
+from pedzoo.policies.learned.attempts import Attempts, walks
 from pedzoo.policies.scene_memory import SceneMemory
 
 _OTHER_GOAL = 1.0
 """Metres by which a path gets longer from one decision to the next if it leads to another goal."""
-
-_WALKS = 0.1
-"""m/s: slower people stand."""
 
 _ABSENT = OBS_LEN * STEP_SECONDS
 """Seconds: agents who were away for as long as a history lasts are seen for the first time."""
@@ -34,9 +32,9 @@ class FirstSeen(NamedTuple):
         left: Length of the rest at the last decision (S, A), metres.
         last: When that was (S, A), seconds.
         goes_on: Whether the policy moved it on then (S, A) bool; not where it held a place.
-        tried: Whether it has wished to walk since it walked last (S, A) bool.
-        asked: Whether the policy asked it to walk at the last decision (S, A) bool.
-        pressing: For how many decisions, one after the other, it was asked to walk and stood (S, A).
+        tried: See `pedzoo.policies.learned.attempts.Attempts`, (S, A) bool, ...
+        asked: ... (S, A) bool, ...
+        pressing: ... and (S, A).
     """
 
     key: Tensor
@@ -50,6 +48,11 @@ class FirstSeen(NamedTuple):
     tried: Tensor
     asked: Tensor
     pressing: Tensor
+
+    @property
+    def attempts(self) -> Attempts:
+        """What they tried."""
+        return Attempts(self.tried, self.asked, self.pressing)
 
 
 class FirstSeenMemory:
@@ -84,8 +87,7 @@ class FirstSeenMemory:
         time = cast("Tensor", scenes["time"]).expand(person.shape)
         history, path = cast("Tensor", agents["history"]).detach(), left.detach()
         moves = goes_on(scenes)
-        no, never = torch.zeros_like(moves), torch.zeros_like(path)
-        now = FirstSeen(key, person, history, time, path, path, time, moves, no, no, never)
+        now = FirstSeen(key, person, history, time, path, path, time, moves, *Attempts.none(path))
         before = self._memory.recall(now._replace(person=torch.full_like(person, -1)), person)
         # a scene that is walked a second time has the same key, and its clock went back
         since = time - before.last
@@ -93,8 +95,7 @@ class FirstSeenMemory:
         sets_out = moves & ~before.goes_on
         on_way = known & (path < before.left + _OTHER_GOAL) & ~sets_out
         stands = known & ~walks(history[:, :, -1] - history[:, :, -2])
-        hindered = stands & before.tried
-        pressing = (before.pressing + 1).where(stands & before.asked, 0.0)
+        attempts = before.attempts.seen(stands)
         first = FirstSeen(
             key,
             person,
@@ -104,9 +105,7 @@ class FirstSeenMemory:
             path,
             time,
             moves,
-            hindered,
-            no,
-            pressing,
+            *attempts,
         )
         self._memory.keep(first)
         self._last = first
@@ -116,18 +115,12 @@ class FirstSeenMemory:
         seen["elapsed"] = (time - first.time).unsqueeze(-1)
         seen["progress"] = (first.path - left).unsqueeze(-1)
         seen["called"] = (known & ~on_way).unsqueeze(-1)
-        seen["hindered"] = hindered.unsqueeze(-1)
-        seen["pressing"] = pressing.unsqueeze(-1)
+        seen["hindered"] = attempts.tried.unsqueeze(-1)
+        seen["pressing"] = attempts.pressing.unsqueeze(-1)
         return result
 
     def asked(self, wish: Tensor, step: Tensor) -> None:
         """Remember the steps (B, A, 2), metres, that people wish for, and those that they are asked for."""
         if self._last is not None:
-            tried, asked = self._last.tried | walks(wish.detach()), walks(step.detach())
-            self._memory.keep(self._last._replace(tried=tried, asked=asked))
+            self._memory.keep(self._last._replace(**self._last.attempts.of(wish, step)._asdict()))
             self._last = None
-
-
-def walks(step: Tensor) -> Tensor:
-    """Return whether people walk (...,) bool, by their steps (..., 2), metres."""
-    return step.square().sum(-1) >= (_WALKS * STEP_SECONDS) ** 2

@@ -13,7 +13,7 @@ from pedzoo.core.types import AHEAD_SECONDS, OBS_LEN, STEP_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.maps.planning.planner import Planner
-from pedzoo.policies.learned.first_seen import walks
+from pedzoo.policies.learned.attempts import Attempts, walks
 from pedzoo.sim.replay.people import top_speed_of
 from pedzoo.train.crowds.excerpts import Excerpts
 
@@ -76,8 +76,7 @@ def walked_on(policy: Policy, real: Excerpts, planner: Planner, key: Tensor, bef
         return planner.guidance(here, goal_id, row, real.pose, real.pref_speed, AHEAD_SECONDS, fastest)
 
     asked, walked = [], []
-    tried = was_asked = torch.zeros_like(real.walks)
-    pressing = torch.zeros_like(real.pref_speed)
+    attempts = Attempts.none(real.pref_speed)
     for number in range(steps):
         frame = OBS_LEN - 1 + number
         simulated = real.walks & (real.taken <= frame)
@@ -86,15 +85,16 @@ def walked_on(policy: Policy, real: Excerpts, planner: Planner, key: Tensor, bef
         others = real.there[:, :, frame] & ~simulated
         with torch.set_grad_enabled(number >= before and torch.is_grad_enabled()):
             batch = _observed(real, planner.bank, guide, path, there, mine, mine | others, key, number)
-            stands = ~walks((path[-1] - path[-2]).detach())
-            tried, pressing = tried & stands, (pressing + 1).where(was_asked & stands, 0.0)
-            batch["agents", "hindered"] = tried.unsqueeze(2)
-            batch["agents", "pressing"] = pressing.unsqueeze(2)
+            attempts = attempts.seen(~walks((path[-1] - path[-2]).detach()))
+            batch["agents", "hindered"] = attempts.tried.unsqueeze(2)
+            batch["agents", "pressing"] = attempts.pressing.unsqueeze(2)
             agents = cast("TensorDictBase", policy(batch)["agents"])
             here, command = path[-1], cast("Tensor", agents["action"])
             wanted = agents.get("asked", command)
-            was_asked = mine & walks(STEP_SECONDS * wanted.detach())
-            tried = tried | (mine & walks(STEP_SECONDS * agents.get("wished", wanted).detach()))
+            velocities = agents.get("wished", wanted), wanted
+            attempts = attempts.of(
+                *(STEP_SECONDS * torch.where(mine.unsqueeze(2), v, 0.0) for v in velocities)
+            )
             command = limit_speed(command, top_speed_of(real.pref_speed))
             plays = real.there[:, :, frame + 1] & ~simulated
             place = torch.where(

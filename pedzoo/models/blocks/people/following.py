@@ -9,7 +9,7 @@ from torch import Tensor
 
 from pedzoo.core.geometry import smooth_norm
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
-from pedzoo.models.blocks.people.nearest import Neighbours
+from pedzoo.models.blocks.people.nearest import Neighbours, of_slots
 from pedzoo.models.blocks.people.step_features import Situation
 
 GAP_SECONDS = 0.2
@@ -88,7 +88,6 @@ class _Pairs:
     ) -> None:
         here, ahead = now.history[:, :, -1], now.ahead
         self._absent, self._other = others.absent, others.other
-        self._scene = torch.arange(len(here), device=here.device).view(-1, 1, 1)
         self.place = self._of_other(here) - here.unsqueeze(2)
         self._narrow = torch.maximum(narrow.unsqueeze(2), self._of_other(narrow))
         self._bodies = now.radius.unsqueeze(2) + self._of_other(now.radius) - 2 * BODY_RADIUS
@@ -120,7 +119,7 @@ class _Pairs:
 
     def _of_other(self, values: Tensor) -> Tensor:
         """Return values (B, A, ...) of the others (B, A, k, ...)."""
-        return values[self._scene, self._other]
+        return of_slots(values, self._other)
 
     def near(self, people: Tensor, distance: float) -> Tensor:
         """Return whether one of ``people`` (B, A) bool is nearer than a distance, metres, to each (B, A)."""

@@ -72,14 +72,13 @@ def nearest(
         apart = away.square().sum(-1).masked_fill(absent, _FAR)
         squared, other = apart.topk(min(NEAREST, people), 2, largest=False)
         absent = squared >= _FAR
-    scene = torch.arange(len(mask), device=mask.device).view(-1, 1, 1)
 
     def of_others(values: Tensor, other: Tensor = other) -> Tensor:
-        return values[scene, other] - values.unsqueeze(2)
+        return of_slots(values, other) - values.unsqueeze(2)
 
     place, moves = of_others(here), of_others(velocity)
     centre = (place.square().sum(-1) + 1e-6).sqrt()
-    bodies = radius[scene, other] + radius.unsqueeze(2) - 2 * BODY_RADIUS
+    bodies = of_slots(radius, other) + radius.unsqueeze(2) - 2 * BODY_RADIUS
     distance = (centre - bodies).clamp_min(0.05)
     closing = -(place * moves).sum(-1) / moves.square().sum(-1).clamp_min(0.01)
     soon = closing.clamp(0, _SOON)
@@ -121,3 +120,9 @@ def nearest(
     company = weight.sum(2)
     share = weight / company.unsqueeze(2).clamp_min(0.1)
     return Neighbours(features, absent, other, (share * turned).sum(2), (share * moving).sum(2), company)
+
+
+def of_slots(values: Tensor, other: Tensor) -> Tensor:
+    """Return values (B, A, ...) of the agents in slots ``other`` (B, A, k): (B, A, k, ...)."""
+    scene = torch.arange(len(other), device=other.device).view(-1, 1, 1)
+    return values[scene, other]
