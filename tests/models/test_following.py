@@ -54,7 +54,7 @@ def held(wish: Tensor, now: Situation, narrow: float | Tensor = 0.0, chance: Ten
     others = nearest(now.history, now.mask, now.radius, now.ahead)
     around = torch.zeros_like(now.late) + narrow
     chance = torch.zeros_like(now.late) if chance is None else chance.unsqueeze(0)
-    return held_back(wish.unsqueeze(0), now, others, around, chance)[0]
+    return held_back(wish.unsqueeze(0), now, others, around, around, chance)[0]
 
 
 EAST = torch.tensor([[1.0, 0.0], [1.0, 0.0]])

@@ -216,7 +216,7 @@ class SocialWalker(Forecaster):
             else:
                 result = goes * result
         wish = rotate(result, now.ahead)
-        return held_back(wish, now, others, narrow, z[..., 2]) if a.follows else wish, wish
+        return held_back(wish, now, others, narrow, confined, z[..., 2]) if a.follows else wish, wish
 
     def velocity(self, now: Situation, noise: Tensor) -> Tensor:
         """Return velocities until the next decision (B, A, 2), m/s, for noise (B, A, Z)."""

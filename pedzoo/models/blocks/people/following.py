@@ -25,7 +25,7 @@ WALKS = 0.15
 """m/s: people who wish to stand, or to walk slower, are passed and not followed."""
 
 MEETING, OPPOSED = 0.75, -0.7
-"""Metres kept between two who meet in a narrow place, and the cosine of the ways of two who meet at most."""
+"""Metres kept between two who meet in a doorway, and the cosine of the ways of two who meet at most."""
 
 COMES, LUCK = 0.4, 0.3
 """m/s at which somebody comes for whom others wait, and how much chance says of who goes first."""
@@ -43,25 +43,28 @@ BACKS_OFF, BACK = 5, 0.6
 """Decisions after which one of two who press against each other backs off, and how fast, m/s."""
 
 
-def held_back(wish: Tensor, now: Situation, others: Neighbours, narrow: Tensor, chance: Tensor) -> Tensor:
+def held_back(
+    wish: Tensor, now: Situation, others: Neighbours, narrow: Tensor, confined: Tensor, chance: Tensor
+) -> Tensor:
     """Return velocities (B, A, 2), m/s: those that people wish for, slowed down behind others.
 
     No arch of people holds itself: of all who stand before a door, one has the shortest way left and waits
     for none of those who stand. If this one cannot get on, those around press, too, and a safety layer
     leads them past each other. Of two who press against each other the one with the longer way backs off.
-    Of two who meet in a narrow place, the one who is farther from it waits as long as the other comes.
+    Of two who meet in a doorway or a passage, the one farther from it waits as long as the other comes.
 
     Args:
         wish: The velocities that people wish for (B, A, 2), m/s.
         now: The situation.
         others: The nearest others of each person.
         narrow: How narrow it is around people (B, A), 0 to 1.
-        chance: Numbers that last (B, A): of two as near to a narrow place, the larger one's goes first.
+        confined: How narrow it is on both sides of them (B, A), 0 to 1.
+        chance: Numbers that last (B, A): of two in places as confined, the one with the larger goes first.
     """
     moves = now.moves.unsqueeze(-1)
     last = (now.history[:, :, -1] - now.history[:, :, -2]) / STEP_SECONDS
     pairs = _Pairs(now, others, narrow, torch.where(moves, wish, last), last)
-    pairs.give_way(narrow + LUCK * chance, last)
+    pairs.give_way(confined, chance, last)
     # others start at the speed that they have, and are known better in every round
     speed = smooth_norm(wish)
     slowest = torch.minimum(smooth_norm(last), speed) / speed.clamp_min(1e-3)
@@ -89,9 +92,9 @@ class _Pairs:
         here, ahead = now.history[:, :, -1], now.ahead
         self._absent, self._other = others.absent, others.other
         self.place = self._of_other(here) - here.unsqueeze(2)
-        self._narrow = torch.maximum(narrow.unsqueeze(2), self._of_other(narrow))
+        narrow = torch.maximum(narrow.unsqueeze(2), self._of_other(narrow))
         self._bodies = now.radius.unsqueeze(2) + self._of_other(now.radius) - 2 * BODY_RADIUS
-        self.width = WIDTH + (WIDTH_AT_WALLS - WIDTH) * self._narrow + self._bodies
+        self.width = WIDTH + (WIDTH_AT_WALLS - WIDTH) * narrow + self._bodies
         with torch.no_grad():
             way = self._of_other(ahead)
             front = 0.5 * (self.place * (ahead.unsqueeze(2) + way)).sum(-1) / IN_FRONT
@@ -105,15 +108,17 @@ class _Pairs:
             self.behind = behind.masked_fill(first.unsqueeze(2) & close, 0.0)
 
     @torch.no_grad()
-    def give_way(self, rank: Tensor, last: Tensor) -> None:
-        """Have people wait near narrow places for others who come towards them and have a higher rank (B, A).
+    def give_way(self, confined: Tensor, chance: Tensor, last: Tensor) -> None:
+        """Have people wait where it is confined for others who come towards them and go first.
 
         ``last`` (B, A, 2), m/s, are the velocities that all have: one who stands is not waited for.
         """
         apart = smooth_norm(self.place).clamp_min(0.1)
         comes = -(self._of_other(last) * self.place).sum(-1) / apart > COMES
-        first = (self._of_other(rank) > rank.unsqueeze(2)) & (self._narrow > 0)
-        waits = (self._alike < OPPOSED) & self._walks & comes & first
+        rank = confined + LUCK * chance
+        first = self._of_other(rank) > rank.unsqueeze(2)
+        between_walls = (self._of_other(confined) > 0) | (confined > 0).unsqueeze(2)
+        waits = (self._alike < OPPOSED) & self._walks & comes & first & between_walls
         self.behind = torch.where(waits, 1.0, self.behind)
         self.width = torch.where(waits, MEETING + self._bodies, self.width)
 
