@@ -32,7 +32,7 @@ STEP_MS = RESULTS / "STEP_MS.json"
 CHOICE = {
     "sgan_goal_map.indoor": "people walk around your robot: the default",
     "social_walker.indoor": "people walk in groups that you name, and brake nearly as recorded ones do",
-    "social_walker.styled": "people are hardest to tell from recorded ones; a little slower in buildings",
+    "social_walker.styled": "people are hardest to tell from recorded ones",
     "sgan_goal_map.zara1": "you forecast with goals and floor plans, as the iGibson paper; not for walking",
     "sgan.zara1": "you forecast without goals: Social GAN; not for walking",
     "robot_ppo.mix": "you want a robot with a lidar to compare with",
