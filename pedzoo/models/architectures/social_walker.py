@@ -168,9 +168,9 @@ class SocialWalker(Forecaster):
         base = (recent.unsqueeze(-1) * past.flip(2)[:, :, :4]).sum(2)
         rate = (out[..., 7:8] - 1).sigmoid()
         rate = rate + (1 - rate) * 0.8 * close
-        narrow, confined = torch.zeros_like(stands), torch.zeros_like(stands)
-        if self.sees_walls:
-            narrow, confined = narrowness(now.walls), confinement(now.walls) * float(a.avoids)
+        nowhere = torch.zeros_like(stands)
+        narrow = narrowness(now.walls) if self.sees_walls else nowhere
+        confined = confinement(now.walls) if self.sees_walls and a.avoids else nowhere
         off = (smooth_norm(past[:, :, -1] - want) / now.pref_speed - ASTRAY).clamp_min(0)
         if a.follows:
             rate = rate + (1 - rate) * 0.8 * off.clamp_max(1).unsqueeze(-1)

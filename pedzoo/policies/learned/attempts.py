@@ -2,6 +2,7 @@
 
 from typing import NamedTuple, Self
 
+import torch
 from torch import Tensor
 
 from pedzoo.core.types import STEP_SECONDS
@@ -31,10 +32,11 @@ class Attempts(NamedTuple):
 
     def seen(self, stands: Tensor) -> Self:
         """Return the attempts of people of whom these stand (B, A) bool; others begin anew."""
-        asked = stands & self.asked
-        return type(self)(stands & self.tried, asked & False, (self.pressing + 1).where(asked, 0.0))
+        in_vain = stands & self.asked
+        pressing = (self.pressing + 1).where(in_vain, 0.0)
+        return type(self)(stands & self.tried, torch.zeros_like(in_vain), pressing)
 
-    def of(self, wish: Tensor, step: Tensor) -> Self:
+    def trying(self, wish: Tensor, step: Tensor) -> Self:
         """Return attempts with the steps (B, A, 2), metres, that people wish for, and are asked for."""
         return self._replace(tried=self.tried | walks(wish.detach()), asked=walks(step.detach()))
 

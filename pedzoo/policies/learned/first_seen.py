@@ -122,5 +122,5 @@ class FirstSeenMemory:
     def asked(self, wish: Tensor, step: Tensor) -> None:
         """Remember the steps (B, A, 2), metres, that people wish for, and those that they are asked for."""
         if self._last is not None:
-            self._memory.keep(self._last._replace(**self._last.attempts.of(wish, step)._asdict()))
+            self._memory.keep(self._last._replace(**self._last.attempts.trying(wish, step)._asdict()))
             self._last = None

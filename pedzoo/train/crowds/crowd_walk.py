@@ -92,7 +92,7 @@ def walked_on(policy: Policy, real: Excerpts, planner: Planner, key: Tensor, bef
             here, command = path[-1], cast("Tensor", agents["action"])
             wanted = agents.get("asked", command)
             velocities = agents.get("wished", wanted), wanted
-            attempts = attempts.of(
+            attempts = attempts.trying(
                 *(STEP_SECONDS * torch.where(mine.unsqueeze(2), v, 0.0) for v in velocities)
             )
             command = limit_speed(command, top_speed_of(real.pref_speed))

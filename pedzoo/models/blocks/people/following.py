@@ -92,6 +92,7 @@ class _Pairs:
         here, ahead = now.history[:, :, -1], now.ahead
         self._absent, self._other = others.absent, others.other
         self.place = self._of_other(here) - here.unsqueeze(2)
+        self._squared = self.place.square().sum(-1)
         narrow = torch.maximum(narrow.unsqueeze(2), self._of_other(narrow))
         self._bodies = now.radius.unsqueeze(2) + self._of_other(now.radius) - 2 * BODY_RADIUS
         self.width = WIDTH + (WIDTH_AT_WALLS - WIDTH) * narrow + self._bodies
@@ -102,7 +103,7 @@ class _Pairs:
             self._walks = self._of_other(smooth_norm(wants) > WALKS) & ~self._absent
             behind = torch.where((self._alike > 0) & self._walks, front.clamp(0, 1), 0.0)
             stands = (smooth_norm(last) < STILL) & now.mask
-            close = self._of_other(stands) & (self.place.square().sum(-1) < NEXT_TO**2) & ~self._absent
+            close = self._of_other(stands) & self._closer_than(NEXT_TO)
             shorter = close & (self._of_other(now.remaining) < now.remaining.unsqueeze(2))
             first = stands & (now.hindered > 0) & ~shorter.any(2)
             self.behind = behind.masked_fill(first.unsqueeze(2) & close, 0.0)
@@ -126,17 +127,20 @@ class _Pairs:
         """Return values (B, A, ...) of the others (B, A, k, ...)."""
         return of_slots(values, self._other)
 
+    def _closer_than(self, distance: float) -> Tensor:
+        """Return which others are nearer than a distance, metres, (B, A, k) bool."""
+        return (self._squared < distance**2) & ~self._absent
+
     def near(self, people: Tensor, distance: float) -> Tensor:
         """Return whether one of ``people`` (B, A) bool is nearer than a distance, metres, to each (B, A)."""
-        close = self.place.square().sum(-1) < distance**2
-        return (self._of_other(people) & close & ~self._absent).any(2)
+        return (self._of_other(people) & self._closer_than(distance)).any(2)
 
     def backs_off(self, now: Situation) -> Tensor:
         """Return which people back off (B, A) bool: another presses against them, and has less way left."""
         presses = (now.pressing >= BACKS_OFF) & now.moves
         against = self._alike < -0.5
         goes_first = self._of_other(now.remaining) < now.remaining.unsqueeze(2)
-        close = (self.place.square().sum(-1) < PRESSED**2) & ~self._absent
+        close = self._closer_than(PRESSED)
         return presses & (self._of_other(presses) & against & goes_first & close).any(2)
 
     def slowed(self, wish: Tensor, going: Tensor) -> Tensor:
