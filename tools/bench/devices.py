@@ -24,8 +24,8 @@ from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
 from tools.bench.turns import repeated
 
-SIZES = ((1, 5), (64, 5), (1024, 5), (8192, 5))
-POLICIES = ("go_to_goal", "sgan_goal_map.indoor:safety=false", "sgan_goal_map.indoor")
+SCENES, PEOPLE = (1, 64, 1024, 8192), 5
+POLICIES = ("go_to_goal", "sgan_goal_map.indoor:safety=false", "sgan_goal_map.indoor", "social_walker.styled")
 
 
 def main() -> None:
@@ -34,6 +34,7 @@ def main() -> None:
     parser.add_argument("--devices", nargs="+", default=["cpu"])
     parser.add_argument("--policies", nargs="+", default=list(POLICIES))
     parser.add_argument("--scenario", default="goals:map=apartment.7,people={people}")
+    parser.add_argument("--scenes", nargs="+", type=int, default=list(SCENES), help="At a time.")
     parser.add_argument("--seconds", type=float, default=3.0, help="Of each measurement.")
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
@@ -41,14 +42,14 @@ def main() -> None:
     rows = []
     print(f"{'policy':34} {'size':>8} {'device':>6} {'agent-steps/s':>14} {'agree, m':>9}", flush=True)
     for policy in given.policies:
-        for scenes, people in SIZES:
+        for scenes in given.scenes:
             places: dict[str, torch.Tensor] = {}
             for device in given.devices:
-                scenario = given.scenario.format(people=people)
+                scenario = given.scenario.format(people=PEOPLE)
                 rate, places[device] = measured(policy, scenario, scenes, device, given.seconds)
                 apart = (places[device] - places[given.devices[0]]).norm(dim=-1).flatten()
                 agree = float(apart.quantile(0.99)) if len(apart) < 1 << 22 else float("nan")
-                row = {"policy": policy, "size": f"{scenes}x{people}", "device": device}
+                row = {"policy": policy, "size": f"{scenes}x{PEOPLE}", "device": device}
                 rows.append(row | {"agent_steps_per_s": rate, "agree_m": agree})
                 print(f"{policy:34} {row['size']:>8} {device:>6} {rate:14,.0f} {agree:9.1e}", flush=True)
     if given.json:

@@ -3,6 +3,7 @@
     python -m tools.zoo.ablations --runs runs/ablations
 
 Every training has as many updates as the whole one; finished ones are left alone, interrupted ones go on.
+`--jobs 11 --train` trains all of them at once and scores none; a later call finds them trained.
 Writes checkpoints/results/ABLATIONS.md and .json. The recordings are found by PEDZOO_DATA.
 """
 
@@ -14,6 +15,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,7 @@ MODEL = "model.generator.init_args"
 PARTS: dict[str, dict[str, str]] = {
     "the whole": {},
     "the whole, another seed": {"seed_everything": "1"},
+    "the whole, a third seed": {"seed_everything": "2"},
     "without style": {
         f"{MODEL}.architecture.style": "false",
         f"{MODEL}.architecture.style_prior": "false",
@@ -58,6 +61,19 @@ COLUMNS = {
     "agent_contacts_per_min": "touches/min",
 }
 """Metrics of `docs/score.md`, and what they are called here."""
+
+
+def recipe(name: str, options: argparse.Namespace) -> tuple[RunFolder, dict[str, str]]:
+    """Return the run folder of one variant, and the options of its `pedzoo fit`."""
+    root = options.runs / f"{options.epochs}_epochs" / name.replace(" ", "_").replace(",", "")
+    given = {
+        "config": CONFIG, "data.fold": options.fold, "seed_everything": "0", "runs": str(root),
+        "monitor": "val/unlike", "trainer.max_epochs": str(options.epochs),
+        "trainer.check_val_every_n_epoch": str(options.epochs), **PARTS[name],
+    }  # fmt: skip
+    return RunFolder(
+        root / CONFIG.replace("/", ".") / f"{options.fold}-seed{given['seed_everything']}"
+    ), given
 
 
 def trained(run: RunFolder, options: Mapping[str, str]) -> float:
@@ -96,7 +112,7 @@ def page(rows: list[dict[str, Any]], fold: str, epochs: int) -> Iterator[str]:
     yield (
         f"Each crowd takes the place of all people of {fold} under the safety layer. "
         "[docs/score.md](../../docs/score.md) has the formulas; brackets are 95 % intervals over blocks of "
-        "time. The second row is the whole with another seed: what differs less than that is chance."
+        "time. The whole has three seeds: what differs less than these is chance."
     )
     yield (
         "Less is better for val/unlike (people of the training scenes), realism, AUC and minADE. The ratio "
@@ -119,24 +135,22 @@ def main() -> None:
     parser.add_argument(
         "--parts", nargs="+", choices=[*PARTS], help="train and score these alone, and write no page"
     )
+    parser.add_argument("--jobs", type=int, default=1, help="trainings at a time")
+    parser.add_argument("--train", action="store_true", help="train, and score nothing")
     options = parser.parse_args()
+    names = [name for name in PARTS if not options.parts or name in options.parts]
+    with ThreadPoolExecutor(options.jobs) as pool:
+        unlikes = list(pool.map(lambda name: trained(*recipe(name, options)), names))
+    for name, unlike in zip(names, unlikes, strict=True):
+        print(f"{name}: val/unlike {unlike:.3f}", flush=True)
+    if options.train:
+        return
     rows, real = [], {}
-    for name, settings in PARTS.items():
-        if options.parts and name not in options.parts:
-            continue
-        root = options.runs / f"{options.epochs}_epochs" / name.replace(" ", "_").replace(",", "")
-        given = {
-            "config": CONFIG, "data.fold": options.fold, "seed_everything": "0", "runs": str(root),
-            "monitor": "val/unlike", "trainer.max_epochs": str(options.epochs),
-            "trainer.check_val_every_n_epoch": str(options.epochs), **settings,
-        }  # fmt: skip
-        run = RunFolder(root / CONFIG.replace("/", ".") / f"{options.fold}-seed{given['seed_everything']}")
-        unlike = trained(run, given)
-        report = scored(run, options.fold)
+    for name, unlike in zip(names, unlikes, strict=True):
+        report = scored(recipe(name, options)[0], options.fold)
         real, walker = report["rows"][0], report["rows"][-1]
         versions = report["versions"]
         rows.append(walker | {"name": name, "unlike": f"{unlike:.3f}", "commit": versions["commit"]})
-        print(f"{name}: val/unlike {unlike:.3f}", flush=True)
     if options.parts:
         return
     out = shipped("checkpoints") / "results" / "ABLATIONS.md"
