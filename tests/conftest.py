@@ -13,6 +13,9 @@ import torch
 torch.set_num_threads(1)
 # the same for processes that tests start: a resumed training is equal to the bit only with one thread
 os.environ |= {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+# the same on every machine; CONTRIBUTING.md says which tests PEDZOO_TEST_GPU=1 shows GPUs to
+if not os.environ.get("PEDZOO_TEST_GPU"):
+    os.environ["CUDA_VISIBLE_DEVICES"] = ""
 # a shell's background jobs ignore it, and so would the processes that tests interrupt
 signal.signal(signal.SIGINT, signal.default_int_handler)
 

@@ -33,6 +33,7 @@ class SceneMemory(Generic[Record]):
         """
         if self._last is None:
             return like
+        self._move(_key(like).device)
         if _same(_key(self._last), _key(like)):
             return _seated(self._last, person)
         stored = self._all()
@@ -49,11 +50,19 @@ class SceneMemory(Generic[Record]):
 
     def keep(self, record: Record) -> None:
         """Keep the record of a batch, and those of other scenes for a while."""
+        self._move(_key(record).device)
         if self._last is not None and not _same(_key(self._last), _key(record)):
             stored = self._all()
             others = _rows(stored, ~torch.isin(_key(stored), _key(record)))
             self._others = _rows(others, slice(max(MOST, 4 * len(_key(record)))))
         self._last = record
+
+    def _move(self, device: torch.device) -> None:
+        """Take all records to a device, where the policy goes on with scenes of another one."""
+        if self._last is not None and _key(self._last).device != device:
+            self._last = _made(self._last, [value.to(device) for value in self._last])
+            if self._others is not None:
+                self._others = _made(self._others, [value.to(device) for value in self._others])
 
     def _all(self) -> Record:
         """Return the records of all scenes, the latest first."""

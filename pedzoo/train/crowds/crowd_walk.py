@@ -39,10 +39,14 @@ class CrowdWalk(NamedTuple):
     asked: Tensor | None = None
     walked: Tensor | None = None
 
+    def cpu(self) -> "CrowdWalk":
+        """Return the walk on the CPU."""
+        return CrowdWalk(*(value if value is None else value.cpu() for value in self))
+
 
 def recorded(real: Excerpts, before: int = 0) -> CrowdWalk:
     """Return the recorded crowd, with ``scored`` as of `walked_on`."""
-    frame = torch.arange(real.xy.shape[2])
+    frame = torch.arange(real.xy.shape[2], device=real.xy.device)
     moves = real.walks.unsqueeze(2) & (frame > real.taken.unsqueeze(2)) & real.there
     moves &= frame >= OBS_LEN
     before_it = real.xy.roll(1, 2)

@@ -150,6 +150,10 @@ class Excerpts(NamedTuple):
         """Frame in which simulated people are taken out at the latest (B, A) long, as in a replay."""
         return self.taken + LONGEST * (self.last - self.taken)
 
+    def to(self, device: torch.device) -> "Excerpts":
+        """Return the excerpts on a device."""
+        return Excerpts(*(value.to(device) for value in self))
+
     def repeated(self, times: int) -> "Excerpts":
         """Return the excerpts so many times, one after the other."""
         return Excerpts(*(value.repeat(times, *[1] * (value.dim() - 1)) for value in self))

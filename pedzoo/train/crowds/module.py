@@ -184,7 +184,8 @@ class CrowdModule(ForecastModule):
             walking = real.walks & (real.taken < OBS_LEN + steps - 8) & (real.last > OBS_LEN + before)
             if int(walking.sum()) >= _FEWEST:
                 break
-        key = torch.randint(2**62, (self.walks * scenes,), generator=random)
+        key = torch.randint(2**62, (self.walks * scenes,), generator=random).to(self.device)
+        real = real.to(self.device)
         walk = walked_on(self.walker, real.repeated(self.walks), self._planner, key, before)
         return self.likeness(walk, real, self.walks, before, judges, random)
 
@@ -208,7 +209,7 @@ class CrowdModule(ForecastModule):
         """Log the errors of forecasts, and how unlike whole replays are, as ``val/unlike`` and so on."""
         super().on_validation_epoch_end()
         if not self.trainer.sanity_checking and self._unseen:
-            for name, value in whole_replays(self.walker, self._unseen, self._planner).items():
+            for name, value in whole_replays(self.walker, self._unseen, self._planner, self.device).items():
                 self.log(f"val/{name}", value, prog_bar=name == "unlike")
 
     def teardown(self, stage: str) -> None:

@@ -20,8 +20,15 @@ _LEAST_SPREAD = 1e-3
 
 
 @torch.no_grad()
-def whole_replays(policy: Policy, crowds: Sequence[RecordedCrowd], planner: Planner) -> dict[str, float]:
+def whole_replays(
+    policy: Policy,
+    crowds: Sequence[RecordedCrowd],
+    planner: Planner,
+    device: torch.device = torch.device("cpu"),  # noqa: B008
+) -> dict[str, float]:
     """Return how unlike the crowds are in which a policy takes all people's places, from begin to end.
+
+    The policy is on ``device``; the crowds are compared on the CPU.
 
     ``realism``, ``auc`` and ``auc_coarse`` as in `pedzoo score`, people of all recordings together, and
     ``unlike``, their sum.
@@ -30,7 +37,7 @@ def whole_replays(policy: Policy, crowds: Sequence[RecordedCrowd], planner: Plan
     true: dict[str, list[CrowdFeatures]] = {"auc": [], "auc_coarse": []}
     for number, crowd in enumerate(crowds):
         real = excerpts(crowd, [1 - OBS_LEN], crowd.frames)
-        walk = walked_on(policy, real, planner, torch.tensor([number]))
+        walk = walked_on(policy, real.to(device), planner, torch.tensor([number], device=device)).cpu()
         for into, one in ((made, _rounded(walk)), (true, _rounded(recorded(real)))):
             into["auc"].append(compared(one, real))
             into["auc_coarse"].append(compared(coarse(one), real))

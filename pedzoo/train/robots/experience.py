@@ -35,7 +35,7 @@ class Gatherer:
         """Return decisions (B, T, R) with what followed under ``next``.
 
         Args:
-            acting: Writes ``robots/decision`` and ``log_prob``.
+            acting: Writes ``robots/decision`` and ``log_prob``; may be on another device than the scenes.
             steps: T.
             teacher: Says what it would have decided (B, R, 2): ``robots/taught``.
         """
@@ -43,9 +43,9 @@ class Gatherer:
             self.env.set_seed(self._seed, static_seed=True)
         now = self.env.reset() if self._now is None else self._now
         lived = []
+        device = _device_of(acting)
         for _ in range(steps):
-            before = now.select(*_KEPT).clone()
-            acting(before)
+            before = acting(now.select(*_KEPT).clone().to(device)).to("cpu")
             if teacher:
                 before["robots", "taught"] = teacher(now)
             act(now, before["robots", "decision"])
@@ -61,6 +61,11 @@ class Gatherer:
 
 Teacher = Callable[[TensorDictBase], Tensor]
 """Returns decisions (B, R, 2) for scenes, see `pedzoo.policies.robots.attention.Attention.mean`."""
+
+
+def _device_of(policy: Any) -> torch.device:
+    """Return where a network's parameters are."""
+    return next((weights.device for weights in policy.parameters()), torch.device("cpu"))
 
 
 def act(scenes: TensorDictBase, decision: Tensor) -> None:
@@ -110,13 +115,16 @@ def touched(info: TensorDictBase) -> Tensor:
 
 @torch.no_grad()
 def walked_once(
-    env: RobotEnv | CrowdNavEnv, policy: Callable[[TensorDictBase], TensorDictBase]
+    env: RobotEnv | CrowdNavEnv,
+    decide: Teacher,
+    device: torch.device = torch.device("cpu"),  # noqa: B008
 ) -> dict[str, Tensor]:
     """Return how one episode in each scene went: shares, seconds of those that succeeded, and the return.
 
     Args:
         env: With one robot in each scene.
-        policy: Writes ``robots/action``.
+        decide: Returns decisions (B, R, 2) for what robots sense.
+        device: Where it decides; scenes are on the CPU.
     """
     env.set_seed(0, static_seed=True)
     now = env.reset()
@@ -124,7 +132,8 @@ def walked_once(
     flags = {name: torch.zeros(shape, dtype=torch.bool) for name in ("success", "collision", "timeout")}
     over, reward, seconds = torch.zeros(shape, dtype=torch.bool), torch.zeros(shape), torch.zeros(shape)
     while not bool(over.all()):
-        now = env.step(policy(now))["next"]
+        act(now, decide(now.select(*_KEPT).to(device)).cpu())
+        now = env.step(now)["next"]
         robots = now["robots"]
         info = robots["info"]
         seconds += env.decision_dt * ~over

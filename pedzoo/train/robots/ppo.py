@@ -42,6 +42,7 @@ _LOGGED = {
 class RobotPPO(L.LightningModule):
     """Trains one robot in each scene, among people who are walked inside (Schulman et al. 2017).
 
+    Scenes are on the CPU, where a few hundred of them are fastest; what learns may be on another device.
     An update gathers ``steps`` decisions in ``envs`` scenes of every scenario, and makes ``passes`` over them
     in ``minibatches`` by TorchRL's loss. A validation runs the mean of the policy through ``episodes``
     episodes of every scenario, the same ones every time.
@@ -163,7 +164,6 @@ class RobotPPO(L.LightningModule):
             self.reward,
             self.physics,
             decision_dt=self.decision_dt,
-            device=self.device,
         )
 
     def train_dataloader(self) -> Any:
@@ -194,7 +194,7 @@ class RobotPPO(L.LightningModule):
         acting, loss, estimate, gatherers = self._parts
         imitates = int(self.iteration) < self.imitate
         teacher = self.teacher if imitates else None
-        lived: Any = torch.cat([one.gather(acting, self.steps, teacher) for one in gatherers])
+        lived: Any = torch.cat([one.gather(acting, self.steps, teacher) for one in gatherers]).to(self.device)
         log = outcome_shares(lived["next"])
         log["reward"] = lived["next", "robots", "reward"].mean()
         known = with_advantages(lived, self.value, estimate)
@@ -235,7 +235,8 @@ class RobotPPO(L.LightningModule):
         """Run episodes with the mean of the policy."""
         if self.trainer.sanity_checking:
             return
-        results = [walked_once(self.environment(name, self.episodes), self.policy) for name in self.scenarios]
+        environments = (self.environment(name, self.episodes) for name in self.scenarios)
+        results = [walked_once(env, self.policy.mean, self.device) for env in environments]
         for key in results[0]:
             self.log(f"val/{key}", torch.stack([one[key] for one in results]).mean(), batch_size=1)
 

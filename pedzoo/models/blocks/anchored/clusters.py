@@ -33,7 +33,7 @@ def clustered(futures: Tensor, modes: int, seed: int) -> Clusters:
     """Return clusters of futures (N, T, 2) by k-means of ``modes`` centroids; N is at least 1."""
     steps = futures.shape[1]
     random = np.random.default_rng(seed)
-    points = futures.flatten(1).double().numpy()
+    points = futures.flatten(1).double().cpu().numpy()
     if len(points) > MOST:
         points = points[random.choice(len(points), MOST, replace=False)]
     elif len(points) < modes:
