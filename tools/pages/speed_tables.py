@@ -1,4 +1,4 @@
-"""The tables of docs/speed.md that ``checkpoints/results/BENCH.json`` gives, as Markdown."""
+"""The tables of docs/speed.md that BENCH.json and DEVICES.json in checkpoints/results give, as Markdown."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 from pedzoo.core.paths import shipped
 
 RESULT = shipped("checkpoints") / "results" / "BENCH.json"
+DEVICES = RESULT.with_name("DEVICES.json")
 
 SIZES = ("1 x 5", "64 x 5", "1024 x 5", "1 x 100", "1 x 500")
 """Columns: scenes and people of each."""
@@ -62,6 +63,20 @@ def versus() -> str:
         values = [value(report, name, LARGE, metric) for name in names]
         lines.append(f"| {ours} | {other} | {' / '.join('-' if v is None else f'{v:.1f}' for v in values)} |")
     return "\n".join(lines)
+
+
+def devices() -> str:
+    """Return agent-steps per second on CPU and GPU, and how many times as fast the GPU is."""
+    report = json.loads(DEVICES.read_text())
+    rates = {(row["policy"], row["size"], row["device"]): row["agent_steps_per_s"] for row in report["rows"]}
+    sizes = list(dict.fromkeys(size for _, size, _ in rates))
+    said = " | ".join(size.replace("x", " x ") for size in sizes)
+    lines = [f"| scenes x people: CPU / GPU | {said} |", f"|---|{'---|' * len(sizes)}"]
+    for policy in dict.fromkeys(policy for policy, _, _ in rates):
+        pairs = [(rates[policy, size, "cpu"], rates[policy, size, "cuda"]) for size in sizes]
+        cells = (f"{rounded(cpu)} / {rounded(gpu)} ({gpu / cpu:.2g})" for cpu, gpu in pairs)
+        lines.append(f"| `{policy}` | {' | '.join(cells)} |")
+    return "\n".join([*lines, "", f"{report['machine']}; torch {report['torch']}. In brackets: GPU / CPU."])
 
 
 def known() -> dict[str, Any]:

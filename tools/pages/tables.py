@@ -278,6 +278,7 @@ PAGES: dict[str, dict[str, Callable[[], str]]] = {
         "first_hour": first_hour.page,
         "steps": speed_tables.steps,
         "versus": speed_tables.versus,
+        "devices": speed_tables.devices,
     },
     "docs/results.md": {
         "loop": results_tables.in_the_loop,
