@@ -41,7 +41,8 @@ class CrowdWalk(NamedTuple):
 
     def cpu(self) -> "CrowdWalk":
         """Return the walk on the CPU."""
-        return CrowdWalk(*(value if value is None else value.cpu() for value in self))
+        asked, walked = (None if value is None else value.cpu() for value in (self.asked, self.walked))
+        return CrowdWalk(self.xy.cpu(), self.there.cpu(), self.scored.cpu(), asked, walked)
 
 
 def recorded(real: Excerpts, before: int = 0) -> CrowdWalk:
