@@ -253,7 +253,8 @@ def test_wrong_names_and_numbers_are_named() -> None:
         ({"reward": {"progres": 1}}, "progress"),
         ({"reward": ["progress"]}, r"reward \['progress'\]: expected weights by name"),
         ({"reward": "progress"}, "reward 'progress': expected weights by name"),
-        ({"reward": {"progress": "x"}}, "reward progress: weight 'x': expected a number"),
+        ({"reward": {"progress": "x"}}, "reward progress: weight 'x': expected a finite number"),
+        ({"reward": {"progress": float("nan")}}, "reward progress: weight nan: expected a finite number"),
         ({"ends_at": "wall"}, "ends_at"),
         ({"num_envs": 2.5}, "num_envs 2.5: expected a whole number"),
         ({"seed": "a"}, "seed 'a': expected a whole number"),
@@ -294,6 +295,10 @@ class Wide(RobotReward):
 class Flat(Wide):
     def __call__(self, before, after, trace, outcome):
         return after.heading[:, 0]
+
+class Split(Wide):
+    def __call__(self, before, after, trace, outcome):
+        return 0 * after.heading / 0
 """
 
 
@@ -311,6 +316,8 @@ def test_sensors_and_rewards_of_other_shapes_are_named(tmp_path: Path) -> None:
         env = made(OPEN, sensors="goal", reward={"progress": 1.0, f"{file}:{reward}": 2.0})
         with pytest.raises(UserError, match=rf"{reward} returned \({given}\): expected \(B, R\) = \(4, 1\)"):
             driven(env, torch.zeros(2))
+    with pytest.raises(UserError, match=r"Split returned nan: expected finite numbers"):
+        driven(made(OPEN, reward={f"{file}:Split": 1.0}), torch.zeros(2))
 
 
 @pytest.mark.parametrize("sensor", ["lidar:beams=5", build(SENSORS, "lidar:beams=5", Sensor)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, cast
@@ -62,21 +63,29 @@ class WeightedSum:
         """Return the reward (B, R); 0 for robots that had ended.
 
         Raises:
-            UserError: A term has another shape.
+            UserError: A term has another shape, or is no number for a robot that has not ended.
         """
         total = torch.zeros_like(after.heading)
         for name, term, weight in self.terms:
             value = term(before, after, trace, outcome)
             if (given := shape_of(value)) != total.shape:
                 raise UserError(f"reward {name} returned {given}: expected (B, R) = {tuple(total.shape)}")
-            total = total + weight * value
-        return torch.where(outcome.active, total, 0.0)
+            total = total + weight * torch.where(outcome.active, value, 0.0)
+            if not bool(total.isfinite().all()):
+                raise UserError(f"reward {name} returned {_first_odd(total)}: expected finite numbers")
+        return total
+
+
+def _first_odd(values: Tensor) -> float:
+    return float(values[~values.isfinite()][0])
 
 
 def _weight(name: str, weight: object) -> float:
     try:
-        return float(cast("Any", weight))
-    except (TypeError, ValueError) as error:
-        raise UserError(
-            f'reward {name}: weight {weight!r:.60}: expected a number, as in {{"{name}": 1.0}}'
-        ) from error
+        if math.isfinite(number := float(cast("Any", weight))):
+            return number
+    except (TypeError, ValueError):
+        pass
+    raise UserError(
+        f'reward {name}: weight {weight!r:.60}: expected a finite number, as in {{"{name}": 1.0}}'
+    )

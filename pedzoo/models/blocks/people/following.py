@@ -63,8 +63,7 @@ def held_back(
     """
     moves = now.moves.unsqueeze(-1)
     last = (now.history[:, :, -1] - now.history[:, :, -2]) / STEP_SECONDS
-    pairs = _Pairs(now, others, narrow, torch.where(moves, wish, last), last)
-    pairs.give_way(confined, chance, last)
+    pairs = _Pairs(now, others, narrow, torch.where(moves, wish, last), last, confined, chance)
     # others start at the speed that they have, and are known better in every round
     speed = smooth_norm(wish)
     slowest = torch.minimum(smooth_norm(last), speed) / speed.clamp_min(1e-3)
@@ -87,15 +86,22 @@ class _Pairs:
     """
 
     def __init__(
-        self, now: Situation, others: Neighbours, narrow: Tensor, wants: Tensor, last: Tensor
+        self,
+        now: Situation,
+        others: Neighbours,
+        narrow: Tensor,
+        wants: Tensor,
+        last: Tensor,
+        confined: Tensor,
+        chance: Tensor,
     ) -> None:
         here, ahead = now.history[:, :, -1], now.ahead
         self._absent, self._other = others.absent, others.other
         self.place = self._of_other(here) - here.unsqueeze(2)
         self._squared = self.place.square().sum(-1)
         narrow = torch.maximum(narrow.unsqueeze(2), self._of_other(narrow))
-        self._bodies = now.radius.unsqueeze(2) + self._of_other(now.radius) - 2 * BODY_RADIUS
-        self.width = WIDTH + (WIDTH_AT_WALLS - WIDTH) * narrow + self._bodies
+        bodies = now.radius.unsqueeze(2) + self._of_other(now.radius) - 2 * BODY_RADIUS
+        self.width = WIDTH + (WIDTH_AT_WALLS - WIDTH) * narrow + bodies
         with torch.no_grad():
             way = self._of_other(ahead)
             front = 0.5 * (self.place * (ahead.unsqueeze(2) + way)).sum(-1) / IN_FRONT
@@ -106,11 +112,12 @@ class _Pairs:
             close = self._of_other(stands) & self._closer_than(NEXT_TO)
             shorter = close & (self._of_other(now.remaining) < now.remaining.unsqueeze(2))
             first = stands & (now.hindered > 0) & ~shorter.any(2)
-            self.behind = behind.masked_fill(first.unsqueeze(2) & close, 0.0)
+            waits = self._waits(confined, chance, last)
+            self.behind = behind.masked_fill(first.unsqueeze(2) & close, 0.0).masked_fill(waits, 1.0)
+            self.width = torch.where(waits, MEETING + bodies, self.width)
 
-    @torch.no_grad()
-    def give_way(self, confined: Tensor, chance: Tensor, last: Tensor) -> None:
-        """Have people wait where it is confined for others who come towards them and go first.
+    def _waits(self, confined: Tensor, chance: Tensor, last: Tensor) -> Tensor:
+        """Return whom people wait for where it is confined (B, A, k): those who come and go first.
 
         ``last`` (B, A, 2), m/s, are the velocities that all have: one who stands is not waited for.
         """
@@ -119,9 +126,7 @@ class _Pairs:
         rank = confined + LUCK * chance
         first = self._of_other(rank) > rank.unsqueeze(2)
         between_walls = (self._of_other(confined) > 0) | (confined > 0).unsqueeze(2)
-        waits = (self._alike < OPPOSED) & self._walks & comes & first & between_walls
-        self.behind = torch.where(waits, 1.0, self.behind)
-        self.width = torch.where(waits, MEETING + self._bodies, self.width)
+        return (self._alike < OPPOSED) & self._walks & comes & first & between_walls
 
     def _of_other(self, values: Tensor) -> Tensor:
         """Return values (B, A, ...) of the others (B, A, k, ...)."""
