@@ -12,8 +12,11 @@ from torch import Tensor
 
 from pedzoo.core.geometry import identity_pose
 from pedzoo.core.types import BODY_RADIUS
+from pedzoo.eval.rollout import rollout
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.from_rectangles import rectangles, room, wall
+from pedzoo.metrics.arrival import deadlock, success
+from pedzoo.models.architectures import social_walker
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.safety_layer.clearance import MARGIN, ProposedSteps
 from pedzoo.policies.safety_layer.layer import kept_clear, kept_clear_in_torch
@@ -89,6 +92,18 @@ def test_no_queue_locks(scenario: str) -> None:
     """All get through the narrowest doors, without touching others or walls; also where two groups meet."""
     place, people, walls = passed(scenario, "go_to_goal:safety=true", 2, 250)
     assert not place.isfinite().any() and people == walls == 0
+
+
+@pytest.mark.parametrize("people", ["people=4", "people=4,from_right=1", "people=6,from_right=0"])
+def test_no_social_walker_is_held_up_at_a_door_but_by_halts(
+    people: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those who stand for 5 s do so by themselves: with halts some do, without them none."""
+    scenario = f"door:{people},width=[0.7,0.8,0.9,1.0,1.1,1.2],offset=[-0.4,0,0.3,0.6]"
+    monkeypatch.setattr(social_walker, "RARE_HALT", 50.0)
+    walked, _ = rollout("social_walker.styled", scenario, "compiled", 60, seed=7)
+    assert float(deadlock(walked).above.sum()) == 0
+    assert torch.equal(success(walked).above, success(walked).below)
 
 
 def test_two_who_wait_head_on_in_a_narrow_door_pass() -> None:
