@@ -28,7 +28,7 @@ from tools.pages.canvas import FINER, INK, Canvas, headings, pale, save_gif
 
 OUT = Path(__file__).parents[2] / "docs" / "pictures" / "zara2_twice.gif"
 
-POLICY, SCENARIO = "social_walker.zara2", "replay:fold=zara2,share=0.3"
+POLICY, SCENARIO = "social_walker.styled_zara2", "replay:fold=zara2,share=0.3"
 """Weights that did not see zara2, and the first two minutes of it, in which they move all people."""
 
 SIDE_SEED = 22
@@ -44,6 +44,9 @@ PANEL, GAP, HEADER, MARGIN = 448, 8, 34, 0.5
 
 LARGER, TRAIL = 1.4, 20
 """Bodies are drawn so many times as large as they are; trace points of a trail."""
+
+WALKS = 0.2
+"""m/s: slower people have no heading that turns."""
 
 BUILDING, STREET = (206, 208, 214), (248, 247, 243)
 
@@ -124,6 +127,22 @@ def picture(canvas: Canvas, sides: dict[str, list[Walk]], point: int) -> Image.I
     return result
 
 
+def unsteadiness(walks: list[Walk], start: int) -> str:
+    """Return how much people turn and change speed within 0.4 s of the picture's time: 95th percentiles."""
+    fine = round(STEP_SECONDS / TRACE_SECONDS)
+    turns, changes = [], []
+    for walk in walks:
+        time = walk.begin + fine * np.arange(len(walk.xy[::fine]))
+        xy = walk.xy[::fine][(time >= start) & (time < start + round(SECONDS / TRACE_SECONDS))]
+        velocity = np.diff(xy, axis=0) / STEP_SECONDS
+        changes += list(np.hypot(*np.diff(velocity, axis=0).T) / STEP_SECONDS)
+        turn = np.diff(np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0])))
+        walking = np.hypot(*velocity.T) > WALKS
+        turns += list(np.abs(np.degrees(turn))[walking[1:] & walking[:-1]])
+    turned, changed = (float(np.percentile(values, 95)) for values in (turns, changes))
+    return f"{turned:.0f} degrees and {changed:.2f} m/s2"
+
+
 def main() -> None:
     """Walk, choose the half minute by the recording alone, and draw it."""
     walked, env = rollout(POLICY, SCENARIO, physics="compiled", episodes=1)
@@ -141,6 +160,8 @@ def main() -> None:
     colors = {walk.color for point in points for walk, _ in present(both, point)}
     save_gif(frames, OUT, [*colors, *map(pale, colors)], TRACE_SECONDS)
     print(f"{OUT}: from {start * TRACE_SECONDS:.0f} s on, {OUT.stat().st_size / 1e6:.1f} MB")
+    for name, walks in sides.items():
+        print(f"{name}, {'real' if name == REAL else 'simulated'}: {unsteadiness(walks, start)}")
 
 
 if __name__ == "__main__":
