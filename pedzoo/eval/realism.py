@@ -15,6 +15,7 @@ from torch import Tensor
 
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.metrics.closed_loop import own_metrics
+from pedzoo.metrics.interventions import intervention_m, intervention_share
 from pedzoo.metrics.ratios import of_parts, summarised
 from pedzoo.metrics.realism.crowds import (
     CrowdSums,
@@ -68,6 +69,7 @@ def replay_row(
     * ``closed_loop_ade_m``: mean distance to the recorded positions of the same time, until either arrives,
       never set back to them. ``closed_loop_min_ade_K_m``: of each person's best round. ``dtw_m``: distance to
       the recorded walk whatever the pace. A person who arrives in the first step of 0.4 s has neither.
+    * ``intervention_share``, ``intervention_m``: what the layer changes (`pedzoo.metrics.interventions`).
 
     ``density_speed`` is the curve of both crowds, ``distributions`` the histograms of every feature.
 
@@ -83,7 +85,8 @@ def replay_row(
     parts = [rollout] if isinstance(rollout, Rollout) else rollout
     walked, crowds, own, first = [], [], [], 0
     for part in parts:
-        own.append(own_metrics(part, metrics))
+        layer = {"intervention_share": intervention_share(part), "intervention_m": intervention_m(part)}
+        own.append(layer | own_metrics(part, metrics))
         steps = every_step(part)
         walked.append(walks_of(part, steps, first, scenes, recorded.tracks))
         crowds.append(crowd(part, steps, first, scenes, people.start, people.goal))

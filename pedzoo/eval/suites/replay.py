@@ -76,6 +76,8 @@ class Replay(Suite):
         "agent_contact_excess",
         "agent_contact_excess_per_min",
         "wall_contact_excess_per_min",
+        "intervention_share",
+        "intervention_m",
     )
 
     def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
