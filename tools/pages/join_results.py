@@ -1,16 +1,17 @@
-"""Writes a page of `pedzoo evaluate` from an earlier report and a later one of some of its policies.
+"""Writes a page of `pedzoo evaluate` from an earlier report and later ones of some of its policies.
 
 pedzoo evaluate social_walker.styled --suite door,goals,encounters,replay --json later.json
 python -m tools.pages.join_results earlier.json later.json --page checkpoints/results/RESULTS.md
 
-Both have to be of the same suites and options. Rows of the later one take the place of the earlier one's; the
-page says which policies are of which commit.
+All have to be of the same suites and options. Rows of later ones take the place of earlier ones. The page
+says which policies are of which commit.
 """
 
 import argparse
 import json
 import re
 import shlex
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -47,10 +48,10 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("before", type=Path, help="Report of all policies, by pedzoo evaluate --json.")
-    parser.add_argument("later", type=Path, help="Report of some of them.")
+    parser.add_argument("later", type=Path, nargs="+", help="Reports of some of them.")
     parser.add_argument("--page", type=Path, required=True, help="Its command is that of the page so far.")
     given = parser.parse_args()
-    report = joined(*(json.loads(path.read_text()) for path in (given.before, given.later)))
+    report = reduce(joined, (json.loads(path.read_text()) for path in (given.before, *given.later)))
     command = COMMAND.search(given.page.read_text())
     if command is None:
         raise SystemExit(f"{given.page}: names no command")
