@@ -299,6 +299,10 @@ class Flat(Wide):
 class Split(Wide):
     def __call__(self, before, after, trace, outcome):
         return 0 * after.heading / 0
+
+class Large(Wide):
+    def __call__(self, before, after, trace, outcome):
+        return 0 * after.heading + 3e38
 """
 
 
@@ -318,6 +322,8 @@ def test_sensors_and_rewards_of_other_shapes_are_named(tmp_path: Path) -> None:
             driven(env, torch.zeros(2))
     with pytest.raises(UserError, match=r"Split returned nan: expected finite numbers"):
         driven(made(OPEN, reward={f"{file}:Split": 1.0}), torch.zeros(2))
+    with pytest.raises(UserError, match=r"Large: their sum is no finite number"):
+        driven(made(OPEN, reward={f"{file}:Large": 2.0}), torch.zeros(2))
 
 
 @pytest.mark.parametrize("sensor", ["lidar:beams=5", build(SENSORS, "lidar:beams=5", Sensor)])

@@ -22,7 +22,7 @@ from tensordict.nn import TensorDictModuleBase
 from pedzoo.policies.load import load_policy
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
-from tools.bench.turns import repeated
+from tools.bench.turns import load, machine, repeated
 
 SCENES, PEOPLE = (1, 64, 1024, 8192), 5
 POLICIES = ("go_to_goal", "sgan_goal_map.indoor:safety=false", "sgan_goal_map.indoor", "social_walker.styled")
@@ -56,6 +56,7 @@ def main() -> None:
         report: dict[str, Any] = {
             "command": "tools/bench/devices.py",
             "torch": torch.__version__,
+            "machine": {"devices": [named(device) for device in given.devices], "load": load()},
             "rows": rows,
         }
         given.json.write_text(json.dumps(report, indent=1) + "\n")
@@ -93,6 +94,11 @@ def walked(env: PedestrianEnv, policy: TensorDictModuleBase | Callable[[Any], An
     for _ in range(20):
         now = env.step(policy(now))["next"]
     return env.state.position.cpu()
+
+
+def named(device: str) -> str:
+    """Return what a device is called."""
+    return torch.cuda.get_device_name(device) if device.startswith("cuda") else machine()["cpu"]
 
 
 def finish(device: str) -> None:

@@ -21,6 +21,7 @@ from pedzoo.core.types import STEP_SECONDS, TRACE_SECONDS
 from pedzoo.eval.rollout import rollout
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
 from pedzoo.metrics.realism.features import SampledRollout, coarse, every_step
+from pedzoo.metrics.smoothness import acceleration, heading_rate
 from pedzoo.sim.physics_parts.camera import person_color
 from pedzoo.sim.rollout import joined
 from pedzoo.sim.scenarios.replay import PreparedReplay
@@ -44,9 +45,6 @@ PANEL, GAP, HEADER, MARGIN = 448, 8, 34, 0.5
 
 LARGER, TRAIL = 1.4, 20
 """Bodies are drawn so many times as large as they are; trace points of a trail."""
-
-WALKS = 0.2
-"""m/s: slower people have no heading that turns."""
 
 BUILDING, STREET = (206, 208, 214), (248, 247, 243)
 
@@ -127,20 +125,16 @@ def picture(canvas: Canvas, sides: dict[str, list[Walk]], point: int) -> Image.I
     return result
 
 
-def unsteadiness(walks: list[Walk], start: int) -> str:
+def unsteadiness(steps: SampledRollout, start: int) -> str:
     """Return how much people turn and change speed within 0.4 s of the picture's time: 95th percentiles."""
-    fine = round(STEP_SECONDS / TRACE_SECONDS)
-    turns, changes = [], []
-    for walk in walks:
-        time = walk.begin + fine * np.arange(len(walk.xy[::fine]))
-        xy = walk.xy[::fine][(time >= start) & (time < start + round(SECONDS / TRACE_SECONDS))]
-        velocity = np.diff(xy, axis=0) / STEP_SECONDS
-        changes += list(np.hypot(*np.diff(velocity, axis=0).T) / STEP_SECONDS)
-        turn = np.diff(np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0])))
-        walking = np.hypot(*velocity.T) > WALKS
-        turns += list(np.abs(np.degrees(turn))[walking[1:] & walking[:-1]])
-    turned, changed = (float(np.percentile(values, 95)) for values in (turns, changes))
-    return f"{turned:.0f} degrees and {changed:.2f} m/s2"
+    begin = round(start * TRACE_SECONDS / STEP_SECONDS)
+    seen = slice(begin, begin + round(SECONDS / STEP_SECONDS))
+    steps = coarse(steps)
+    values = []
+    for measure in (heading_rate, acceleration):
+        value, known = measure(steps.velocity[:, :, seen], steps.known[:, :, seen])
+        values.append(float(value[known].abs().quantile(0.95)))
+    return f"{np.degrees(values[0]) * STEP_SECONDS:.0f} degrees and {values[1]:.2f} m/s2"
 
 
 def main() -> None:
@@ -148,7 +142,8 @@ def main() -> None:
     walked, env = rollout(POLICY, SCENARIO, physics="compiled", episodes=1)
     prepared = env.prepared
     assert isinstance(prepared, PreparedReplay)
-    simulated, real = (walks_of(every_step(one)) for one in (walked, joined(list(prepared.real_parts()))))
+    steps = [every_step(one) for one in (walked, joined(list(prepared.real_parts())))]
+    simulated, real = map(walks_of, steps)
     start = busiest(real)
     points = range(start, start + round(SECONDS / TRACE_SECONDS))
     both = [*real, *simulated]
@@ -160,8 +155,8 @@ def main() -> None:
     colors = {walk.color for point in points for walk, _ in present(both, point)}
     save_gif(frames, OUT, [*colors, *map(pale, colors)], TRACE_SECONDS)
     print(f"{OUT}: from {start * TRACE_SECONDS:.0f} s on, {OUT.stat().st_size / 1e6:.1f} MB")
-    for name, walks in sides.items():
-        print(f"{name}, {'real' if name == REAL else 'simulated'}: {unsteadiness(walks, start)}")
+    for name, one in zip((f"{other}, simulated", f"{REAL}, real"), steps, strict=True):
+        print(f"{name}: {unsteadiness(one, start)}")
 
 
 if __name__ == "__main__":

@@ -76,7 +76,9 @@ def devices() -> str:
         pairs = [(rates[policy, size, "cpu"], rates[policy, size, "cuda"]) for size in sizes]
         cells = (f"{rounded(cpu)} / {rounded(gpu)} ({gpu / cpu:.2g})" for cpu, gpu in pairs)
         lines.append(f"| `{policy}` | {' | '.join(cells)} |")
-    return "\n".join([*lines, "", f"{report['machine']}; torch {report['torch']}. In brackets: GPU / CPU."])
+    about, named = report["machine"], " and ".join(report["machine"]["devices"])
+    busy = f"{about['load']:.0f} programs ran"
+    return "\n".join([*lines, "", f"{named}; {busy}; torch {report['torch']}. In brackets: GPU / CPU."])
 
 
 def known() -> dict[str, Any]:

@@ -71,9 +71,8 @@ def recipe(name: str, options: argparse.Namespace) -> tuple[RunFolder, dict[str,
         "monitor": "val/unlike", "trainer.max_epochs": str(options.epochs),
         "trainer.check_val_every_n_epoch": str(options.epochs), **PARTS[name],
     }  # fmt: skip
-    return RunFolder(
-        root / CONFIG.replace("/", ".") / f"{options.fold}-seed{given['seed_everything']}"
-    ), given
+    run = root / CONFIG.replace("/", ".") / f"{options.fold}-seed{given['seed_everything']}"
+    return RunFolder(run), given
 
 
 def trained(run: RunFolder, options: Mapping[str, str]) -> float:
@@ -139,15 +138,17 @@ def main() -> None:
     parser.add_argument("--train", action="store_true", help="train, and score nothing")
     options = parser.parse_args()
     names = [name for name in PARTS if not options.parts or name in options.parts]
+    recipes = {name: recipe(name, options) for name in names}
+    unlikes: dict[str, float] = {}
     with ThreadPoolExecutor(options.jobs) as pool:
-        unlikes = list(pool.map(lambda name: trained(*recipe(name, options)), names))
-    for name, unlike in zip(names, unlikes, strict=True):
-        print(f"{name}: val/unlike {unlike:.3f}", flush=True)
+        for name, unlike in zip(names, pool.map(lambda one: trained(*one), recipes.values()), strict=True):
+            print(f"{name}: val/unlike {unlike:.3f}", flush=True)
+            unlikes[name] = unlike
     if options.train:
         return
     rows, real = [], {}
-    for name, unlike in zip(names, unlikes, strict=True):
-        report = scored(recipe(name, options)[0], options.fold)
+    for name, unlike in unlikes.items():
+        report = scored(recipes[name][0], options.fold)
         real, walker = report["rows"][0], report["rows"][-1]
         versions = report["versions"]
         rows.append(walker | {"name": name, "unlike": f"{unlike:.3f}", "commit": versions["commit"]})

@@ -65,19 +65,24 @@ class WeightedSum:
         Raises:
             UserError: A term has another shape, or is no number for a robot that has not ended.
         """
-        total = torch.zeros_like(after.heading)
+        total, terms = torch.zeros_like(after.heading), {}
         for name, term, weight in self.terms:
             value = term(before, after, trace, outcome)
             if (given := shape_of(value)) != total.shape:
                 raise UserError(f"reward {name} returned {given}: expected (B, R) = {tuple(total.shape)}")
-            total = total + weight * torch.where(outcome.active, value, 0.0)
-            if not bool(total.isfinite().all()):
-                raise UserError(f"reward {name} returned {_first_odd(total)}: expected finite numbers")
+            terms[name] = torch.where(outcome.active, value, 0.0)
+            total = total + weight * terms[name]
+        if not bool(total.isfinite().all()):
+            raise UserError(_odd(terms))
         return total
 
 
-def _first_odd(values: Tensor) -> float:
-    return float(values[~values.isfinite()][0])
+def _odd(terms: Mapping[str, Tensor]) -> str:
+    """Return which term is no finite number."""
+    for name, value in terms.items():
+        if len(odd := value[~value.isfinite()]):
+            return f"reward {name} returned {float(odd[0])}: expected finite numbers"
+    return f"rewards {', '.join(terms)}: their sum is no finite number"
 
 
 def _weight(name: str, weight: object) -> float:

@@ -39,11 +39,6 @@ class CrowdWalk(NamedTuple):
     asked: Tensor | None = None
     walked: Tensor | None = None
 
-    def cpu(self) -> "CrowdWalk":
-        """Return the walk on the CPU."""
-        asked, walked = (None if value is None else value.cpu() for value in (self.asked, self.walked))
-        return CrowdWalk(self.xy.cpu(), self.there.cpu(), self.scored.cpu(), asked, walked)
-
 
 def recorded(real: Excerpts, before: int = 0) -> CrowdWalk:
     """Return the recorded crowd, with ``scored`` as of `walked_on`."""

@@ -150,7 +150,7 @@ class Excerpts(NamedTuple):
         """Frame in which simulated people are taken out at the latest (B, A) long, as in a replay."""
         return self.taken + LONGEST * (self.last - self.taken)
 
-    def to(self, device: torch.device) -> "Excerpts":
+    def to(self, device: torch.device | str) -> "Excerpts":
         """Return the excerpts on a device."""
         return Excerpts(*(value.to(device) for value in self))
 

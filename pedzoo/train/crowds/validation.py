@@ -24,20 +24,18 @@ def whole_replays(
     policy: Policy,
     crowds: Sequence[RecordedCrowd],
     planner: Planner,
-    device: torch.device = torch.device("cpu"),  # noqa: B008
+    device: torch.device | str = "cpu",
 ) -> dict[str, float]:
     """Return how unlike the crowds are in which a policy takes all people's places, from begin to end.
 
-    The policy is on ``device``; the crowds are compared on the CPU.
-
     ``realism``, ``auc`` and ``auc_coarse`` as in `pedzoo score`, people of all recordings together, and
-    ``unlike``, their sum.
+    ``unlike``, their sum. The policy is on ``device``, and walks there.
     """
     made: dict[str, list[CrowdFeatures]] = {"auc": [], "auc_coarse": []}
     true: dict[str, list[CrowdFeatures]] = {"auc": [], "auc_coarse": []}
     for number, crowd in enumerate(crowds):
-        real = excerpts(crowd, [1 - OBS_LEN], crowd.frames)
-        walk = walked_on(policy, real.to(device), planner, torch.tensor([number], device=device)).cpu()
+        real = excerpts(crowd, [1 - OBS_LEN], crowd.frames).to(device)
+        walk = walked_on(policy, real, planner, torch.tensor([number], device=device))
         for into, one in ((made, _rounded(walk)), (true, _rounded(recorded(real)))):
             into["auc"].append(compared(one, real))
             into["auc_coarse"].append(compared(coarse(one), real))
@@ -63,8 +61,8 @@ def _area(made: list[CrowdFeatures], true: list[CrowdFeatures]) -> float:
     part = torch.arange(people) * 2654435761 % 2**32 % FOLDS  # of Knuth: neighbours in different parts
     sides = [
         Clips(
-            torch.cat([one.clips.flatten(1) for one in side]),
-            torch.cat([one.person + first for one, first in zip(side, begin, strict=False)]),
+            torch.cat([one.clips.flatten(1) for one in side]).cpu(),
+            torch.cat([one.person + first for one, first in zip(side, begin, strict=False)]).cpu(),
         )
         for side in (made, true)
     ]

@@ -31,19 +31,25 @@ class Gatherer:
         self._now: TensorDictBase | None = None
 
     @torch.no_grad()
-    def gather(self, acting: TensorDictModuleBase, steps: int, teacher: Teacher | None = None) -> TensorDict:
+    def gather(
+        self,
+        acting: TensorDictModuleBase,
+        steps: int,
+        teacher: Teacher | None = None,
+        device: torch.device | str = "cpu",
+    ) -> TensorDict:
         """Return decisions (B, T, R) with what followed under ``next``.
 
         Args:
-            acting: Writes ``robots/decision`` and ``log_prob``; may be on another device than the scenes.
+            acting: Writes ``robots/decision`` and ``log_prob``.
             steps: T.
             teacher: Says what it would have decided (B, R, 2): ``robots/taught``.
+            device: Where ``acting`` is; scenes and decisions are on the CPU.
         """
         if self._now is None:
             self.env.set_seed(self._seed, static_seed=True)
         now = self.env.reset() if self._now is None else self._now
         lived = []
-        device = _device_of(acting)
         for _ in range(steps):
             before = acting(now.select(*_KEPT).clone().to(device)).to("cpu")
             if teacher:
@@ -61,11 +67,6 @@ class Gatherer:
 
 Teacher = Callable[[TensorDictBase], Tensor]
 """Returns decisions (B, R, 2) for scenes, see `pedzoo.policies.robots.attention.Attention.mean`."""
-
-
-def _device_of(policy: Any) -> torch.device:
-    """Return where a network's parameters are."""
-    return next((weights.device for weights in policy.parameters()), torch.device("cpu"))
 
 
 def act(scenes: TensorDictBase, decision: Tensor) -> None:
@@ -115,9 +116,7 @@ def touched(info: TensorDictBase) -> Tensor:
 
 @torch.no_grad()
 def walked_once(
-    env: RobotEnv | CrowdNavEnv,
-    decide: Teacher,
-    device: torch.device = torch.device("cpu"),  # noqa: B008
+    env: RobotEnv | CrowdNavEnv, decide: Teacher, device: torch.device | str = "cpu"
 ) -> dict[str, Tensor]:
     """Return how one episode in each scene went: shares, seconds of those that succeeded, and the return.
 

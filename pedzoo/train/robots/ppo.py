@@ -194,7 +194,8 @@ class RobotPPO(L.LightningModule):
         acting, loss, estimate, gatherers = self._parts
         imitates = int(self.iteration) < self.imitate
         teacher = self.teacher if imitates else None
-        lived: Any = torch.cat([one.gather(acting, self.steps, teacher) for one in gatherers]).to(self.device)
+        gathered = [one.gather(acting, self.steps, teacher, self.device) for one in gatherers]
+        lived: Any = torch.cat(gathered).to(self.device)
         log = outcome_shares(lived["next"])
         log["reward"] = lived["next", "robots", "reward"].mean()
         known = with_advantages(lived, self.value, estimate)
