@@ -297,8 +297,10 @@ def test_the_carrot_by_hand() -> None:
     assert 2.5 <= x <= 3.5
 
 
-def test_the_carrot_is_seen_and_as_far_as_the_way() -> None:
+@pytest.mark.parametrize("compiled", [True, False])
+def test_the_carrot_is_seen_and_as_far_as_the_way(compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     bank, planner = flat()
+    monkeypatch.setattr(planner, "compiled", compiled)
     graph, rooms = planner.graph(0), rooms_of(planner)
     points = torch.from_numpy(graph.xy[rooms]).float()
     here = arguments(bank, len(points))

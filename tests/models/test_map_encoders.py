@@ -102,6 +102,19 @@ def test_patches_train_and_carry_gradients_to_positions() -> None:
         PatchEncoder(cells=2)
 
 
+def test_pictures_are_normalised_as_on_imagenet() -> None:
+    """Weights that pass three channels on at their centre give (value - mean) / std, by torchvision."""
+    weights = {f"{key}.bias": torch.zeros(shape[0]) for key, shape in alexnet.SHAPES.items()}
+    for key, shape in alexnet.SHAPES.items():
+        weight = torch.zeros(shape)
+        weight[range(3), range(3), shape[2] // 2, shape[3] // 2] = 1.0
+        weights[f"{key}.weight"] = weight
+    side = alexnet.input_length(3)
+    picture = torch.tensor([0.9, 0.7, 0.5]).view(1, 3, 1, 1).expand(1, 3, side, side)
+    seen = alexnet.features(picture, weights)[0, :3, 1, 1].tolist()
+    assert seen == pytest.approx([(0.9 - 0.485) / 0.229, (0.7 - 0.456) / 0.224, (0.5 - 0.406) / 0.225])
+
+
 def test_feature_cells_are_centred_on_pixel_16_i_plus_15() -> None:
     """With all weights 1, a feature differs from 0 exactly where it sees the picture's only bright pixel."""
     weights = {

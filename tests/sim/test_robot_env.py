@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 import torch
@@ -12,12 +13,15 @@ from torch import Tensor
 from torchrl.envs.utils import check_env_specs
 
 import pedzoo
+from pedzoo.core.batch import PERSON, ROBOT
 from pedzoo.core.bodies import Fleet, RobotBody
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import ROBOT_REWARDS, ROBOTS, SENSORS
 from pedzoo.core.spec import build
 from pedzoo.policies.load import load_robot_policy
 from pedzoo.sim.robot_parts.env import RobotEnv
+from pedzoo.sim.robot_parts.outcome import Outcome
+from pedzoo.sim.robot_parts.reward import RobotReward
 from pedzoo.sim.robot_parts.scenes import with_robots
 from pedzoo.sim.robot_parts.sensor import Sensor
 
@@ -62,6 +66,39 @@ def test_every_sensor_stays_within_its_spec(name: str) -> None:
     physics = "bullet" if name == "camera" else "compiled"
     env = made(sensors=[name], num_envs=2, physics=physics)
     check_env_specs(env)
+
+
+def test_rewards_by_hand() -> None:
+    """A person at the origin, and two robots that drive along x for two steps of 0.1 s."""
+    near, far = [[0.5, 0.0], [0.6, 0.0]], [[3.0, 0.0], [2.9, 0.0]]
+    trace = torch.tensor([[[[0.0, 0.0], [0.0, 0.0]], near, far]])
+    person = {"mask": torch.ones(1, 3, dtype=torch.bool), "kind": torch.tensor([[PERSON, ROBOT, ROBOT]])}
+    person["radius"] = torch.tensor([[0.15, 0.3, 0.3]])
+    before, after = (
+        SimpleNamespace(
+            state=SimpleNamespace(
+                goal_id=torch.tensor([goals]), remaining_path=torch.tensor([path]), **person
+            ),
+            robots=2,
+        )
+        for goals, path in (([0, 1, 2], [9.0, 5.0, 4.0]), ([0, 1, 3], [8.0, 4.5, 7.0]))
+    )
+    yes, no = torch.ones(1, 2, dtype=torch.bool), torch.zeros(1, 2, dtype=torch.bool)
+    first, second = torch.tensor([[True, False]]), torch.tensor([[False, True]])
+    outcome = Outcome(yes, first, no, no, second, no, no, no)
+
+    def given(name: str, result: Outcome = outcome) -> list[float]:
+        reward = build(ROBOT_REWARDS, name, RobotReward)
+        return cast("Any", reward)(before, after, trace, result)[0].tolist()
+
+    # half a metre of the way; the second robot has reached its goal and has another one
+    assert given("progress") == pytest.approx([0.5, 4.0])
+    assert given("success") == [1, 0]
+    assert given("collision") == [0, -1]
+    assert given("collision", outcome._replace(person_contact=first, wall_contact=no)) == [-1, 0]
+    assert given("time", outcome._replace(active=first)) == pytest.approx([-0.2, 0.0])
+    # gaps of 0.05 and 0.15 m where 0.2 m are liked, for 0.1 s each
+    assert given("discomfort") == pytest.approx([-(0.15 + 0.05) / 0.2 * 0.1, 0.0])
 
 
 @pytest.mark.parametrize("name", sorted(ROBOT_REWARDS.names()))

@@ -1,6 +1,5 @@
-"""Pictures of pages as people see them: ``python -m tools.pages.screenshots [readme] [site] [report]``.
+"""Pictures of pages as people see them: ``python -m tools.pages.screenshots [site] [report]``.
 
-``docs/pictures/readme.png``: the README, as a code host shows it.
 ``docs/pictures/site.png``: the first page of the site; build it before with ``python tools/pages/site``.
 ``docs/report_desktop.png``, ``report_phone.png``, ``report_dark.png``: a report of people in a flat.
 
@@ -18,7 +17,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import markdown
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
@@ -28,16 +26,6 @@ from pedzoo.viz.report.episode import Replay
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
-
-STYLE = """
-body { font: 16px/1.5 "DejaVu Sans", sans-serif; color: #1f2328; max-width: 980px; margin: 32px auto; }
-h1, h2 { border-bottom: 1px solid #d1d9e0; padding-bottom: .3em; }
-pre, code { background: #f6f8fa; border-radius: 6px; font: 13px/1.45 "DejaVu Sans Mono", monospace; }
-code { padding: .2em .4em; } pre { padding: 16px; overflow: auto; } pre code { padding: 0; }
-table { border-collapse: collapse; } th, td { border: 1px solid #d1d9e0; padding: 6px 13px; }
-tr:nth-child(2n) { background: #f6f8fa; } img { max-width: 100%; } a { color: #0969da; }
-"""
-"""About as a code host sets a README."""
 
 POLICIES = ["orca:radius=0.3", "sgan_goal_map.indoor"]
 SCENARIO = "goals:map=apartment.7,people=8,goals=3,pool=8"
@@ -54,8 +42,8 @@ VIEWS: dict[str, dict[str, Any]] = {
 def main(wanted: list[str]) -> None:
     """Take the pictures that are asked for, by default all."""
     with browser() as chromium:
-        for name in wanted or ["readme", "site", "report"]:
-            {"readme": readme, "site": site, "report": report}[name](chromium)
+        for name in wanted or ["site", "report"]:
+            {"site": site, "report": report}[name](chromium)
 
 
 @contextmanager
@@ -68,18 +56,6 @@ def browser() -> Iterator[Any]:
         chromium = started.chromium.launch(executable_path=program, args=["--no-sandbox"])
         yield chromium
         chromium.close()
-
-
-def readme(chromium: Any) -> None:
-    """Take the whole README."""
-    text = markdown.markdown((ROOT / "README.md").read_text(), extensions=["tables", "fenced_code"])
-    page = chromium.new_page(viewport={"width": 1100, "height": 800})
-    with TemporaryDirectory(dir=ROOT) as folder:
-        file = Path(folder) / "readme.html"
-        file.write_text(f"<base href='{ROOT.as_uri()}/'><style>{STYLE}</style>{text}")
-        page.goto(file.as_uri(), wait_until="networkidle")
-        shot(page.screenshot(full_page=True), DOCS / "pictures" / "readme.png", 0.6)
-    page.close()
 
 
 def site(chromium: Any) -> None:
@@ -105,13 +81,10 @@ def report(chromium: Any) -> None:
             page.close()
 
 
-def shot(data: bytes, out: Path, scale: float = 1.0) -> None:
+def shot(data: bytes, out: Path) -> None:
     """Write a picture, made small."""
-    picture, small = Image.open(BytesIO(data)).convert("RGB"), BytesIO()
-    if scale != 1:
-        size = round(scale * picture.width), round(scale * picture.height)
-        picture = picture.resize(size, Image.Resampling.LANCZOS).quantize(256, dither=Image.Dither.NONE)
-    picture.save(small, "PNG", optimize=True)
+    small = BytesIO()
+    Image.open(BytesIO(data)).convert("RGB").save(small, "PNG", optimize=True)
     write_whole(out, small.getvalue())
     print(out)
 

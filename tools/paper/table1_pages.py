@@ -84,7 +84,7 @@ def notes(missing: Mapping[str, str]) -> list[str]:
         "nats per step: negative log-likelihood of the true displacements, metres, per person and step. Of"
         " social_vrnn it is an upper bound (20 draws of its latent); constant_velocity is given a Gaussian"
         " as wide at every step as the training windows stray from it",
-        "the paper does not say how it scores samples; its numbers are quoted from the project's notes",
+        "the paper does not say how it scores samples; the column `paper` quotes its Table I",
     ]
     reasons: dict[str, list[str]] = {}
     for name, why in missing.items():
