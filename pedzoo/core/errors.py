@@ -64,26 +64,27 @@ def known_arguments(*further: Callable[..., Any]) -> Callable[[Function], Functi
     return checked
 
 
-def check_whole(what: str, number: object) -> None:
-    """Refuse what is no whole number.
+def whole(what: str, number: object) -> int:
+    """Return a whole number as Python's own: one of NumPy or torch overflows where this does not.
 
     Raises:
         UserError: It is none; the message begins with ``what``.
     """
     try:
-        index(cast("Any", number))
+        return index(cast("Any", number))
     except TypeError as error:
         raise UserError(f"{what} {number!r:.60}: expected a whole number") from error
 
 
-def at_least_one(what: str, number: int) -> None:
-    """Refuse a number below 1.
+def at_least_one(what: str, number: object) -> int:
+    """Return a whole number above 0 as `whole` does.
 
     Raises:
-        UserError: It is; the message begins with ``what``.
+        UserError: It is none; the message begins with ``what``.
     """
-    if number < 1:
-        raise UserError(f"{what} {number}: expected at least 1")
+    if (result := whole(what, number)) < 1:
+        raise UserError(f"{what} {result}: expected at least 1")
+    return result
 
 
 def at_least_zero(place: str, **numbers: float) -> None:

@@ -14,7 +14,7 @@ from zlib import crc32
 import torch
 from torch import Tensor
 
-from pedzoo.core.errors import check_whole
+from pedzoo.core.errors import whole
 
 
 def _signed(value: int) -> int:
@@ -83,8 +83,8 @@ class Draws:
         Raises:
             UserError: The seed is no whole number.
         """
-        check_whole("seed", seed)
-        return cls(join(torch.zeros_like(episode) + _signed(seed % 2**64), episode), episode)
+        number = _signed(whole("seed", seed) % 2**64)
+        return cls(join(torch.zeros_like(episode) + number, episode), episode)
 
     def keys(self, what: str, *shape: int) -> Tensor:
         """Return keys (B, *shape). A larger first dimension keeps the numbers of a smaller one."""

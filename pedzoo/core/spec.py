@@ -81,10 +81,17 @@ def spelled(text: str, settings: Mapping[str, Any]) -> str:
     Raises:
         UserError: A value is a mapping or something else that cannot be written behind a colon.
     """
-    parts = [f"{key}={_as_text(f'{text}:{key}', value)}" for key, value in settings.items()]
+    parts = [f"{key}={_as_text(f'{text}:{key}', plain(value))}" for key, value in settings.items()]
     if not parts:
         return text
     return f"{text}{',' if parse(text).settings else ':'}{','.join(parts)}"
+
+
+def plain(value: Any) -> Any:
+    """Return a value with Python's own numbers where it has those of NumPy or torch."""
+    if isinstance(value, list | tuple):
+        return [plain(one) for one in value]
+    return value.tolist() if hasattr(value, "tolist") else value
 
 
 def _as_text(where: str, value: Any) -> str:
@@ -124,7 +131,7 @@ def make(cls: type, kind: str, spec: Spec | SpecText, **given: Any) -> Any:
     for key, value in settings.items():
         if key not in types:
             raise unknown(f"setting of {kind} {name}", key, types)
-        arguments[key] = _typed(f"{name}:{key}", value, types[key], written)
+        arguments[key] = _typed(f"{name}:{key}", plain(value), types[key], written)
     try:
         inspect.signature(cls).bind(**grouped(cls, arguments))
     except TypeError as error:

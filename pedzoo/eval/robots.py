@@ -61,7 +61,7 @@ def robot_rollout(
     Raises:
         UserError: An unknown name or setting.
     """
-    at_least_one("episodes", episodes)
+    episodes = at_least_one("episodes", episodes)
     bodies = (robot,) if isinstance(robot, str) else tuple(robot)
     prepared = prepared_scenes(scenario, bodies, settings.pop("robot_goals", 1))
     alone = cast("RobotScenes", prepared.scenario).without_robots(prepared)

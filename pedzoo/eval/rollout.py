@@ -80,7 +80,7 @@ def prepare(
     """Return a policy and the environment in which it decides as often as it can; errors as of `rollout`."""
     if not isinstance(policy, str):
         raise UserError(f"policy {policy!r:.200}: expected one name; pedzoo.evaluate takes several")
-    at_least_one("episodes", episodes)
+    episodes = at_least_one("episodes", episodes)
     walks = load_policy(policy)
     wanted = settings.pop("decision_dt", None)
     if wanted is not None and not math.isclose(wanted, walks.decision_dt):

@@ -14,7 +14,7 @@ from torchrl.envs import EnvBase
 
 from pedzoo.core.adapters import copied, put, tensordict_of
 from pedzoo.core.batch import actions_of, agents_of
-from pedzoo.core.errors import UserError, check_whole
+from pedzoo.core.errors import UserError, at_least_one, whole
 from pedzoo.core.machine import usable
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.maps.bank import MapBank
@@ -94,9 +94,7 @@ class PedestrianEnv(EnvBase):
                 f"decision_dt {decision_dt}: people of recordings come and are handed over every "
                 f"{STEP_SECONDS} s, so a decision takes 0.1, 0.2 or 0.4 s"
             )
-        check_whole("num_envs", num_envs)
-        if num_envs < 1 or (stride is not None and stride < 1):
-            raise UserError(f"num_envs {num_envs}, stride {stride}: expected at least 1")
+        num_envs = at_least_one("num_envs", num_envs)
         super().__init__(device=usable(device), batch_size=torch.Size([num_envs]))
         agents = prepared.people
         self.prepared, self.physics, self.decision_dt = prepared, physics, decision_dt
@@ -105,7 +103,8 @@ class PedestrianEnv(EnvBase):
         fine = substeps(prepared.fastest_agent, smallest)
         self.rules = kernel.rules_of(prepared, trace_points, fine, self.device, deadline)
         self._episodes = Episodes(prepared, warm_start, physics, self.rules, self.device)
-        self._first, self._stride = first_episode, num_envs if stride is None else stride
+        self._first = whole("first_episode", first_episode)
+        self._stride = at_least_one("stride", num_envs if stride is None else stride)
         self._scenes: Scenes | None = None
         self._set_seed(seed)
         self.observation_spec = observation_spec(num_envs, agents, trace_points, self.bank).to(self.device)
@@ -210,15 +209,18 @@ class PedestrianEnv(EnvBase):
         Raises:
             UserError: No such row or size, or `reset` was never called.
         """
-        check_whole("scene", scene)
+        scene = whole("scene", scene)
         check_size(size)
         if not 0 <= scene < self.batch_size[0]:
             raise UserError(f"scene {scene}: expected 0 to {self.batch_size[0] - 1}")
         return picture_of(self.state, self.physics, scene, size)
 
+    def set_seed(self, seed: int | None = None, static_seed: bool = False) -> int | None:
+        """Choose the scenes of any whole number, as `EnvBase.set_seed`, which takes no negative ones."""
+        return super().set_seed(None if seed is None else whole("seed", seed) % 2**64, static_seed)
+
     def _set_seed(self, seed: int | None) -> None:
-        check_whole("seed", seed or 0)
-        self.seed = seed or 0
+        self.seed = 0 if seed is None else whole("seed", seed)
         people, rows = self.prepared.people, self.batch_size[0]
         numbers = self.seed, rows, self._first, self._stride
         self._queue = EpisodeQueue(self._episodes, self.rules, self._opened, people, *numbers)

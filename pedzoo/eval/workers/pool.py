@@ -11,7 +11,7 @@ from typing import Any, Literal, TypeVar, get_args
 import cloudpickle
 import torch
 
-from pedzoo.core.errors import UserError, need, unknown
+from pedzoo.core.errors import at_least_one, need, unknown
 from pedzoo.eval.workers.jobs import JobResult, packed
 
 J = TypeVar("J")
@@ -59,8 +59,7 @@ def finished(
     """
     if backend not in get_args(Backend):
         raise unknown("backend", backend, get_args(Backend))
-    if workers < 1:
-        raise UserError(f"workers {workers}: expected at least 1")
+    workers = at_least_one("workers", workers)
     if backend == "ray":
         need("ray", "the backend ray")
     groups = grouped(range(len(jobs)) if group is None else [group(job) for job in jobs])

@@ -16,7 +16,7 @@ from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.paths import config_names, write_whole
 from pedzoo.core.registry import MODELS, ROBOT_POLICIES, names_code
-from pedzoo.core.spec import grouped, make, parse, setting_groups, setting_types, unquoted
+from pedzoo.core.spec import grouped, make, parse, plain, setting_groups, setting_types, unquoted
 from pedzoo.core.types import GoalProtocol
 from pedzoo.models.base import Forecaster, has_parameters
 from pedzoo.models.zoo.card import ModelCard
@@ -122,7 +122,7 @@ def untrained(name: str, goal: GoalProtocol | None = None, **settings: Any) -> F
         )
     elif name not in MODELS.names() and not names_code(name):
         raise no_model(name, [*MODELS.names(), *config_names()])
-    model = MODELS.get(name, Forecaster)
+    model, settings = MODELS.get(name, Forecaster), {key: plain(value) for key, value in settings.items()}
     types = setting_types(model)
     if wrong := sorted(settings.keys() - types.keys()):
         raise unknown(f"setting of model {name}", wrong[0], types)

@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, whole
 from pedzoo.core.spec import Spec
 from pedzoo.sim.gym.batched import Batched, Step
 from pedzoo.sim.gym.render import MODES
@@ -93,6 +93,7 @@ class RobotGymEnv(OneScene, gymnasium.Env[Any, Any]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Begin the first scene of a seed, or else the next one; there are no options."""
+        seed = None if seed is None else whole("seed", seed)
         super().reset(seed=seed)
         observation, *_, info = _first(self.batched.reset(seed, self.np_random))
         return observation, info

@@ -115,7 +115,7 @@ class Door(Scenario):
         self.variants.check_lengths(resolution, "width", "thickness", instead=fine)
         self.jitter, self.speed_ratio, self.resolution = jitter, speed_ratio, resolution
         self.away, self.sync = Drawn(self.name, "away", away, least=NEAREST), sync
-        self._seat(people, people // 2 if from_right is None else from_right, abreast)
+        self._seat(self.people, self.people // 2 if from_right is None else from_right, abreast)
         queue = (int(self._row.max()) + 1) * SPACING
         aside = max(map(abs, self.variants.values["offset"])) + 3 * jitter
         self.half_length = self.away.most + queue + WARM_SECONDS * self.fastest + 1.5

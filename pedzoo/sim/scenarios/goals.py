@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 import torch
 from torch import Tensor
 
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, whole
 from pedzoo.core.geometry import identity_pose
 from pedzoo.core.randomness import Draws
 from pedzoo.maps.bank import MapBank
@@ -62,7 +62,8 @@ class Goals(Scenario):
         Raises:
             UserError: A setting that gives no scene.
         """
-        fewest, most = (people, people) if isinstance(people, int) else people
+        both = people if isinstance(people, list | tuple) else (people, people)
+        fewest, most = (whole("people", one) for one in both)
         super().__init__(most, speed, speed_std)
         if not 1 <= fewest <= most:
             raise UserError(f"goals: people {people}: expected [fewest,most] with 1 <= fewest <= most")

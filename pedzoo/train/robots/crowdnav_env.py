@@ -15,7 +15,7 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import make_composite_from_td
 
 from pedzoo.core.bodies import HOLONOMIC, Fleet, RobotBody, speed_and_turn
-from pedzoo.core.errors import unknown
+from pedzoo.core.errors import unknown, whole
 from pedzoo.core.geometry import direction_of, nearest_part, unrotate
 from pedzoo.core.registry import ROBOTS
 from pedzoo.core.spec import build
@@ -99,7 +99,7 @@ class CrowdNavEnv(EnvBase):
         self.done_spec = done
 
     def _set_seed(self, seed: int | None) -> None:
-        self._random.manual_seed(seed or 0)
+        self._random.manual_seed(0 if seed is None else whole("seed", seed))
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         flags = None if tensordict is None else tensordict.get("_reset", None)
