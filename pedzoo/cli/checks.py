@@ -239,7 +239,7 @@ def _check_times(argv: list[str]) -> None:
     """Refuse a score of files without the seconds between their frame numbers."""
     against, dt = given(argv, "--against"), given(argv, "--dt")
     if against and is_recording(against):
-        check_seconds("--data.dt", given(argv, "--data.dt"), "the file of --against")
+        check_seconds("--data.dt", given(argv, "--data.dt"), "the file of --against", [against])
     if dt not in (None, "", "null"):
         check_seconds("--dt", dt, "the scored files")
 

@@ -4,6 +4,7 @@ Nothing heavy is imported, and no code of a file is run; see `pedzoo.cli.checks`
 """
 
 import os
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.paths import Kind, check_there, expanded
 from pedzoo.core.registry import file_of_code, names_code
 from pedzoo.core.spec import name_of
-from pedzoo.data.text_format import TextFormat, check_dt
+from pedzoo.data.text_format import TextFormat, check_dt, is_sqlite
 
 
 def is_code(text: str) -> bool:
@@ -40,16 +41,20 @@ def check_recording(what: str, text: str) -> None:
     """Refuse a recording that is not there, or whose first line names no or other columns."""
     check_file(what, text)
     with suppress(OSError, UnicodeDecodeError):  # the command has words for these
-        TextFormat.of(expanded(text))
+        if not is_sqlite(path := Path(expanded(text))):
+            TextFormat.of(path)
 
 
-def check_seconds(option: str, text: str | None, of: str) -> None:
-    """Refuse seconds between frame numbers that are missing or cannot be; what is no number passes."""
+def check_seconds(option: str, text: str | None, of: str, files: Sequence[str] = ()) -> None:
+    """Refuse seconds between frame numbers that cannot be, or are missing; what is no number passes.
+
+    The ``files`` may say them instead.
+    """
     try:
         dt = None if text in (None, "", "null") else float(text)
     except ValueError:
         return
-    check_dt(dt, of, option)
+    check_dt(dt, of, option, [expanded(file) for file in files])
 
 
 def check_checkpoint(option: str, text: str) -> None:

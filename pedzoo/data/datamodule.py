@@ -100,8 +100,8 @@ class TrajectoryDataModule(L.LightningDataModule):
         Args:
             fold: The test scene (eth, hotel, univ, zara1, zara2), ``embedded``, or ``file.py:Class:fold``.
             root: Folder of the recordings; PEDZOO_DATA, or what `pedzoo download` brought, if not given.
-            files: Your own recordings (text or CSV) instead of a fold.
-            dt: Seconds between consecutive frame numbers of ``files``.
+            files: Your own recordings instead of a fold.
+            dt: Seconds between consecutive frame numbers of ``files``; None where these say it.
             split: Shares of the recorded time of ``files`` for train, val and test.
             map: The floor plan of ``files``: a ROS map yaml, or a name as ``apartment.7``.
             homography: Text file of a 3x3 matrix from the positions in ``files`` to world metres.

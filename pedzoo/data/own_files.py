@@ -10,6 +10,8 @@ import numpy as np
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.size_limits import LARGEST_CARD, read_text
+from pedzoo.core.types import STEP_SECONDS
+from pedzoo.data.plausible import doubts, rows_apart, say
 from pedzoo.data.recordings import Recording, Split
 from pedzoo.data.text_format import check_dt
 from pedzoo.data.tracks import Tracks
@@ -34,10 +36,10 @@ class OwnFiles:
 
         ``plan`` is its ``map``, and ``option`` the one that has ``dt``.
         """
-        check_dt(dt, option=option)
+        check_dt(dt, option=option, files=files)
         if twice := [file for i, file in enumerate(files) if file in files[:i]]:
             raise UserError(f"files name {twice[0]!r} twice: its people would count twice; leave one out")
-        self.files, self.dt, self.plan = files, cast("float", dt), Path(plan) if plan else None
+        self.files, self.dt, self.plan = files, dt, Path(plan) if plan else None
         self.option = option
         self.shares = _shares(split)
         self.homography = _homography(homography) if homography else None
@@ -63,20 +65,60 @@ class OwnFiles:
 
     def _read(self, file: str) -> Tracks:
         tracks = Tracks.read(file)
+        seconds = self._seconds(tracks, file)
         if self.homography is not None:
-            tracks = tracks.through(self.homography)
+            given = tracks.source.metres or 1.0  # it maps the numbers of the file
+            tracks = tracks.through(self.homography @ np.diag((1 / given, 1 / given, 1.0)))
+        elif not tracks.source.metres:
+            raise UserError(
+                f"recording {file!r} is in pixels: give --data.homography, which maps them to metres"
+            )
         if np.ptp(tracks.xy, axis=0).max() > LARGEST:
             raise UserError(
                 f"recording {file!r} extends over {np.ptp(tracks.xy, axis=0).max():g}, expected metres, at "
-                f"most {LARGEST:g}: give positions in metres, or a homography to metres"
+                f"most {LARGEST:g}: name columns by their unit (x_mm, y_mm), or give a homography to metres"
             )
-        resampled = tracks.resampled(self.dt)
-        if np.ptp(resampled.frame) == 0:
-            seconds = np.ptp(tracks.frame) * self.dt
+        if len(tracks) and np.ptp(tracks.frame) * seconds < STEP_SECONDS - 1e-6:
+            lasts = np.ptp(tracks.frame) * seconds
             raise UserError(
-                f"recording {file!r} lasts {seconds:.3g} s at {self.option} {self.dt:g}: is it right?"
+                f"recording {file!r} lasts {lasts:.3g} s at {self.option} {seconds:g}: is it right?"
             )
+        resampled = tracks.resampled(seconds, option=self.option)
+        for doubt in doubts(tracks, seconds, self.option):
+            say(f"{file}: {doubt}")
         return resampled
+
+    def _seconds(self, tracks: Tracks, file: str) -> float:
+        """Return the seconds between two frame numbers of a file, and say what was found out of it.
+
+        Raises:
+            UserError: Neither the option nor the file has them, or the option cannot be true.
+        """
+        source, dt = tracks.source, self.dt
+        stated = source.seconds
+        if dt is None:
+            check_dt(stated, file, self.option)
+        elif source.timed and stated:
+            apart = rows_apart(tracks) * stated
+            if dt != 1 and not np.isclose(dt, apart, rtol=0.05):
+                raise UserError(
+                    f"recording {file!r} has times in seconds, rows {apart:.3g} s apart: leave out "
+                    f"{self.option} {dt:g}"
+                )
+            dt = None
+        seconds = cast("float", stated if dt is None else dt)
+        unit = {0.0: "pixels", 1.0: "metres"}.get(source.metres, f"units of {source.metres:g} m")
+        if source.timed:
+            clock = "times in seconds"
+        elif stated is None or dt is None:
+            clock = (
+                f"{seconds:.4g} s between frame numbers ({self.option if stated is None else 'it says so'})"
+            )
+        else:
+            clock = f"{dt:g} s between frame numbers ({self.option}; it says {stated:.4g})"
+        if source.form or stated or source.metres != 1:
+            say(f"{file} read as {source.form or 'a table'}: {clock}, {unit}")
+        return seconds
 
     def _part(self, tracks: Tracks, split: Split) -> Tracks:
         start, steps = tracks.frame.min(), np.ptp(tracks.frame) + 1

@@ -12,7 +12,8 @@ import numpy as np
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.registry import DATASETS, datasets_of_folds, names_code
 from pedzoo.core.spec import name_of
-from pedzoo.core.types import TimeBase
+from pedzoo.core.types import STEP_SECONDS, TimeBase
+from pedzoo.data.plausible import check_walks, rows_apart
 from pedzoo.data.tracks import Tracks
 from pedzoo.maps.grid import OccupancyGrid, home_of
 
@@ -119,7 +120,7 @@ class OpenFold:
         """Return the recordings of a split.
 
         Raises:
-            UserError: The dataset returns something else.
+            UserError: The dataset returns something else, or nobody moves as people do at a step of 0.4 s.
         """
         result = self._dataset.recordings(split)
         right = isinstance(result, list | tuple) and all(
@@ -127,6 +128,9 @@ class OpenFold:
         )
         if not right:
             raise UserError(f"{self._name}.recordings({split!r}) returned {result!r:.60}: {_EXPECTED}")
+        for one in result:
+            if (apart := rows_apart(one.tracks)) > 0:
+                check_walks(one.tracks, STEP_SECONDS / apart)
         return list(result)
 
 

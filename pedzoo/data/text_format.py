@@ -1,47 +1,67 @@
-"""The text forms that recordings come in.
+"""The text forms that recordings come in: any table with a line that names its columns, and two without.
 
-Social GAN's (no header, white space, ``frame ped x y``) and CSV with a header that names at least ``frame``,
-``agent``, ``x`` and ``y`` in any order. A header over white space and CSV without one work, too.
+Social GAN's has no such line (``frame ped x y``); PedPy's (``id frame x y z``) says ``# framerate: 16``.
 """
 
 from __future__ import annotations
 
-import csv
+import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.size_limits import LARGEST_TABLE, check_limit
+from pedzoo.data.columns import (
+    COLUMNS,
+    LENGTHS,
+    LONGEST_LINE,
+    TIMES,
+    cells_of,
+    columns_of,
+    is_number,
+    separator_of,
+    width_of,
+)
 
 if TYPE_CHECKING:
     import numpy as np
 
-COLUMNS = ("frame", "agent", "x", "y")
-ALIASES = {"agent": ("agent", "ped", "id", "track_id"), "frame": ("frame", "frame_id")}
-ENCODING = "utf-8-sig"
-"""UTF-8, with or without the mark that spreadsheets put in front."""
+_ENDS = ["end time", "end x", "end y"]
+_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".traj", ".sqlite", ".sqlite3", ".db")
+_PACKED = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip or a workbook", b"BZh": "bzip2", b"\xfd7zXZ": "xz"}
+_RATE = re.compile(r"(?:frame\s*rate|\bfps)[^\d\n]*(\d+(?:[.,]\d*)?)", re.IGNORECASE)
+_IN_COMMENT = re.compile(rf"(?:\bx\s*/|\bin)\s*({'|'.join(LENGTHS)})\b", re.IGNORECASE)
 
 
 def is_recording(text: str) -> bool:
     """Return whether a text names a file of walks rather than a policy."""
-    return Path(text).suffix.lower() in (".csv", ".txt", ".tsv")
+    path = Path(text)
+    return (
+        path.with_suffix("") if path.suffix.lower() in (".gz", ".zip") else path
+    ).suffix.lower() in _SUFFIXES
 
 
-def check_dt(dt: float | None, of: str = "--data.files", option: str = "--data.dt") -> None:
+def check_dt(
+    dt: float | None, of: str = "--data.files", option: str = "--data.dt", files: Sequence[str | Path] = ()
+) -> None:
     """Refuse seconds between two frame numbers that are missing or cannot be.
 
     Args:
         dt: The seconds.
         of: Whose frame numbers these are, for the message.
         option: The option that has them.
+        files: Where they are missing, these may all say their own times.
 
     Raises:
         UserError: They are missing, not above 0, or 5 s or more.
     """
+    if dt is None and files and all(_may_have_times(Path(file)) for file in files):
+        return
     if dt is None or not 0 < dt < 5:
         raise UserError(
             f"{option} is {dt}: give the seconds between two consecutive frame numbers of {of} "
@@ -49,54 +69,144 @@ def check_dt(dt: float | None, of: str = "--data.files", option: str = "--data.d
         )
 
 
+def _may_have_times(path: Path) -> bool:
+    with suppress(OSError, UserError, UnicodeError):  # refused, with words of their own, where they are read
+        return is_sqlite(path) or TextFormat.of(path).has_times
+    return True
+
+
+def is_sqlite(path: Path) -> bool:
+    """Return whether a file is a database of SQLite, whatever its name."""
+    with path.open("rb") as file:
+        return file.read(16) == b"SQLite format 3\0"
+
+
 @dataclass(frozen=True)
 class TextFormat:
     """How a text file holds its table.
 
     Attributes:
+        encoding: Of the text.
+        skip: Lines before the first row.
         delimiter: Separator of two values; None for white space.
-        header: Whether the first line names the columns.
-        columns: Where frame, agent, x and y stand.
+        width: Columns.
+        columns: Where frame (or time), agent, x and y stand; behind them a time beside frames, or the ends of
+            footsteps (time, x, y).
+        names: What these are called in the file; empty where nothing says it.
+        time: Seconds of the unit of a time; 0 where it has none, None without such a column.
+        rate: Frames per second, by a comment; else None.
+        metres: See `Source`.
+        decimal: Whether fractions begin with a comma.
     """
 
-    delimiter: str | None
-    header: bool
-    columns: tuple[int, ...]
+    encoding: str
+    skip: int = 0
+    delimiter: str | None = None
+    width: int = 4
+    columns: tuple[int, ...] = (0, 1, 2, 3)
+    names: tuple[str, ...] = ()
+    time: float | None = None
+    rate: float | None = None
+    metres: float = 1.0
+    decimal: bool = False
 
     @classmethod
     def of(cls, path: Path) -> TextFormat:
-        """Find out from the first line of a file.
+        """Find out from the first lines of a file.
 
         Raises:
             UserError: It names no or other columns, there are not four, or the file is too large.
         """
-        remedy = "cut the recording into several files"
-        check_limit(path.stat().st_size, LARGEST_TABLE, f"recording {str(path)!r}", "bytes", remedy)
-        with path.open(encoding=ENCODING) as file:
-            head = file.readline()
-        delimiter = "," if "," in head else None
-        names = [name.strip().lower() for name in _fields(head.lstrip("# "), delimiter)]
-        if any(_is_number(name) for name in names) or not head.strip():
-            if len(names) not in (0, 4):
+        remedy, what = "cut the recording into several files", f"recording {str(path)!r}"
+        check_limit(path.stat().st_size, LARGEST_TABLE, what, "bytes", remedy)
+        encoding = _encoding(path)
+        with path.open(encoding=encoding) as file:
+            comments, head = _until_text(what, file)
+            named = bool(head) and not any(map(is_number, cells_of(head, separator_of(head), what)))
+            row = _until_text(what, file)[1] if named else head
+        skip = len(comments) + named
+        delimiter = separator_of(head) if named else None
+        if delimiter is None or ";" in row:
+            delimiter = separator_of(row, numbers=True)
+        width = len(cells_of(row or head, delimiter, what))
+        lists = [head] if named else [one for one in reversed(comments) if width_of(one, what) == width]
+        for text in lists:
+            found = columns_of(text, what)
+            if lacking := [
+                one for one in COLUMNS if one not in found and (one != "frame" or "time" not in found)
+            ]:
+                if not named and not {"x", "y"} <= {*found}:
+                    continue  # a remark
+                degrees = "; project degrees to metres" * bool(re.search(r"(?i)\blat|\blon|degree", text))
                 raise UserError(
-                    f"recording {str(path)!r} has {len(names)} columns: expected {', '.join(COLUMNS)}, or a "
-                    "first line that names the columns"
+                    f"{what} has no column {lacking[0]!r}: its first line is {text.strip()!r:.200}, expected "
+                    f"{','.join(COLUMNS)} (any order, time instead of frame, more are ignored){degrees}"
                 )
-            return cls(delimiter, False, (0, 1, 2, 3))
-        columns = []
-        for column in COLUMNS:
-            matches = [names.index(alias) for alias in ALIASES.get(column, (column,)) if alias in names]
-            if not matches:
+            if width_of(text, what) != width and row:
                 raise UserError(
-                    f"recording {str(path)!r} has no column {column!r}: its first line is "
-                    f"{head.strip()!r:.200}, expected {','.join(COLUMNS)} (any order, more columns are "
-                    "ignored)"
+                    f"{what}: {row.strip()!r:.200} has {width} columns, but {width_of(text, what)} are "
+                    "named; numbers with a comma need another separator of columns"
                 )
-            columns.append(matches[0])
-        return cls(delimiter, True, tuple(columns))
+            break
+        else:
+            found = {}
+        comment = "\n".join(comments)
+        rate = float(match[1].replace(",", ".")) if (match := _RATE.search(comment)) else None
+        if not found and head and width != 4 and not (rate and width == 5):
+            raise UserError(
+                f"{what} has {width} columns: expected {', '.join(COLUMNS)}, or a first line that names the "
+                "columns"
+            )
+        kinds = ["frame" if "frame" in found else "time", "agent", "x", "y"] if found else []
+        if kinds and kinds[0] == "time" and {*_ENDS} <= {*found}:
+            kinds += _ENDS
+        elif kinds and kinds[0] == "frame" and "time" in found:
+            cells = cells_of(row, delimiter, what)
+            kinds += ["time"] * bool(row and is_number(cells[found["time"].place]))
+        used = [found[kind] for kind in kinds]
+        units = [one.unit for one in used if one.unit in LENGTHS] or [
+            match[1].lower() for match in _IN_COMMENT.finditer(comment)
+        ]
+        if len(lengths := {LENGTHS[unit] for unit in units}) > 1:
+            raise UserError(f"{what} has {' and '.join(units)}: expected one unit of length")
+        return cls(
+            encoding=encoding,
+            skip=skip,
+            delimiter=delimiter,
+            width=width,
+            # PedPy's begin with the person where nothing names the columns
+            columns=tuple(one.place for one in used) or ((1, 0, 2, 3) if rate else (0, 1, 2, 3)),
+            names=tuple(one.name for one in used),
+            time=TIMES.get(found["time"].unit, 0.0) if "time" in kinds else None,
+            rate=rate,
+            metres=lengths.pop() if lengths else 1.0,
+            decimal=delimiter != "," and "," in row,
+        )
+
+    @property
+    def has_times(self) -> bool:
+        """Whether the file says when its rows are."""
+        return self.rate is not None or self.time is not None
+
+    @property
+    def form(self) -> str:
+        """What the file is, in words; empty for columns as ours."""
+        if self.steps:
+            return "footsteps of Vadere"
+        if self.rate:
+            return f"PedPy text ({', '.join(self.names) or 'id, frame, x, y'})"
+        if {*self.names} <= {*COLUMNS} and not self.decimal:
+            return ""
+        kind = {",": "CSV", ";": "CSV with semicolons"}.get(self.delimiter or "", "text")
+        return f"{kind} ({', '.join(self.names or COLUMNS)})" + " with decimal commas" * self.decimal
+
+    @property
+    def steps(self) -> bool:
+        """Whether rows are footsteps, with a begin and an end."""
+        return len(self.columns) == len(COLUMNS) + len(_ENDS)
 
     def numbers(self, path: Path) -> np.ndarray:
-        """Return the table (N, 4).
+        """Return the table (N, C), with the columns of ``columns``.
 
         Raises:
             UserError: Text in a number's place, or a value is missing.
@@ -105,35 +215,34 @@ class TextFormat:
 
         try:
             # numpy unpacks archives where it is given a path; callers have words for empty files
-            with path.open(encoding=ENCODING) as file, warnings.catch_warnings(action="ignore"):
+            with path.open(encoding=self.encoding) as file, warnings.catch_warnings(action="ignore"):
+                lines = islice(file, self.skip, None)
                 table = np.loadtxt(
-                    file,
+                    (line.replace(",", ".") for line in lines) if self.decimal else lines,
                     ndmin=2,
                     comments=None,
                     quotechar='"',
                     delimiter=self.delimiter,
-                    skiprows=int(self.header),
-                    usecols=self.columns if self.header else None,
                 )
         except UnicodeDecodeError:
             raise
         except ValueError:
             table = None
-        if table is None or (len(table) and table.shape[1] != len(COLUMNS)):  # begins with an empty line
-            return np.fromiter(self._one_by_one(path), dtype=np.dtype((float, len(COLUMNS))))
-        return table
+        if table is None or (len(table) and table.shape[1] != self.width):  # comments, texts, another width
+            return np.fromiter(self._one_by_one(path), dtype=np.dtype((float, len(self.columns))))
+        return table[:, self.columns] if len(table) else table
 
     def _one_by_one(self, path: Path) -> Iterator[list[float]]:
         """Yield the rows as Python reads them: more forgiving than `numpy.loadtxt`, and knows the line."""
         for number, fields in self._lines(path):
-            try:
-                row = [float(fields[column]) for column in self.columns]
-            except (ValueError, IndexError):
-                row = []
-            if not row or (len(fields) != 4 and not self.header):
+            row = []
+            if len(fields) == self.width or (len(fields) == self.width + 1 and not fields[-1]):
+                with suppress(ValueError):
+                    row = [float(fields[column]) for column in self.columns]
+            if not row:
                 raise UserError(
-                    f"recording {str(path)!r}, line {number}: expected numbers {', '.join(COLUMNS)}, "
-                    f"got {(self.delimiter or ' ').join(fields)!r:.200}"
+                    f"recording {str(path)!r}, line {number}: expected {self.width} columns with numbers "
+                    f"{', '.join(self.names or COLUMNS)}, got {(self.delimiter or ' ').join(fields)!r:.200}"
                 )
             yield row
 
@@ -142,19 +251,37 @@ class TextFormat:
         return next(islice(self._lines(path), row, None))[0]
 
     def _lines(self, path: Path) -> Iterator[tuple[int, list[str]]]:
-        with path.open(encoding=ENCODING) as file:
+        with path.open(encoding=self.encoding) as file:
             for number, line in enumerate(file, 1):
-                if line.strip() and number > self.header:
-                    yield number, _fields(line, self.delimiter)
+                if number > self.skip and line.strip() and not line.lstrip().startswith("#"):
+                    if self.delimiter != ",":
+                        line = line.replace(",", ".")
+                    yield number, cells_of(line, self.delimiter, f"recording {str(path)!r}, line {number}")
 
 
-def _fields(line: str, delimiter: str | None) -> list[str]:
-    return next(csv.reader([line.strip()], skipinitialspace=True), []) if delimiter else line.split()
+def _until_text(what: str, file: TextIO) -> tuple[list[str], str]:
+    """Return a text's next lines that are empty or comments, and the one behind them."""
+    before = []
+    for line in iter(lambda: file.readline(LONGEST_LINE + 1), ""):
+        cells_of(line, None, what)
+        if line.strip() and not line.lstrip().startswith("#"):
+            return before, line
+        before.append(line)
+    return before, ""
 
 
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+def _encoding(path: Path) -> str:
+    """Return how the letters of a file are written, by its first bytes.
+
+    Raises:
+        UserError: They are not those of a text.
+    """
+    with path.open("rb") as file:
+        begin = file.read(1024)
+    if begin.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    packed = [kind for first, kind in _PACKED.items() if begin.startswith(first)]
+    if packed or b"\0" in begin:
+        kind = f"it is {packed[0]}: unpack or export it" if packed else "it has bytes of zero"
+        raise UserError(f"recording {str(path)!r} is not a text file ({kind})")
+    return "utf-8-sig"

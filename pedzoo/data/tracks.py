@@ -11,7 +11,9 @@ import numpy as np
 from pedzoo.core.errors import UserError
 from pedzoo.core.size_limits import LONGEST_RECORDING, MOST_POSITIONS, check_limit
 from pedzoo.core.types import STEP_SECONDS
-from pedzoo.data.text_format import COLUMNS, TextFormat
+from pedzoo.data.columns import COLUMNS, PLAIN, Source
+from pedzoo.data.file_forms import contents_of
+from pedzoo.data.plausible import check_walks
 
 
 @dataclass(frozen=True)
@@ -23,12 +25,14 @@ class Tracks:
         frame: Frame numbers (N,) int64.
         agent: Agent numbers (N,) int64.
         xy: Positions (N, 2) float64, metres in the world frame.
+        source: What the file said of itself, with the seconds between its frame numbers; see `Source`.
     """
 
     name: str
     frame: np.ndarray
     agent: np.ndarray
     xy: np.ndarray
+    source: Source = PLAIN
 
     @classmethod
     def from_table(
@@ -68,7 +72,7 @@ class Tracks:
 
     @classmethod
     def read(cls, path: str | Path) -> Tracks:
-        """Return the tracks of a text file in either form.
+        """Return the tracks of a file: text in many forms, or SQLite of JuPedSim.
 
         Raises:
             UserError: No such file, text in a number's place, a missing column, or what `from_table` refuses.
@@ -77,12 +81,11 @@ class Tracks:
         if not path.is_file():
             raise UserError(f"no recording at {str(path)!r}: expected a file of rows {', '.join(COLUMNS)}")
         try:
-            form = TextFormat.of(path)
-            table = form.numbers(path)
-        except UnicodeDecodeError as error:
-            raise UserError(f"recording {str(path)!r} is not a text file ({error.reason})") from error
-        tracks = cls.from_table(str(path), table, lambda row: f"line {form.line_of(path, row)}")
-        return replace(tracks, name=path.stem)
+            table, place, source = contents_of(path)
+        except UnicodeError as error:
+            why = getattr(error, "reason", error)
+            raise UserError(f"recording {str(path)!r} is not a text file in UTF-8 ({why})") from error
+        return replace(cls.from_table(str(path), table, place), name=path.stem, source=source)
 
     def __len__(self) -> int:
         """Return the number of rows."""
@@ -109,7 +112,7 @@ class Tracks:
         """Return the tracks with positions rounded, as Social GAN does (4) when it loads a file."""
         return replace(self, xy=np.around(self.xy, decimals))
 
-    def resampled(self, seconds_per_frame: float, step: float = STEP_SECONDS) -> Tracks:
+    def resampled(self, seconds_per_frame: float, step: float = STEP_SECONDS, option: str = "dt") -> Tracks:
         """Return the tracks at every ``step`` seconds; frame k is k x step after the recording's first row.
 
         Positions are interpolated linearly between two rows of an agent. Where an agent was not seen for
@@ -117,7 +120,8 @@ class Tracks:
         new agent number, so that no rows are invented in a hole. Rows one step apart already stay bit-equal.
 
         Raises:
-            UserError: It lasts longer than any recording, or has more rows than are read.
+            UserError: It lasts longer than any recording, has more rows than are read, or nobody in it moves
+                as people do, see `check_walks`; ``option`` is what has the seconds, for the message.
         """
         time = (self.frame - self.frame.min()) * seconds_per_frame
         what = f"recording {self.name!r} at {seconds_per_frame:g} s per frame number"
@@ -126,7 +130,8 @@ class Tracks:
         gap, same = np.diff(time), np.diff(self.agent) == 0
         on_grid = np.round(time / step)
         if np.allclose(on_grid * step, time, rtol=0, atol=1e-6) and (np.diff(on_grid)[same] == 1).all():
-            return replace(self, frame=on_grid.astype(np.int64))
+            check_walks(self, seconds_per_frame, option)
+            return replace(self, frame=on_grid.astype(np.int64), source=PLAIN)
         usual = np.median(gap[same]) if same.any() else step
         breaks = ~same | (gap > max(2 * usual, step) + 1e-6)
         piece = np.concatenate(([0], np.cumsum(breaks)))
@@ -136,6 +141,7 @@ class Tracks:
         count = np.maximum(np.floor(time[ends] / step + 1e-6).astype(np.int64) - first + 1, 0)
         remedy += ", or cut it in time"
         check_limit(count.sum(), MOST_POSITIONS, what, f"rows {step:g} s apart", remedy)
+        check_walks(self, seconds_per_frame, option)
         of_piece = np.repeat(np.arange(len(starts)), count)
         frame = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + first[of_piece]
         wanted = np.clip(frame * step, time[starts][of_piece], time[ends][of_piece])

@@ -30,8 +30,8 @@ class OwnRecordings(NamedTuple):
     """Recordings of one's own, which the suite ``replay`` walks instead of folds.
 
     Attributes:
-        files: Text or CSV files of ``frame, agent, x, y``.
-        dt: Seconds between consecutive frame numbers.
+        files: In any form that `pedzoo.data.tracks` reads.
+        dt: Seconds between consecutive frame numbers; None where the files say it.
         map: Their floor plan; None for no walls.
         homography: Text file of a 3x3 matrix from the files' positions to world metres.
     """

@@ -114,10 +114,12 @@ def test_several_files_are_one_split_and_those_without_a_window_are_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     paths = [write_recording(tmp_path), write_recording(tmp_path, "short.csv", people=2, every=3)]
-    one = TrajectoryDataModule(files=[str(paths[0])], dt=0.1)
+    np.savetxt(tmp_path / "H.txt", TURN)
+    homography = str(tmp_path / "H.txt")
+    one = TrajectoryDataModule(files=[str(paths[0])], dt=0.1, homography=homography)
     one.setup("test")
     capsys.readouterr()
-    both = TrajectoryDataModule(files=[str(path) for path in paths], dt=0.1)
+    both = TrajectoryDataModule(files=[str(path) for path in paths], dt=0.1, homography=homography)
     both.setup("test")
     assert len(both.sets["test"]) == len(one.sets["test"])
     assert "files test: no window in short" in capsys.readouterr().out

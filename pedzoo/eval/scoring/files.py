@@ -13,6 +13,7 @@ from torch import Tensor
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS
 from pedzoo.data.own_files import OwnFiles
+from pedzoo.data.plausible import WALKED, brisk, distance, rows_apart, say
 from pedzoo.data.tracks import Tracks
 from pedzoo.eval.scoring.crowds import ScoredCrowd, scored_crowd
 from pedzoo.sim.replay.people import CONTROLLED, SHORT, RecordedPeople, without_goals
@@ -21,8 +22,8 @@ from pedzoo.sim.scenarios.replay import PreparedReplay, Replay
 SAME = 0.5
 """Metres: a person of the file whose first place is so near to that of the recorded one is the same."""
 
-FASTEST = 12.0
-"""m/s: no person is faster; a file in which one is has other units."""
+ALIKE = 0.6
+"""Where no clock is stated, fast steps of the slower crowd are at least so many of those of the other one."""
 
 
 def file_crowd(path: str, real: PreparedReplay, dt: float | None = None) -> ScoredCrowd:
@@ -35,20 +36,13 @@ def file_crowd(path: str, real: PreparedReplay, dt: float | None = None) -> Scor
     Args:
         path: The file, in any form that `pedzoo.data.tracks` reads.
         real: The recording.
-        dt: Seconds between consecutive frame numbers; None for rows that are 0.4 s apart.
+        dt: Seconds between consecutive frame numbers; None for what the file says, or rows 0.4 s apart.
 
     Raises:
         UserError: The file is refused, or no person in it can be scored.
     """
-    dt = STEP_SECONDS / _rows_apart(path) if dt is None else dt
-    tracks = OwnFiles([path], dt, "0,0,1", option="--dt").recordings("test")[0].tracks
-    within = np.diff(tracks.agent) == 0
-    speed = np.linalg.norm(np.diff(tracks.xy, axis=0), axis=1)[within].max(initial=0) / STEP_SECONDS
-    if speed > FASTEST:
-        raise UserError(
-            f"{path}: a person walks at {speed:.1f} m/s with {dt:g} s per frame, expected at most "
-            f"{FASTEST:g}: set --dt to the seconds between consecutive frame numbers, positions in metres"
-        )
+    source = OwnFiles([path], _assumed(path, real) if dt is None else dt, "0,0,1", option="--dt")
+    tracks = source.recordings("test")[0].tracks
     people, xy = without_goals([tracks])
     recorded, scenario = real.persons, cast(Replay, real.scenario)
     assert real.script is not None
@@ -59,7 +53,7 @@ def file_crowd(path: str, real: PreparedReplay, dt: float | None = None) -> Scor
     role = torch.where(known, recorded.what[twin], CONTROLLED)
     role = torch.where(short & (role == CONTROLLED), SHORT, role)
     if not (role == CONTROLLED).any():
-        raise UserError(f"{path}: expected walks of more than {OBS_LEN} rows 0.4 s apart; {dt:g} s per frame")
+        raise UserError(f"{path}: expected walks of more than {OBS_LEN} rows 0.4 s apart: is --dt right?")
     goal = torch.where(known.unsqueeze(1), recorded.goal[twin], people.exit)
     never = torch.where(known.unsqueeze(1), goal, torch.inf)  # strangers have arrived when they leave
     name = Path(path).name
@@ -111,14 +105,28 @@ def _begin(people: RecordedPeople, xy: Tensor) -> Tensor:
     return xy[rows.cumsum(0) - rows]
 
 
-def _rows_apart(path: str) -> float:
-    """Return the usual number of frames between two rows of an agent.
+def _assumed(path: str, real: PreparedReplay) -> float | None:
+    """Return the seconds between frame numbers for rows 0.4 s apart; None where the file says its own.
 
     Raises:
-        UserError: No agent has two rows, or the file is refused.
+        UserError: No agent has two rows, people then walk much slower or faster than the recorded ones, or
+            the file is refused.
     """
     tracks = Tracks.read(path)
-    gap = np.diff(tracks.frame)[np.diff(tracks.agent) == 0]
-    if not len(gap):
+    if tracks.source.seconds is not None:
+        return None
+    seconds = STEP_SECONDS / rows_apart(tracks)
+    if np.isnan(seconds):
         raise UserError(f"recording {path!r}: no agent has two rows, expected walks")
-    return float(np.median(gap))
+    assert real.script is not None
+    rows = (real.persons.last - real.persons.first + 1).numpy()
+    person = np.repeat(np.arange(len(rows)), rows)
+    recorded = Tracks("", np.arange(len(person)), person, real.script.xy.numpy())
+    mine, theirs = brisk(tracks, seconds), brisk(recorded, STEP_SECONDS)
+    if theirs and distance(tracks) > WALKED and not ALIKE < mine / theirs < 1 / ALIKE:
+        raise UserError(
+            f"{path}: with rows 0.4 s apart people walk at {mine:.2g} m/s, the recorded ones at "
+            f"{theirs:.2g}: give --dt, the seconds between consecutive frame numbers"
+        )
+    say(f"{path} does not say its frame rate: its rows are taken to be 0.4 s apart (--dt)")
+    return seconds

@@ -87,13 +87,13 @@ def score(
     """Return how near crowds are to a recorded one; ``docs/score.md`` has all formulas.
 
     Args:
-        crowds: Files of walks (``frame, agent, x, y``), and policies, which walk in the recorded people's
+        crowds: Files of walks, and policies, which walk in the recorded people's
             place. Weights ``ARCH.FOLD`` are exchanged for those that did not see the recording.
         against: A fold such as ``zara1``, or a file of one's own.
         rollouts: Of policies with noise.
         seed: Of the policies' noise.
-        dt: Seconds between consecutive frame numbers in the files of ``crowds``; None for rows that are
-            0.4 s apart.
+        dt: Seconds between consecutive frame numbers in the files of ``crowds``; None for what they say, or
+            rows that are 0.4 s apart.
         physics: In which policies walk.
         likelihood: Also walk the joint rollouts of 8 s; see `pedzoo.eval.scoring.wosac`.
         stops: People whom policies move have the places where the recorded ones stood for 2 s or more as
@@ -109,7 +109,7 @@ def score(
     own = is_recording(against.recording)
     rollouts, seed = at_least_one("rollouts", rollouts), whole("seed", seed)
     if own:
-        check_dt(against.dt, "the file of --against")
+        check_dt(against.dt, "the file of --against", files=[against.recording])
     if dt is not None:
         check_dt(dt, "the scored files", "--dt")
     fold = "all" if own else against.recording

@@ -72,8 +72,8 @@ class Replay(Scenario):
         Args:
             fold: Test recordings of eth, hotel, univ, zara1, zara2, ``embedded``, or ``file.py:Class:fold``.
             root: Folder of the recordings; by default PEDZOO_DATA, or that of `pedzoo download`.
-            files: Your own recordings (text or CSV) instead of a fold.
-            dt: Seconds between consecutive frame numbers of ``files``.
+            files: Your own recordings instead of a fold.
+            dt: Seconds between consecutive frame numbers of ``files``; None where these say it.
             map: The floor plan of ``files``; without one there are no walls.
             homography: Text file of a 3x3 matrix from the positions in ``files`` to world metres.
             simulated: ``all``; ``one`` person per scene among all others as they were recorded; or
