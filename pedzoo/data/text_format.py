@@ -70,9 +70,12 @@ def check_dt(
 
 
 def _may_have_times(path: Path) -> bool:
-    with suppress(OSError, UserError, UnicodeError):  # refused, with words of their own, where they are read
+    try:
         return is_sqlite(path) or TextFormat.of(path).has_times
-    return True
+    except OSError:
+        return False
+    except (UserError, UnicodeError):  # refused, with words of their own, where they are read
+        return True
 
 
 def is_sqlite(path: Path) -> bool:

@@ -70,7 +70,7 @@ def test_a_wrong_dt_is_refused_and_the_right_one_named(seed: int, tmp_path: Path
     ("scale", "words"),
     [
         (100, "centimetres (name the columns x_cm and y_cm, a factor of 0.01)"),
-        (1000, "name the columns "),
+        (1000, "x_mm"),
         (1 / 0.3048, "feet (name the columns x_ft and y_ft, a factor of 0.3048)"),
         (50, "a homography from pixels to metres"),  # pixels
         (30, "a homography from pixels to metres"),

@@ -13,7 +13,7 @@ from torch import Tensor
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS
 from pedzoo.data.own_files import OwnFiles
-from pedzoo.data.plausible import WALKED, brisk, distance, rows_apart, say
+from pedzoo.data.plausible import WALKED, brisk, check_walks, distance, rows_apart, say
 from pedzoo.data.tracks import Tracks
 from pedzoo.eval.scoring.crowds import ScoredCrowd, scored_crowd
 from pedzoo.sim.replay.people import CONTROLLED, SHORT, RecordedPeople, without_goals
@@ -118,6 +118,7 @@ def _assumed(path: str, real: PreparedReplay) -> float | None:
     seconds = STEP_SECONDS / rows_apart(tracks)
     if np.isnan(seconds):
         raise UserError(f"recording {path!r}: no agent has two rows, expected walks")
+    check_walks(tracks, seconds, "--dt")
     assert real.script is not None
     rows = (real.persons.last - real.persons.first + 1).numpy()
     person = np.repeat(np.arange(len(rows)), rows)
