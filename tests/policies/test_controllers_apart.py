@@ -11,6 +11,7 @@ import pytest
 
 import pedzoo
 from pedzoo.core.errors import UserError
+from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
 from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.load import load_policy
 from tests.policies.test_controller_inputs import PLAN
@@ -102,3 +103,33 @@ def test_wrong_times_and_speeds_are_refused() -> None:
     walk.step({1: (0, 0), 2: (2, 0)}, {1: (5, 0), 2: (7, 0)}, radius={1: 0.2})
     walk.step({2: (2, 0)})
     assert list(walk.step({2: (2, 0)}, radius={1: 0.2})) == [2]
+
+
+CELLS = np.zeros((24, 32), dtype=np.uint8)  # rooms of 0.5 m cells, joined by doors of 1 m
+CELLS[[0, 12, -1]], CELLS[:, [0, 10, 21, -1]] = OCCUPIED, OCCUPIED
+CELLS[[3, 4, 17, 18], 10] = CELLS[[7, 8, 15, 16], 21] = CELLS[12, [4, 5, 15, 16, 27, 28]] = FREE
+
+
+@pytest.mark.parametrize(
+    ("name", "plan", "people"),
+    [
+        ("go_to_goal", "apartment.7", 60),
+        ("go_to_goal", OccupancyGrid(CELLS, 0.5), 60),
+        ("orca", OccupancyGrid(CELLS, 0.5), 4),
+        ("sgan_goal_map.indoor", OccupancyGrid(CELLS, 0.5), 3),
+    ],
+)
+def test_people_who_walk_alone_arrive(name: str, plan: Any, people: int) -> None:
+    together = name == "go_to_goal"  # which does not see anybody
+    policy, rng, count = load_policy(name), np.random.default_rng(0), 1 if together else people
+    dt = min(0.2, policy.decision_dt)
+    controllers = [Controller(policy, plan, dt=dt) for _ in range(count)]
+    graph = controllers[0]._online_goals.planner.graph(0)
+    main = np.flatnonzero(graph.component == np.bincount(graph.component).argmax())
+    start, goal = (graph.xy[rng.choice(main, people)] for _ in range(2))
+
+    def given(places: np.ndarray[Any, Any]) -> list[dict[Any, Any]]:
+        return [dict(enumerate(some)) for some in np.split(places, count)]
+
+    path = np.concatenate(list(walked(controllers, given(start), given(goal), round(40 / dt))), axis=1)
+    assert np.linalg.norm(path[-1] - goal, axis=1).max() < 0.3

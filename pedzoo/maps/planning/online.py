@@ -12,16 +12,22 @@ from torch import Tensor
 
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planning.planner import Planner
-from pedzoo.maps.planning.waypoint_table import WaypointTable
+from pedzoo.maps.planning.waypoint_table import Goal, WaypointTable
 
-_GOALS = 64
-"""Goals that there is room for at first."""
+_KEPT = 20_000, 64
+"""Entries that are kept, and more than that for so many per person: older ones are looked for again."""
+
+_PARTS = "keys", "waypoint", "length"
+"""Those of a table that grow with what is asked."""
+
+_AT_ONCE = 4_000_000
+"""Distances between people and corners that are compared together: bounds the memory that it takes."""
 
 _TRIED = 4, 32
 """Corners whose sight is tried first: the best one in sight is nearly always among them."""
 
-_BORDER = 1e-3
-"""Cells: a person so near to the border of two cells may be looked up in both."""
+_BORDER = 1e-3, 1e-6
+"""Cells, and part of the floor plan: a person so near to the border of two cells may be looked up in both."""
 
 
 class OnlinePlanner(Planner):
@@ -29,10 +35,10 @@ class OnlinePlanner(Planner):
 
     A field of a new goal takes up to a second on a large plan. Here the corners get their distances to the
     goal (some milliseconds), and the cells under people the best of the corners that they see. These paths
-    are shortest ones, those of fields at most a little longer.
-
-    Poses are those of the floor plan: scenes are not turned against it.
+    are shortest ones, those of fields at most a little longer. Memory grows with people and corners.
     """
+
+    _table: WaypointTable
 
     def __init__(self, bank: MapBank, clearance: float = 0.25, origin: ArrayLike = 0.0) -> None:
         """Take the floor plan, and find its corners; ``origin`` is that of its frame in the caller's."""
@@ -40,41 +46,15 @@ class OnlinePlanner(Planner):
         self.origin = origin
         if bank.grids:
             _ = self.corners(0).matrix, bank.walls  # at the first step they would come too late
+        maps = [self.graph(0)] if bank.grids else []
+        self._cells = len(maps[0]) if maps else 0
+        self._empty = replace(WaypointTable.build(maps, clearance), keys=torch.zeros(1, dtype=torch.long))
         self._clear()
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Let the table of a copy see its own entries: copies of arrays and of their tensors are two."""
-        self.__dict__.update(state)
-        if self._table is not None and self._table is not self._empty:
-            self._table = self._seeing_entries(self._table)
-
-    def _seeing_entries(self, table: WaypointTable) -> WaypointTable:
-        """Return the table with the entries that `_write` writes."""
-        entries = torch.from_numpy(self._waypoint), torch.from_numpy(self._length)
-        return replace(table, waypoint=entries[0], length=entries[1])
-
     def _clear(self) -> None:
-        """Begin a table without goals: what is never asked for is a page of zeros that takes no memory."""
         self._ids, self._goals, self._from_corners = {}, [], []
-        self._asked: set[tuple[int, int]] = set()
-        self._last_cell: dict[int, int] = {}
-        maps = [self.graph(0)] if self.bank.grids else []
-        self._empty = WaypointTable.build(maps, self.clearance)
+        self._last: dict[int, tuple[int, float]] = {}
         self._table, self._with_fields = self._empty, 0
-        self._reserve(_GOALS)
-
-    def _reserve(self, goals: int) -> None:
-        size = 1 + goals * self._entries
-        waypoint, length = np.zeros(size, np.int32), np.zeros(size, np.float32)
-        if self._with_fields:
-            used = 1 + self._with_fields * self._entries
-            waypoint[:used], length[:used] = self._waypoint[:used], self._length[:used]
-        self._waypoint, self._length, self._room = waypoint, length, goals
-
-    @property
-    def _entries(self) -> int:
-        """Entries of a field: the open cells, and the goal itself."""
-        return (len(self.graph(0)) if self.bank.grids else 0) + 1
 
     def without_goals(self) -> OnlinePlanner:
         """Return a planner of the same floor plan without goals."""
@@ -84,95 +64,131 @@ class OnlinePlanner(Planner):
         return result
 
     def prepare(self) -> WaypointTable:
-        """Return the table of all goals, with the paths from corners."""
-        fresh = self._goals[self._with_fields :]
-        if not fresh:
-            return self._table or self._empty
-        if len(self._goals) > self._room:
-            self._reserve(2 * len(self._goals))
-        for number, goal in enumerate(fresh, start=self._with_fields):
-            end = (number + 1) * self._entries
-            self._waypoint[end], self._length[end] = self._entries - 1, 0.0
-            self._from_corners.append(self._add_corners(number) if goal.row >= 0 else np.empty(0))
-        self._with_fields = len(self._goals)
-        rows = [
-            (1 + k * self._entries, self._entries - 1, goal.row + 1) for k, goal in enumerate(self._goals)
-        ]
-        places = torch.tensor([goal.point for goal in self._goals]).float().t()
-        empty = self._empty
-        with_goals = replace(
-            empty,
-            x=torch.cat((empty.x, places[0])),
-            y=torch.cat((empty.y, places[1])),
-            goal=torch.cat((empty.goal, torch.tensor(rows).t()), dim=1),
-        )
-        self._table = self._seeing_entries(with_goals)
+        """Return the table of all goals, and of the cells that were asked for."""
+        first = self._with_fields
+        if fresh := self._goals[first:]:
+            self._from_corners += [self._search(goal) for goal in fresh]
+            counts = np.array([self._cells * (goal.row >= 0) for goal in fresh])
+            starts = self._start(np.arange(first, len(self._goals)))
+            rows = torch.from_numpy(np.stack((starts, counts, [goal.row + 1 for goal in fresh])))
+            ends = torch.tensor([goal.point for goal in fresh]).float().t()
+            goals = torch.cat((self._table.goal, rows), 1), torch.cat((self._table.end, ends), 1)
+            self._table = replace(self._table, goal=goals[0], end=goals[1])
+            self._write(starts + counts, counts, np.zeros(len(fresh)))
+            self._with_fields = len(self._goals)
         return self._table
 
-    def _visit(self, points: Tensor, goal_id: Tensor) -> None:
-        """Give the cells that people stand on their paths first."""
-        self.prepare()
-        if self.bank.grids:
-            here, goals = points.view(-1, 2).double().numpy(), goal_id.view(-1).numpy()
-            self._fill(here[goals >= 0], goals[goals >= 0])
+    def _start(self, numbers: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the first entries of goals: those of a goal are the open cells, and the goal itself."""
+        return 1 + numbers * (self._cells + 1)
 
-    def _fill(self, points: NDArray[np.float64], goals: NDArray[np.int64]) -> None:
-        """Write the paths from the open cells nearest to points (P, 2) to their goals (P,)."""
-        graph = self.graph(0)
-        place, last = graph.to_place(points), np.array([graph.shape[1] - 1, graph.shape[0] - 1])
-        low, high = (
-            np.ceil(place - 0.5 + side).clip(0, last).astype(np.int64) for side in (-_BORDER, _BORDER)
-        )
-        wanted: set[tuple[int, int]] = set()
-        for column in (low[:, 0], high[:, 0]):
-            for line in (low[:, 1], high[:, 1]):
-                cells = graph.nearest[line * graph.shape[1] + column]
-                wanted |= set(zip(goals.tolist(), cells.tolist(), strict=True))
-        # corners have paths around them already, but may see more themselves
-        if fresh := sorted(wanted - self._asked):
-            self._add_cells(*np.array(fresh).T)
-            self._asked |= wanted
-            self._last_cell |= fresh
-
-    def _at(self, goal: Any, cell: Any) -> Any:
-        return 1 + goal * self._entries + cell
-
-    def _write(self, goal: Any, cell: Any, waypoint: Any, length: Any) -> None:
-        at = self._at(goal, cell)
-        self._waypoint[at], self._length[at] = waypoint, length
-
-    def _add_corners(self, number: int) -> NDArray[np.float64]:
-        """Write the paths from all corners to a goal, and return their lengths (K,), metres."""
-        graph, corners, goal = self.graph(0), self.corners(0), self._goals[number]
+    def _search(self, goal: Goal) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+        """Return the metres from all corners to a goal, and which corner comes next (K,): K is the goal."""
+        if goal.row < 0:
+            return np.empty(0), np.empty(0, np.int32)
+        corners = self.corners(0)
         seen = corners.seen_by(goal.cell)
-        there = corners.metres(seen, graph.to_place(np.array([goal.point]))[0])
-        length, before = corners.search(seen, there)
-        length, before = length[:-1], before[:-1]
-        goes_on = (before >= 0) & (before < len(corners.cells))
-        onward = np.where(goes_on, corners.cells[np.where(goes_on, before, 0)], self._entries - 1)
-        known = np.isfinite(length)
-        self._write(number, corners.cells[known], onward[known], length[known])
-        return length
+        there = corners.metres(seen, self.graph(0).to_place(np.array([goal.point]))[0])
+        length, onward = corners.search(seen, there)
+        return length[:-1], onward[:-1]
 
-    def _add_cells(self, numbers: NDArray[np.int64], cells: NDArray[np.int64]) -> None:
-        """Write the paths from open cells (P,) to goals (P,): straight, or by way of a corner in sight."""
+    def _visit(self, points: Tensor, goal_id: Tensor, pose: Tensor) -> None:
+        """Find the paths from the cells that people stand on."""
+        table, goals = self.prepare(), goal_id.numpy().ravel()
+        walks = table.goal[2].numpy()[goals + 1] > 0
+        if not walks.any():
+            return
+        turn, mirror, *shift = pose.double().numpy().reshape(-1, *[1] * (goal_id.dim() - 1), 4).T
+        x, y = points.detach().double().numpy().T - np.stack(shift)
+        x, y = np.cos(turn) * x + np.sin(turn) * y, (np.cos(turn) * y - np.sin(turn) * x) * mirror
+        wanted = self._entries_at(np.stack((x.T.ravel(), y.T.ravel()), axis=1)[walks], goals[walks])
+        fresh = wanted[~self._has(wanted)]
+        if len(fresh) and len(table.keys) > max(_KEPT[0], _KEPT[1] * len(wanted)):
+            own = torch.isin(table.keys, torch.cat((table.keys[:1], table.goal[:2].sum(0))))
+            parts = {name: getattr(table, name)[own] for name in _PARTS}
+            self._table, fresh = replace(table, **parts), wanted
+        per = max(1, _AT_ONCE // max(1, len(self.corners(0).cells)))
+        for i in range(0, len(fresh), per):
+            self._add(fresh[i : i + per])
+
+    def _entries_at(self, points: NDArray[np.float64], goals: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the entries, growing, of the open cells under points (P, 2) on the way to goals (P,)."""
+        graph = self.graph(0)
+        place, border = graph.to_place(points) - 0.5, _BORDER[0] + _BORDER[1] * max(graph.shape)
+        low, high = np.ceil(place - border), np.ceil(place + border)
+        if (low != high).any():
+            sides = [np.stack((one[:, 0], other[:, 1]), 1) for one in (low, high) for other in (low, high)]
+            low, goals = np.concatenate(sides), np.tile(goals, 4)
+        column, line = np.maximum(np.minimum(low.T, [[graph.shape[1] - 1], [graph.shape[0] - 1]]), 0)
+        cells = graph.nearest[(line * graph.shape[1] + column).astype(np.int64)]
+        return np.unique(self._start(goals) + cells)
+
+    def _has(self, keys: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return which entries (P,) the table has."""
+        mine = self._table.keys.numpy()
+        return mine[np.minimum(mine.searchsorted(keys), len(mine) - 1)] == keys
+
+    def _write(self, *parts: NDArray[Any]) -> None:
+        """Insert entries (P,) that the table does not have, growing: keys, next waypoints and lengths."""
+        table = self._table
+        at = table.keys.numpy().searchsorted(parts[0]) + np.arange(len(parts[0]))
+        old = np.ones(len(table.keys) + len(at), dtype=bool)
+        old[at] = False
+        merged = {}
+        for name, part in zip(_PARTS, parts, strict=True):
+            before = getattr(table, name).numpy()
+            values = np.empty(len(old), before.dtype)
+            values[old], values[at] = before, part
+            merged[name] = torch.from_numpy(values)
+        self._table = replace(table, **merged)
+
+    def _add(self, keys: NDArray[np.int64]) -> None:
+        """Find the paths of entries (P,) of cells; write them and those of all corners that they lead to."""
+        numbers, cells = np.divmod(keys - 1, self._cells + 1)
+        corner, length = self._paths(numbers, cells)
+        self._last |= zip(numbers.tolist(), zip(cells.tolist(), length.tolist(), strict=True), strict=True)
+        corners = self.corners(0).cells
+        places = np.append(corners, (self._cells, 0))  # those of corners, and of K, the goal
+        found = [(keys, np.where(corner < 0, cells, places[corner]), length)]
+        while (bends := (corner >= 0) & (corner < len(corners))).any():
+            numbers, corner = numbers[bends], corner[bends]
+            keys = self._start(numbers) + corners[corner]
+            new = ~self._has(keys)
+            keys, numbers, corner = keys[new], numbers[new], corner[new]
+            ways = [self._from_corners[number] for number in numbers.tolist()]
+            here = list(zip(corner.tolist(), ways, strict=True))
+            length = np.array([metres[one] for one, (metres, _) in here])
+            corner = np.array([onward[one] for one, (_, onward) in here], dtype=np.int64)
+            found.append((keys, places[corner], length))
+        keys, waypoint, length = (np.concatenate(part) for part in zip(*found, strict=True))
+        keys, first = np.unique(keys, return_index=True)
+        self._write(keys, waypoint[first], length[first])
+
+    def _paths(
+        self, numbers: NDArray[np.int64], cells: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Return the corner where paths from open cells (P,) to goals (P,) bend first, and their metres.
+
+        The corner is K for a straight path, and -1 where none leads to the goal.
+        """
         graph, corners = self.graph(0), self.corners(0)
-        goal_cells = np.array([self._goals[number].cell for number in numbers])
-        straight = graph.sight.clear(graph.place[cells], graph.place[goal_cells]) | (cells == goal_cells)
-        end = graph.to_place(np.array([self._goals[number].point for number in numbers]))[straight]
-        metres = np.hypot(*(graph.place[cells[straight]] - end).T) * graph.grid.resolution
-        self._write(numbers[straight], cells[straight], self._entries - 1, metres)
-        numbers, cells = numbers[~straight], cells[~straight]
-        if len(cells) and len(corners.cells):
-            total = corners.metres(slice(None), graph.place[cells, None])
-            total += np.stack([self._from_corners[number] for number in numbers])
-            total[total < self._least(numbers, cells)[:, None]] = np.inf
+        goals = [self._goals[number] for number in numbers.tolist()]
+        straight = graph.sight.clear(graph.place[cells], graph.place[[goal.cell for goal in goals]])
+        away = graph.place[cells] - graph.to_place(np.array([goal.point for goal in goals]))
+        length = np.where(straight, np.hypot(*away.T) * graph.grid.resolution, np.inf)
+        corner = np.where(straight, len(corners.cells), -1)
+        rest = np.flatnonzero(~straight)
+        if len(rest) and len(corners.cells):
+            total = corners.metres(slice(None), graph.place[cells[rest], None])
+            total += np.stack([self._from_corners[number][0] for number in numbers[rest]])
+            total[total < self._least(numbers[rest], cells[rest])[:, None]] = np.inf
+            total[cells[rest, None] == corners.cells] = np.inf  # nobody's next waypoint is where they are
             for tried in (*_TRIED, len(corners.cells)):
-                best, length = self._best_in_sight(cells, total, min(tried, len(corners.cells)))
-                sees = np.isfinite(length)
-                self._write(numbers[sees], cells[sees], corners.cells[best[sees]], length[sees])
-                numbers, cells, total = numbers[~sees], cells[~sees], total[~sees]
-        self._write(numbers, cells, cells, np.inf)
+                best, metres = self._best_in_sight(cells[rest], total, min(tried, len(corners.cells)))
+                sees = np.isfinite(metres)
+                corner[rest[sees]], length[rest[sees]] = best[sees], metres[sees]
+                rest, total = rest[~sees], total[~sees]
+        return corner, length
 
     def _least(self, numbers: NDArray[np.int64], cells: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the least metres of paths from open cells to goals (P,): shorter ones are not in sight.
@@ -180,11 +196,12 @@ class OnlinePlanner(Planner):
         By the triangle inequality, from the path of the cell that was filled last, if they see each other.
         """
         place, metre = self.graph(0).place, self.graph(0).grid.resolution
-        last = np.array([self._last_cell.get(number, -1) for number in numbers.tolist()])
+        known = [self._last.get(number, (-1, 0.0)) for number in numbers.tolist()]
+        last, length = np.array([cell for cell, _ in known]), np.array([metres for _, metres in known])
         seen = (last >= 0) & self.graph(0).sight.clear(place[cells], place[last])
-        length = self._length[self._at(numbers, last)] - metre * np.hypot(*(place[cells] - place[last]).T)
-        # goals lie up to a cell beside the centre of theirs
-        return np.where(seen, length - metre, 0.0)
+        # goals lie up to 0.71 cells beside the centre of theirs, at both ends of the inequality
+        bound = length - metre * (np.hypot(*(place[cells] - place[last]).T) + 1.5)
+        return np.where(seen, bound, 0.0)
 
     def _best_in_sight(
         self, cells: NDArray[np.int64], total: NDArray[np.float64], tried: int

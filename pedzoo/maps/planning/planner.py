@@ -171,6 +171,7 @@ class Planner:
         """
         row = self.map_rows(map_id)
         self._on(points.device).check(goal_id, row)
+        self._visit(points, goal_id, pose)
         frame = ScenePose.of(pose)
         _, waypoints = self._find(points, goal_id, row, frame)
         with torch.no_grad():
@@ -242,7 +243,7 @@ class Planner:
             look_ahead_seconds: How far ahead the carrot is.
             fastest: No ``pref_speed`` is above it, m/s.
         """
-        self._visit(points, goal_id)
+        self._visit(points, goal_id, pose)
         if self.compiled and points.device.type == "cpu" and installed("numba"):
             table = self._on(points.device)
             return guidance_compiled(
@@ -269,7 +270,7 @@ class Planner:
         goal = torch.where(straight, points + unit * ahead.unsqueeze(-1), carrot)
         return Guidance(goal, unit * pref_speed.unsqueeze(-1), waypoint, point, distance + waypoints.onward)
 
-    def _visit(self, points: Tensor, goal_id: Tensor) -> None:
+    def _visit(self, points: Tensor, goal_id: Tensor, pose: Tensor) -> None:
         """Take note of where agents with goals ask for their ways: fields have all cells already."""
 
     def path(self, start: ArrayLike | Tensor, goal: ArrayLike | Tensor, row: int) -> NDArray[np.float64]:

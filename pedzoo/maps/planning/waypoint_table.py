@@ -48,17 +48,20 @@ class WaypointLookup(NamedTuple):
 class WaypointTable:
     """All fields, goals and cells. Maps are rows 1 to R, goals rows 1 to G; row 0 is "none" of both.
 
-    A field is a run of one entry per open cell of its map and a last one of the goal itself.
+    A field is a run of one entry per open cell of its map and a last one of the goal itself. A sparse table
+    holds only the entries that are looked up, and their numbers.
 
     Attributes:
         to_cell: Affine from a map's frame in metres to cells by rows (6), last column and last row (2), and
             the squared distance in metres beyond which people go to the nearest open cell first (9, R + 1).
         begin: Columns, first cell in ``nearest`` and first open cell in ``x`` and ``y`` (3, R + 1).
         nearest: Nearest open cell of every cell of every map.
-        x: Centres of the open cells of all maps, then the places of the goals.
+        x: Centres of the open cells of all maps.
         y: The same.
         goal: First entry of each goal, number of open cells of its map (it stands for the goal itself), and
             row of its map (3, G + 1).
+        end: Places of the goals (2, G + 1).
+        keys: Numbers of the entries of a sparse table, growing; empty where all entries are here.
         waypoint: Next waypoint of every entry, int32.
         length: Metres of its path to the goal, float32.
     """
@@ -69,6 +72,8 @@ class WaypointTable:
     x: Tensor
     y: Tensor
     goal: Tensor
+    end: Tensor
+    keys: Tensor
     waypoint: Tensor
     length: Tensor
 
@@ -90,7 +95,7 @@ class WaypointTable:
             nearest.append(graph.nearest)
             places.append(graph.xy)
             cells, opens = cells + len(graph.nearest), opens + len(graph)
-        x, y = torch.from_numpy(np.concatenate((*places, np.zeros((1, 2))))).float().t().contiguous()
+        x, y = torch.from_numpy(np.concatenate(places)).float().t().contiguous()
         return cls(
             to_cell=torch.from_numpy(np.stack(to_cell, axis=1)).float(),
             begin=torch.tensor(begin).t().contiguous(),
@@ -98,6 +103,8 @@ class WaypointTable:
             x=x,
             y=y,
             goal=torch.zeros(3, 1, dtype=torch.long),
+            end=torch.zeros(2, 1),
+            keys=torch.zeros(0, dtype=torch.long),
             waypoint=torch.zeros(1, dtype=torch.int32),
             length=torch.zeros(1),
         )
@@ -111,31 +118,22 @@ class WaypointTable:
         starts, counts = starts[list(which)], counts[list(which)]
         device = self.waypoint.device
         rows = np.stack((starts, counts, [goal.row + 1 for goal in goals]))
-        x, y = torch.tensor([goal.point for goal in goals]).to(device, torch.float32).t()
+        ends = torch.tensor([goal.point for goal in goals]).to(device, torch.float32).t()
         # the goal's own entry leads to itself
         paths = (F.pad(f.waypoint[0], (0, 1), value=f.waypoint.shape[1]).to(device) for f in fields)
         lengths = (F.pad(f.length[0], (0, 1)).to(device) for f in fields)
         return replace(
             self,
-            x=torch.cat((self.x, x)),
-            y=torch.cat((self.y, y)),
             goal=torch.cat((self.goal, torch.from_numpy(rows).to(device)), dim=1),
+            end=torch.cat((self.end, ends), dim=1),
             waypoint=torch.cat((self.waypoint, *paths)),
             length=torch.cat((self.length, *lengths)),
         )
 
     def with_maps(self, maps: Sequence[OpenGraph | None], clearance: float) -> WaypointTable:
         """Return the table with these maps and the same goals."""
-        count = self.goal.shape[1] - 1
         built = WaypointTable.build(maps, clearance).to(self.waypoint.device)
-        return replace(
-            built,
-            x=torch.cat((built.x, self.x[len(self.x) - count :])),
-            y=torch.cat((built.y, self.y[len(self.y) - count :])),
-            goal=self.goal,
-            waypoint=self.waypoint,
-            length=self.length,
-        )
+        return replace(built, goal=self.goal, end=self.end, waypoint=self.waypoint, length=self.length)
 
     def to(self, device: torch.device) -> WaypointTable:
         """Return the table on a device: itself where it is there already."""
@@ -163,20 +161,16 @@ class WaypointTable:
         cell = self.nearest.index_select(0, line * width + column + cells)
 
         # without a goal all cells share a single entry
-        first = self.waypoint.index_select(0, start + cell * has_goal)
-        entry = start + first
+        first = self.waypoint.index_select(0, self._at(start + cell * has_goal))
+        entry = self._at(start + first)
         second, onward = self.waypoint.index_select(0, entry), self.length.index_select(0, entry)
         is_first, is_last = first == count, second == count
-        final = goal + (len(self.x) - self.goal.shape[1] + 1)
-        place = (
-            torch.where(is_first, final, first + opens),
-            torch.where(is_last, final, second + opens),
-            final,
-            cell + opens,
-        )
-        place = torch.cat(place)
+        place = torch.cat((torch.where(is_first, cell, first), torch.where(is_last, cell, second), cell))
+        place = place + opens.repeat(3)
         places = torch.stack((self.x.index_select(0, place), self.y.index_select(0, place)))
-        waypoint, after, end, nearest = places.view(2, 4, -1).unbind(1)
+        waypoint, after, nearest = places.view(2, 3, -1).unbind(1)
+        end = self.end.index_select(1, goal + 1)
+        waypoint, after = torch.where(is_first, end, waypoint), torch.where(is_last, end, after)
 
         away = ((points - nearest).square().sum(0) > reach) & (of_map > 0)
         onward = torch.where(away, onward + torch.hypot(*(waypoint - nearest)), onward)
@@ -184,6 +178,10 @@ class WaypointTable:
         after = torch.where(away, waypoint, after)
         waypoint = torch.where(away, nearest, waypoint)
         return WaypointLookup(waypoint, after, end, onward, is_last)
+
+    def _at(self, number: Tensor) -> Tensor:
+        """Return where the entries of these numbers (P,) are."""
+        return torch.searchsorted(self.keys, number) if len(self.keys) else number
 
     def check(self, goal: Tensor, row: Tensor) -> None:
         """Check that goals (P,) are of the maps ``row`` (P,) of the agents that have them.

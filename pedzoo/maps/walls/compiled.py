@@ -130,15 +130,30 @@ def _sees(home, corner, end, part, frame, place, clear):
     return not hidden
 
 
+@jit
+def _entry(keys, number):
+    """Return where the entry of a number is in a `WaypointTable`."""
+    low, high = 0, len(keys) - 1
+    if high < 0:
+        return number
+    while low < high:
+        middle = (low + high) >> 1
+        if keys[middle] < number:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
 @compiled(
     "void(f4[:,:,:], i8[:,:], i8[:], f4[:,:], f4[:,:], f8,"
-    " f4[:,:], i8[:,:], i4[:], f4[:], f4[:], i8[:,:], i4[:], f4[:],"
+    " f4[:,:], i8[:,:], i4[:], f4[:], f4[:], i8[:,:], f4[:,:], i8[:], i4[:], f4[:],"
     " f8[:,:], i4[:,:], f8[:], u1[:],"
     " f4[:,:,:], f4[:,:,:], f4[:,:,:], f4[:,:,:], f4[:,:])"
 )
 def guidance_loop(
     points, goals, rows, poses, speeds, seconds,
-    to_cell, begin, nearest, xs, ys, goal_table, waypoints, lengths,
+    to_cell, begin, nearest, xs, ys, goal_table, ends, keys, waypoints, lengths,
     affine, place, side, clear,
     carrot, desired, waypoint_out, goal_out, distance_out,
 ):  # fmt: skip
@@ -147,7 +162,6 @@ def guidance_loop(
     Args are the arrays of the agents (B, A, ...), of `WaypointTable`, of `Walls`, and the results.
     """
     scenes, agents = goals.shape
-    first_goal = len(xs) - goal_table.shape[1] + 1
     frame, quarters = np.empty(7), np.empty(3, np.int64)
     corner, end = np.empty(2), np.empty(2)
     homes, entries = np.empty((scenes, agents, 2)), np.empty((3, scenes, agents), np.int64)
@@ -169,10 +183,10 @@ def guidance_loop(
         for a in range(agents):
             goal = goals[b, a]
             entry = goal_table[0, goal + 1] + (entries[0, b, a] if goal >= 0 else 0)
-            entries[1, b, a] = waypoints[entry]
+            entries[1, b, a] = waypoints[_entry(keys, entry)]
     for b in range(scenes):
         for a in range(agents):
-            entry = goal_table[0, goals[b, a] + 1] + entries[1, b, a]
+            entry = _entry(keys, goal_table[0, goals[b, a] + 1] + entries[1, b, a])
             entries[2, b, a], onwards[b, a] = waypoints[entry], lengths[entry]
     for b in range(scenes):
         row = rows[b]
@@ -189,13 +203,14 @@ def guidance_loop(
             cell, first, second = entries[0, b, a], entries[1, b, a], entries[2, b, a]
             goal = goals[b, a]
             count, of_map = goal_table[1, goal + 1], goal_table[2, goal + 1]
-            final = goal + first_goal
             opens = begin[2, number]
             is_last = second == count
-            k1 = final if first == count else first + opens
-            k2 = final if is_last else second + opens
-            way_x, way_y, after_x, after_y = xs[k1], ys[k1], xs[k2], ys[k2]
-            goal_x, goal_y = xs[final], ys[final]
+            goal_x, goal_y = ends[0, goal + 1], ends[1, goal + 1]
+            way_x, way_y, after_x, after_y = goal_x, goal_y, goal_x, goal_y
+            if first != count:
+                way_x, way_y = xs[first + opens], ys[first + opens]
+            if not is_last:
+                after_x, after_y = xs[second + opens], ys[second + opens]
             near_x, near_y = xs[cell + opens], ys[cell + opens]
             if of_map > 0 and (home[0] - near_x) ** 2 + (home[1] - near_y) ** 2 > to_cell[8, number]:
                 onward = onward + math.hypot(way_x - near_x, way_y - near_y)
