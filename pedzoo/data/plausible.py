@@ -33,8 +33,8 @@ WALKED = 2.0
 _NARROW = 0.1
 """Metres: two people need more room."""
 
-_RATES = (60, 50, 30, 25, 24, 20, 16, 15, 12.5, 12, 10, 8, 7.5, 6, 5, 4, 3, 2.5, 2, 1.5, 1.25)
-"""Rows per second that recordings have."""
+_RATES = (60, 50, 30, 25, 15, 12.5, 10, 5, 2.5, 1.25)
+"""Rows per second that most recordings have."""
 
 _UNITS = {"centimetres": ("cm", 0.01), "millimetres": ("mm", 0.001), "feet": ("ft", 0.3048)}
 
@@ -176,4 +176,6 @@ def _likely(moved: np.ndarray, apart: float, seconds: float) -> float | None:
         return None
     if abs(np.log(between / (apart * seconds))) < 0.3:  # they do so already
         return None
+    if abs(np.log(between / seconds)) < 0.4 and np.isclose(1 / seconds, _RATES, rtol=0.01).any():
+        return seconds / apart  # it was given from row to row
     return 1 / min(_RATES, key=lambda rate: abs(np.log(rate * between))) / apart

@@ -75,7 +75,7 @@ def test_negate_and_text_numbers(tmp_path: Path) -> None:
         ({"origin": [1, 2]}, "expected \\[x, y, yaw\\]"),
         ({"free_thresh": 0.9}, "expected 0 <= free < occupied"),
         ({"negate": 2}, "negate 2"),
-        ({"mode": "raw"}, "expected 'trinary'"),
+        ({"mode": "grey"}, "mode 'grey', expected 'trinary', 'scale' or 'raw'"),
         ({"mode": "[unclosed"}, "not a ROS map yaml"),
     ],
 )
@@ -84,12 +84,79 @@ def test_bad_values_are_named(tmp_path: Path, keys: dict[str, object], message: 
         read_ros(write(tmp_path, **keys))  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("image", ["/etc/m.png", "../m.png", "a/../../m.png", "C:\\m.png", "..\\m.png"])
+@pytest.mark.parametrize(
+    "image",
+    [
+        *(
+            "/etc/n.png",
+            "../m.png",
+            "a/../../m.png",
+            "C:\\n.png",
+            "..\\m.png",
+            "/../m.png",
+            "/etc/../etc/m.png",
+        ),
+        *("//host/m.png", "\\\\host\\share\\m.png", "/", "C:\\"),
+    ],
+)
 def test_an_image_outside_the_folder_is_refused(tmp_path: Path, image: str) -> None:
     path = write(tmp_path)
     path.write_text(path.read_text().replace("m.png", image))
     with pytest.raises(UserError, match="must lie in the yaml's folder"):
         read_ros(path)
+
+
+def test_absolute_paths_lead_to_the_image_or_to_its_name_beside_the_yaml(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    text = path.read_text()
+    for image in (str(tmp_path / "m.png"), "/home/robot/maps/m.png", "C:\\maps\\m.png"):
+        path.write_text(text.replace("m.png", image))
+        assert read_ros(path).cells.tolist() == [[FREE, FREE, FREE], [OCCUPIED, UNKNOWN, FREE]]
+    (tmp_path / "yaml").mkdir()
+    (tmp_path / "yaml" / "m.yaml").write_text(text.replace("m.png", str(tmp_path / "m.png")))
+    assert read_ros(tmp_path / "yaml" / "m.yaml").cells.tolist()[1] == [OCCUPIED, UNKNOWN, FREE]
+
+
+def nav2(pixel: np.ndarray, mode: str, negate: bool, free: float, occupied: float) -> int:
+    """Return a cell of one pixel by the rules of nav2_map_server, then by those of its saver's thresholds."""
+    colours = pixel[:3] if len(pixel) > 2 else pixel[:1]
+    opacity = pixel[3] if len(pixel) == 4 else 255
+    shade = float(np.mean([*colours, opacity] if mode == "trinary" and len(pixel) == 4 else colours)) / 255
+    occ = shade if negate else 1 - shade
+    if mode == "raw":
+        value = round(shade * 255)
+        return (
+            UNKNOWN
+            if value > 100
+            else FREE
+            if value <= 100 * free
+            else OCCUPIED
+            if value >= 100 * occupied
+            else UNKNOWN
+        )
+    if mode == "scale" and opacity < 255:
+        return UNKNOWN
+    return OCCUPIED if occ > occupied else FREE if occ < free else UNKNOWN
+
+
+@pytest.mark.parametrize("mode", ["trinary", "scale", "raw", "Scale"])
+@pytest.mark.parametrize("channels", [1, 3, 4])
+def test_modes_are_those_of_nav2(tmp_path: Path, mode: str, channels: int) -> None:
+    rng = np.random.default_rng(channels)
+    for negate, free, occupied in ((0, 0.2, 0.65), (1, 0.25, 0.7), (0, 0.1, 0.9)):
+        pixels = rng.integers(0, 256, (24, 24, channels), dtype=np.uint8)
+        pixels[:8] = pixels[:8, :, :1] // 2  # greys of which raw maps know some
+        if channels == 4:
+            pixels[::2, :, 3] = 255
+        shown = pixels[:, :, 0] if channels == 1 else pixels[:, :, [2, 1, 0, 3][:channels]]  # OpenCV has BGR
+        grid = read_ros(
+            write(
+                tmp_path, pixels=shown, mode=mode, negate=negate, free_thresh=free, occupied_thresh=occupied
+            )
+        )
+        expected = [[nav2(one, mode.lower(), bool(negate), free, occupied) for one in row] for row in pixels]
+        assert np.array_equal(grid.cells, np.flipud(expected))
+        assert len(np.unique(expected)) == 3
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,20 @@ def read_pixels(file: Path, owner: str = "") -> NDArray[np.uint8]:
     Raises:
         UserError: The file does not exist, is no image, or has more than `LARGEST_PICTURE` pixels.
     """
+    return _read(file, owner, "L")
+
+
+def read_channels(file: Path, owner: str = "") -> NDArray[np.uint8]:
+    """Return an image's levels (H, W, C): of grey (C = 1), of three colours, or of these and opacity.
+
+    Raises:
+        UserError: As `read_pixels`.
+    """
+    pixels = _read(file, owner, None)
+    return pixels if pixels.ndim == 3 else pixels[:, :, None]
+
+
+def _read(file: Path, owner: str, kind: str | None) -> NDArray[np.uint8]:
     from PIL import Image, ImageOps
 
     if not os.path.isfile(file):  # unlike Path's, for names that no system takes, too
@@ -41,11 +55,14 @@ def read_pixels(file: Path, owner: str = "") -> NDArray[np.uint8]:
             check_limit(image.width * image.height, LARGEST_PICTURE, what, "pixels", remedy)
             if image.format == "PNG" and image.width * image.height > _DENSEST * file.stat().st_size:
                 raise UserError(f"{what} has fewer pixels than it says: is it cut off?")
-            image.draft("L", None)  # of a jpg the brightness itself
+            if kind == "L":
+                image.draft("L", None)  # of a jpg the brightness itself
             upright = ImageOps.exif_transpose(image)
             if upright.mode.startswith("I"):  # 16 bits: the upper half
                 return (np.asarray(upright, dtype=np.int64) >> 8).astype(np.uint8)
-            return np.asarray(upright.convert("L"), dtype=np.uint8)
+            if kind is None and upright.mode not in ("1", "L"):
+                kind = "RGBA" if "A" in upright.getbands() or "transparency" in upright.info else "RGB"
+            return np.asarray(upright.convert(kind or "L"), dtype=np.uint8)
     except UserError:
         raise
     except Image.DecompressionBombError:

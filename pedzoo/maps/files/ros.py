@@ -1,20 +1,21 @@
 """Floor plans as ROS map_server files: a yaml and the image that it names, read and written.
 
-The format: http://wiki.ros.org/map_server, mode trinary.
+The format: http://wiki.ros.org/map_server, with the three modes as nav2_map_server reads them. What lies
+between the thresholds is unknown in all of them: grey of ``trinary`` and ``scale``, per cent of ``raw``.
 """
 
 import io
+import os
 from collections.abc import Mapping
 from pathlib import Path, PureWindowsPath
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import write_whole
 from pedzoo.core.size_limits import load_yaml, read_text
-from pedzoo.maps.files.images import read_pixels
+from pedzoo.maps.files.images import read_channels
 from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 
 LEVELS = {FREE: 254, OCCUPIED: 0, UNKNOWN: 205}
@@ -22,16 +23,16 @@ LEVELS = {FREE: 254, OCCUPIED: 0, UNKNOWN: 205}
 
 
 def read_ros(path: str | Path) -> OccupancyGrid:
-    """Return the floor plan of a ROS map_server file (mode trinary) and the image that it names.
+    """Return the floor plan of a ROS map_server file and the image that it names.
 
     Raises:
         UserError: A file is missing or broken, a key is missing or wrong, or the image lies elsewhere.
     """
     path = Path(path)
     keys = _read_keys(path)
-    mode = keys.get("mode", "trinary")
-    if mode != "trinary":
-        raise UserError(f"{path}: mode {mode!r:.60} is not supported, expected 'trinary'")
+    mode = str(keys.get("mode", "trinary")).lower()
+    if mode not in ("trinary", "scale", "raw"):
+        raise UserError(f"{path}: mode {mode!r:.60}, expected 'trinary', 'scale' or 'raw'")
     free, occupied = _number(keys, "free_thresh", path), _number(keys, "occupied_thresh", path)
     if not 0 <= free < occupied <= 1:
         raise UserError(
@@ -45,12 +46,23 @@ def read_ros(path: str | Path) -> OccupancyGrid:
         raise UserError(f"{path}: origin {origin!r:.60}, expected [x, y, yaw] in metres and radians")
     x, y, yaw = (_number({"origin": value}, "origin", path) for value in origin)
 
-    level = np.arange(256)
-    darkness = (level if negate else 255 - level) / 255
+    pixels = read_channels(_image_of(path, keys["image"]), owner=f"{path}: its ")
+    # opacity counts as one more colour in trinary maps, and tells unknown cells in others
+    levels = pixels if mode == "trinary" else pixels[:, :, :3]
+    most = 255 * levels.shape[2]
+    level = np.arange(most + 1)
     meaning = np.full(len(level), UNKNOWN, dtype=np.uint8)
-    meaning[darkness > occupied] = OCCUPIED
-    meaning[darkness < free] = FREE
-    cells = meaning[_pixels_of(path, keys["image"])]
+    if mode == "raw":  # per cent, whatever negate is; 255 stands for unknown
+        value = np.rint(level * 255 / most)
+        meaning[(value >= np.rint(100 * occupied)) & (value <= 100)] = OCCUPIED
+        meaning[value <= np.rint(100 * free)] = FREE
+    else:
+        darkness = (level if negate else most - level) / most
+        meaning[darkness > occupied] = OCCUPIED
+        meaning[darkness < free] = FREE
+    cells = meaning[levels.sum(2, dtype=np.uint16)]
+    if mode == "scale" and pixels.shape[2] == 4:
+        cells[pixels[:, :, 3] < 255] = UNKNOWN
     return OccupancyGrid(np.flipud(cells), _number(keys, "resolution", path), (x, y, yaw), name=path.stem)
 
 
@@ -102,11 +114,19 @@ def _number(keys: Mapping[str, Any], key: str, path: Path) -> float:
         raise UserError(f"{path}: {key} {keys[key]!r:.60} is not a number") from error
 
 
-def _pixels_of(path: Path, image: Any) -> NDArray[np.uint8]:
-    # Maps come from strangers: an image path must not reach out of their folder. The Windows reading of a
-    # path knows both kinds of separators and drives.
-    given = PureWindowsPath(str(image))
-    if given.anchor or ".." in given.parts:
-        raise UserError(f"{path}: image {str(image)!r} must lie in the yaml's folder or below it")
-    file = path.parent / str(image)
-    return read_pixels(file, owner=f"{path}: its ")
+def _image_of(path: Path, image: Any) -> Path:
+    """Return the image that a yaml names.
+
+    Raises:
+        UserError: It is neither in the yaml's folder or below it, nor where its absolute path says.
+    """
+    # Maps come from strangers: a relative path must not reach out of their folder, and none to another
+    # computer. The Windows reading of a path knows both kinds of separators and drives.
+    text = str(image)
+    given, file = PureWindowsPath(text), path.parent / text
+    if given.anchor and given.name and not text.startswith(("//", "\\\\")):
+        # written where the map was made: often on another computer
+        file = Path(text) if Path(text).is_absolute() and os.path.isfile(text) else path.parent / given.name
+    if (given.anchor and not os.path.isfile(file)) or ".." in given.parts:
+        raise UserError(f"{path}: image {text!r} must lie in the yaml's folder or below it, or where it says")
+    return file
