@@ -133,8 +133,8 @@ def limited(velocity: Tensor, top_speed: Tensor) -> Tensor:
     return velocity * (top_speed / speed).clamp_max(1.0)
 
 
-def passes(begin: Tensor, end: Tensor, goal: Tensor) -> Tensor:
-    """Return which straight moves (..., 2) come within 0.3 m of the goal (..., 2), (...,) bool; metres."""
+def passes(begin: Tensor, end: Tensor, goal: Tensor, radius: float = GOAL_RADIUS) -> Tensor:
+    """Return which straight moves (..., 2) come within a radius of the goal (..., 2), (...,) bool; metres."""
     away, move = begin - goal, end - begin
     nearest = away + nearest_part(away, move).unsqueeze(-1) * move
-    return nearest.square().sum(-1) < GOAL_RADIUS**2
+    return nearest.square().sum(-1) < radius**2

@@ -427,6 +427,12 @@ def test_bad_goals_are_moved_a_little_or_refused() -> None:
     assert planner.add_goals(0, [(0.1, 1.025)]).tolist() == near.tolist()
     with pytest.raises(UserError, match=r"goal \(-3.00, 1.00\) is outside the map on map 'flat'.*\(0.2"):
         planner.add_goals(0, [(1.0, 1.0), (-3.0, 1.0)])
+    # a coarse cell is open, and people do not fit into its corner
+    cells = np.pad(np.zeros((4, 6), np.uint8), 1, constant_values=OCCUPIED)
+    coarse = Planner(MapBank([OccupancyGrid(cells, 0.5)]))
+    ids = coarse.add_goals(0, [(0.53, 0.53), (0.9, 0.6), (0.7, 0.8)])
+    places = next_waypoints(coarse, torch.tensor([[2.0, 2.0]]).expand(3, 2), ids).goal_point
+    torch.testing.assert_close(places, torch.tensor([[0.75, 0.75], [0.75, 0.75], [0.7, 0.8]]))
     thick = MapBank([drawn("###..", "###..", "###..", name="thick")])
     with pytest.raises(UserError, match=r"goal \(0.50, 1.50\) is in a wall.*\(3.50, 1.50\), more than 0.5 m"):
         Planner(thick).add_goals(0, [(0.5, 1.5)])

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from pedzoo.core.errors import UserError
-from pedzoo.maps.from_rectangles import rectangles, room
+from pedzoo.maps.from_rectangles import rectangles, room, wall
 from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.load import load_policy
 
@@ -125,3 +127,25 @@ def test_who_is_known_may_go_anywhere() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         walk.step({"anna": (40, 1)})
+
+
+EDGE = rectangles(room((0, 0), (8, 6), 0.1) + wall((4, 0), (4, 6), 0.1), 0.05, name="edge")
+
+
+@pytest.mark.parametrize("name", ["go_to_goal", "orca", "sgan_goal_map.indoor"])
+@pytest.mark.parametrize("goal", [(3.2, 0.1), (3.9, 3.0), (3.95, 3.0), (3.8, 4.0), (0.07, 5.93)])
+def test_a_goal_at_a_wall_is_moved_with_a_warning_and_counts_where_it_was_asked(name: str, goal: Any) -> None:
+    walk = Controller(load_policy(name), EDGE, dt=0.1)
+    place, asked = np.array([1.5, 1.5]), np.array(goal)
+    with pytest.warns(UserWarning, match="goal of 'a'.*0.25 m from a wall of map 'edge'.*moved by") as said:
+        place = place + 0.1 * walk.step({"a": place}, {"a": goal})["a"]
+    with warnings.catch_warnings(record=True) as again:
+        for _ in range(200):
+            place = place + 0.1 * walk.step({"a": place}, {"a": goal})["a"]
+        walk.step({"a": place, "b": (2, 2)}, {"b": goal})
+    assert (len(said), again) == (1, [])
+    moved = np.array([float(part) for part in re.findall(r"to \((.*), (.*)\)$", str(said[0].message))[0]])
+    assert bool(walk._agents.stands[walk._agents.row["a"]])
+    away = np.linalg.norm(moved - asked)
+    assert np.linalg.norm(place - asked) < max(0.31, away + 0.16)
+    assert place[0] < 4  # on this side of the wall

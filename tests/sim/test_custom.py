@@ -67,6 +67,14 @@ def test_everybody_arrives_through_the_door_of_the_map_beside_the_file(tmp_path:
     assert bool((walked.reached[:, :, -1] == 1).all())
 
 
+def test_a_place_at_a_wall_is_moved_with_a_warning(tmp_path: Path, rooms: str) -> None:
+    for end in ("from", "to"):
+        file = write(tmp_path / "mine.yaml", **in_rooms(ANNA, end, 3.0, 3.8))
+        with pytest.warns(UserWarning, match=rf"person 1: {end}: \(3.00, 3.80\) is less than 0.25 m") as said:
+            make_env(file)
+        assert len(said) == 1
+
+
 def test_a_table_says_that_no_warm_start_moved_people() -> None:
     with Comparison(["go_to_goal"], "custom", "compiled", 1) as comparison:
         assert comparison.report()["protocol"]["warm_start"] == "recorded"

@@ -5,7 +5,7 @@ from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import distance_transform_edt, label
+from scipy.ndimage import distance_transform_edt, label, map_coordinates
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from torch import Tensor
@@ -17,6 +17,9 @@ from pedzoo.maps.planning.sight import Sight
 STEPS = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 """The eight neighbours of a cell: rows and columns away."""
 
+
+_SAME = 0.01
+"""Metres: who is moved by less is not moved."""
 
 POCKET = 0.5
 """Square metres: smaller parts of the open cells are left out."""
@@ -120,6 +123,7 @@ class OpenGraph:
         """Return the open cells (M,) of map-frame points (M, 2), and the points.
 
         Those that are not in an open cell are moved to the centre of the nearest one, by ``snap`` at most.
+        So are those in a part of a coarse one that keeps less than half of the clearance.
 
         Raises:
             UserError: A point would have to be moved farther; ``what`` says what it is. Places in the message
@@ -131,7 +135,7 @@ class OpenGraph:
             )
         flat, inside = self.locate(points)
         cell = self.index[flat]
-        astray = ~inside | (cell < 0)
+        astray = ~inside | (cell < 0) | self._at_wall(points)
         if not astray.any():
             return cell, points
         cell = self.nearest[flat]
@@ -146,6 +150,29 @@ class OpenGraph:
                 f"clearance {self.clearance} m is {free}, more than {snap} m away"
             )
         return cell, moved
+
+    def _at_wall(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return which map-frame points (M,) keep less than half of the clearance, be their cells open."""
+        if self.grid.resolution < self.clearance / 2**0.5:
+            return np.zeros(len(points), dtype=bool)  # centres keep all of it, and are too near
+        place = self.to_place(points)[:, ::-1].T
+        return np.asarray(map_coordinates(self.distance, place, order=1, mode="nearest") < self.clearance / 2)
+
+    def moved(
+        self,
+        what: str,
+        asked: NDArray[np.float64],
+        place: NDArray[np.float64],
+        origin: NDArray[np.float64] | float = 0.0,
+    ) -> str | None:
+        """Return the warning about a point (2,) that `settle` moved to a place (2,); None if it did not."""
+        if (away := float(np.hypot(*(asked - place)))) < _SAME:
+            return None
+        given, free = format_point(asked + origin), format_point(place + origin)
+        return (
+            f"{what} {given} is less than {self.clearance} m from a wall of map {self.grid.name!r}, or "
+            f"outside it: moved by {away:.2f} m to {free}"
+        )
 
 
 def _without_pockets(cells: NDArray[np.bool_], resolution: float) -> NDArray[np.bool_]:

@@ -75,7 +75,9 @@ class Controller:
     the one given to `step`, else their preferred speed along the planner's path.
 
     A person with the goal None, or within 0.3 m of the goal, stands: the velocity is 0, and the others
-    walk around. A goal is reached once. A person stands until `step` gets another goal.
+    walk around. A goal is reached once. A person stands until `step` gets another goal. Of one nearer to a
+    wall than ``clearance`` you are warned once: the person walks to the nearest free place, until that and
+    the goal are within 0.3 m, or that is within 0.15 m.
 
     Other agents (robots, people of another simulator) are moved by the caller alone. All people see them,
     with their histories and radii, as agents of kind `pedzoo.core.batch.ROBOT` that the policy does not
@@ -126,7 +128,7 @@ class Controller:
             origin, grid = origin_of(grid.origin[:2]), replace(grid, origin=(0.0, 0.0, grid.origin[2]))
         bank = MapBank([] if grid is None else [grid], unknown)
         self.policy, self.dt, self.pref_speed, self.deterministic = policy, dt, pref_speed, deterministic
-        self._online_goals = OnlineGoals(OnlinePlanner(bank, clearance, origin), origin)
+        self._online_goals = OnlineGoals(OnlinePlanner(bank, clearance, origin), origin, set())
         self._warned = False
         # with one call per decision there is nothing to blend
         self._ticks = 1 if calls == 1 else max(1, round(policy.decision_dt / TRACE_SECONDS))

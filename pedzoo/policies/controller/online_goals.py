@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -29,10 +30,12 @@ class OnlineGoals(NamedTuple):
     Attributes:
         planner: Its bank holds the floor plan alone, or nothing.
         origin: Of its frame in the caller's (2,), metres.
+        said: Goals that the planner has moved, and the caller has been warned of.
     """
 
     planner: OnlinePlanner
     origin: NDArray[np.float64]
+    said: set[tuple[float, ...]]
 
     @property
     def map_id(self) -> int:
@@ -44,6 +47,8 @@ class OnlineGoals(NamedTuple):
         self, people: Roster, position: Tensor, goals: Mapping[Any, Any]
     ) -> tuple[OnlineGoals, Roster]:
         """Return the planner with the goals, and the people with theirs. A new goal ends standing.
+
+        Of a goal that the planner moves there is a warning, once.
 
         Args:
             people: All agents that are here.
@@ -90,7 +95,19 @@ class OnlineGoals(NamedTuple):
                 f"door between that leaves clearance {planner.clearance} m"
             )
         goal_point = torch.where(fresh.unsqueeze(1), guidance.goal_point, goal_point)
+        if self.planner.bank.grids:
+            self._warn_of_moved(people, goal_point, fresh)
         return online_goals, people._replace(goal_point=goal_point)
+
+    def _warn_of_moved(self, people: Roster, goal_point: Tensor, which: Tensor) -> None:
+        """Warn of the goals of some people (N,) that the planner has moved to ``goal_point`` (N, 2)."""
+        graph = self.planner.graph(0)
+        for i in (which & ((people.goal - goal_point).abs().amax(1) > 0)).nonzero()[:, 0].tolist():
+            asked, place = people.goal[i].numpy(), goal_point[i].double().numpy()
+            text = graph.moved(f"goal of {people.ids[i]!r}:", asked, place, self.origin)
+            if text and tuple(asked.tolist()) not in self.said:
+                self.said.add(tuple(asked.tolist()))
+                warnings.warn(text, stacklevel=4)  # beyond `step` and the wrapper of torch
 
     def misplaced(self, people: Roster, position: Tensor) -> str | None:
         """Return the warning about new people in walls or outside the floor plan; None where all is well.

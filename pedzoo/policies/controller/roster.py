@@ -12,6 +12,9 @@ from pedzoo.core.geometry import heading_of, passes
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.policies.controller.arguments import OTHER_RADIUS, DiscKey, metres_of, number_of, speed_of
 
+_THERE = 0.15
+"""Metres: so near to where the planner has put a goal it is reached in any case."""
+
 
 class Roster(NamedTuple):
     """N agents, in the order of their numbers: another order of their names gives the same answers.
@@ -174,5 +177,11 @@ class Roster(NamedTuple):
         return self._replace(past=past, heading=torch.where(new, heading_of(velocity), self.heading))
 
     def arrived(self, begin: Tensor, end: Tensor) -> Roster:
-        """Return the roster in which people stand whose goal is within 0.3 m of their last move."""
-        return self._replace(stands=self.stands | passes(begin, end, self.goal_point))
+        """Return the roster in which people stand whose goal is within 0.3 m of their last move.
+
+        That holds for the goal as it was asked for and for where the planner has put it, which is on their
+        side of the wall. Where the one is too far from the other, people go on to the latter.
+        """
+        asked, near = passes(begin, end, self.goal.float()), passes(begin, end, self.goal_point)
+        there = passes(begin, end, self.goal_point, _THERE)
+        return self._replace(stands=self.stands | near & asked | there)

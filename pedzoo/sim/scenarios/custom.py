@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -84,6 +85,8 @@ class Custom(Scenario):
     def prepare(self, clearance: float) -> PreparedScenario:
         """Find the ways from starts to goals.
 
+        Warns of places that are nearer to a wall than ``clearance``: they are moved, and goals count there.
+
         Raises:
             UserError: A place is in a wall or outside the map, two people overlap, or there is no way.
         """
@@ -93,7 +96,13 @@ class Custom(Scenario):
         if prepared.bank.grids:
             row, map_id = 0, prepared.bank.grids[0].map_id
             self._check_free(prepared.bank, map_id)
-            _, starts = planner.graph(row).settle(starts, planner.snap, "the start")
+            graph = planner.graph(row)
+            _, starts = graph.settle(starts, planner.snap, "the start")
+            _, ends = graph.settle(self._ends, planner.snap, "goal")
+            for end, asked, places in zip(KEYS, (self._starts, self._ends), (starts, ends), strict=False):
+                for number in range(self.people):
+                    if text := graph.moved(f"person {number + 1}: {end}:", asked[number], places[number]):
+                        warnings.warn(text, stacklevel=2)
         goal = planner.add_goals(row, self._ends)
         _check_apart(torch.from_numpy(starts))
         start, maps = torch.from_numpy(starts).float(), torch.full((self.people,), map_id)
