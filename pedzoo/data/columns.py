@@ -1,7 +1,8 @@
-"""Columns of tables: their names, units and separators."""
+"""Columns of tables of text: their names, units and separators, and how letters are written."""
 
 import csv
 import re
+from pathlib import Path
 from typing import NamedTuple
 
 from pedzoo.core.errors import UserError
@@ -33,6 +34,7 @@ TIMES = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-
 LONGEST_LINE = 131_072
 """Letters that are read of a line before it is refused; csv has the same limit for a field."""
 
+_PACKED = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip or a workbook", b"BZh": "bzip2", b"\xfd7zXZ": "xz"}
 _NAME = re.compile(
     rf"(.+?)(?:-pid\d+)?(?:\s*[\s_/(\[]\s*({'|'.join((*LENGTHS, *TIMES))})[\])]?)?", re.IGNORECASE
 )
@@ -116,3 +118,20 @@ def is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def encoding_of(path: Path) -> str:
+    """Return how the letters of a file are written, by its first bytes.
+
+    Raises:
+        UserError: They are not those of a text.
+    """
+    with path.open("rb") as file:
+        begin = file.read(1024)
+    if begin.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    packed = [kind for first, kind in _PACKED.items() if begin.startswith(first)]
+    if packed or b"\0" in begin:
+        kind = f"it is {packed[0]}: unpack or export it" if packed else "it has bytes of zero"
+        raise UserError(f"recording {str(path)!r} is not a text file ({kind})")
+    return "utf-8-sig"

@@ -23,6 +23,7 @@ from pedzoo.data.columns import (
     TIMES,
     cells_of,
     columns_of,
+    encoding_of,
     is_number,
     separator_of,
     width_of,
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
 
 _ENDS = ["end time", "end x", "end y"]
 _SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".traj", ".sqlite", ".sqlite3", ".db")
-_PACKED = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip or a workbook", b"BZh": "bzip2", b"\xfd7zXZ": "xz"}
 _RATE = re.compile(r"(?:frame\s*rate|\bfps)[^\d\n]*(\d+(?:[.,]\d*)?)", re.IGNORECASE)
 _IN_COMMENT = re.compile(rf"(?:\bx\s*/|\bin)\s*({'|'.join(LENGTHS)})\b", re.IGNORECASE)
 
@@ -122,7 +122,7 @@ class TextFormat:
         """
         remedy, what = "cut the recording into several files", f"recording {str(path)!r}"
         check_limit(path.stat().st_size, LARGEST_TABLE, what, "bytes", remedy)
-        encoding = _encoding(path)
+        encoding = encoding_of(path)
         with path.open(encoding=encoding) as file:
             comments, head = _until_text(what, file)
             named = bool(head) and not any(map(is_number, cells_of(head, separator_of(head), what)))
@@ -216,24 +216,43 @@ class TextFormat:
         """
         import numpy as np  # commands look at first lines before anything heavy is imported
 
+        table = self._loaded(path, None)
+        if table is not None and (not len(table) or table.shape[1] == self.width):
+            return table[:, self.columns] if len(table) else table
+        if (
+            self._even(path) and (table := self._loaded(path, self.columns)) is not None
+        ):  # texts beside numbers
+            return table
+        return np.fromiter(self._one_by_one(path), dtype=np.dtype((float, len(self.columns))))
+
+    def _loaded(self, path: Path, columns: tuple[int, ...] | None) -> np.ndarray | None:
+        """Return columns as numpy reads them, all for None; None where it cannot."""
+        import numpy as np
+
         try:
             # numpy unpacks archives where it is given a path; callers have words for empty files
             with path.open(encoding=self.encoding) as file, warnings.catch_warnings(action="ignore"):
                 lines = islice(file, self.skip, None)
-                table = np.loadtxt(
+                return np.loadtxt(
                     (line.replace(",", ".") for line in lines) if self.decimal else lines,
                     ndmin=2,
                     comments=None,
                     quotechar='"',
                     delimiter=self.delimiter,
+                    usecols=columns,
                 )
         except UnicodeDecodeError:
             raise
         except ValueError:
-            table = None
-        if table is None or (len(table) and table.shape[1] != self.width):  # comments, texts, another width
-            return np.fromiter(self._one_by_one(path), dtype=np.dtype((float, len(self.columns))))
-        return table[:, self.columns] if len(table) else table
+            return None
+
+    def _even(self, path: Path) -> bool:
+        """Return whether all rows have the same number of columns, none with a separator inside."""
+        with path.open(encoding=self.encoding) as file:
+            rows = (line for line in islice(file, self.skip, None) if line.strip())
+            return all(
+                len(line) <= LONGEST_LINE and len(line.split(self.delimiter)) == self.width for line in rows
+            )
 
     def _one_by_one(self, path: Path) -> Iterator[list[float]]:
         """Yield the rows as Python reads them: more forgiving than `numpy.loadtxt`, and knows the line."""
@@ -271,20 +290,3 @@ def _until_text(what: str, file: TextIO) -> tuple[list[str], str]:
             return before, line
         before.append(line)
     return before, ""
-
-
-def _encoding(path: Path) -> str:
-    """Return how the letters of a file are written, by its first bytes.
-
-    Raises:
-        UserError: They are not those of a text.
-    """
-    with path.open("rb") as file:
-        begin = file.read(1024)
-    if begin.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return "utf-16"
-    packed = [kind for first, kind in _PACKED.items() if begin.startswith(first)]
-    if packed or b"\0" in begin:
-        kind = f"it is {packed[0]}: unpack or export it" if packed else "it has bytes of zero"
-        raise UserError(f"recording {str(path)!r} is not a text file ({kind})")
-    return "utf-8-sig"
