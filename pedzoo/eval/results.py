@@ -134,8 +134,9 @@ def markdown(report: Mapping[str, Any], shown: Mapping[str, SuiteColumns], comma
 
 
 INTERVALS = (
-    "In brackets 95 % intervals over what n counts: Wilson's for shares, bootstrapped otherwise. The mean of "
-    "several cases counts each the same."
+    "In brackets 95 % intervals over what n counts: Wilson's for shares, Student's t for means and rates "
+    "(jackknife, upper ends of the logarithm), bootstrapped for medians and distances; none if all say the "
+    "same or fewer than 3 say anything. The mean of several cases counts each the same."
 )
 
 

@@ -1,4 +1,4 @@
-"""Intervals of open-loop errors: windows overlap, so the bootstrap draws stretches of time."""
+"""Intervals of open-loop errors: windows overlap, so stretches of time take the place of windows."""
 
 from collections.abc import Mapping
 
@@ -6,21 +6,20 @@ import torch
 from torch import Tensor
 
 from pedzoo.data.scenes import SceneSet
-from pedzoo.metrics.statistics.intervals import Interval, bootstrap
+from pedzoo.metrics.statistics.intervals import Interval, ratio_interval
 
 FEW = 10
-"""With fewer blocks a bootstrap interval of 95 % covers clearly less; tables mark it as rough."""
+"""Tables mark intervals of fewer blocks as rough."""
 
 
 class BlockSums:
-    """Sums of errors over blocks of time, whose bootstrap gives 95 % intervals of their means.
+    """Sums of errors over blocks of time, which give 95 % intervals of their means.
 
     A window begins at every frame and shares nearly all of its frames with the next one: taken as
     independent, windows would give intervals several times too narrow. A block is as many windows in a row as
     a window has frames, within one recording, so that only neighbouring blocks share frames (the block
-    bootstrap: Künsch, "The jackknife and the bootstrap for general stationary observations", Annals of
+    jackknife: Künsch, "The jackknife and the bootstrap for general stationary observations", Annals of
     Statistics 17, 1989). What differs between scenes and between trainings is not in these intervals.
-    Those of few blocks are too narrow: see `FEW`.
 
     Attributes:
         block: Of each window (S,) long.
@@ -48,9 +47,9 @@ class BlockSums:
                 total.index_add_(0, block, value.double().cpu())
 
     def intervals(self) -> dict[str, Interval]:
-        """Return the interval of every mean; of one block, or one without errors, there is none."""
-        result = {name: bootstrap(above, below) for name, (above, below) in self._sums.items() if below.any()}
-        return {name: ends for name, ends in result.items() if ends[0] < ends[1]}
+        """Return the interval of every mean; see `ratio_interval` for when there is none."""
+        result = {name: ratio_interval(above, below) for name, (above, below) in self._sums.items()}
+        return {name: ends for name, ends in result.items() if ends}
 
 
 def blocks(windows: list[int], length: int) -> Tensor:

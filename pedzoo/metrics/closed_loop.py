@@ -112,7 +112,11 @@ def _checked(name: str, result: Any, episodes: int) -> Ratio:
     """Return the two sums that a metric gave."""
     sums, more = (result[:2], result[2:]) if isinstance(result, tuple) else ((), ())
     right = len(sums) == 2 and all(isinstance(v, Tensor) and v.shape == (episodes,) for v in sums)
-    if not right or len(more) > 1 or not all(isinstance(is_share, bool) for is_share in more):
+    if (
+        not right
+        or len(more) > 1 + isinstance(result, Ratio)
+        or not all(isinstance(is_share, bool) for is_share in more)
+    ):
         given = f"({', '.join(map(_kind, result))})" if isinstance(result, tuple) else _kind(result)
         raise UserError(
             f"metric {name}: expected two tensors (sum, count) of shape ({episodes},), a value of each "
@@ -143,9 +147,8 @@ def time_ratio_median(rollout: Rollout) -> tuple[dict[str, float], dict[str, Int
         return {}, {}
     values, episode, episodes = value[known], known.nonzero()[:, 0], len(known)
     middle = float(quantiles(values, episode, torch.ones(1, episodes), (0.5,)))
-    low, high = bootstrap_quantile(values, episode, episodes, 0.5)
-    key = "time_ratio_median"
-    return {key: middle}, {key: (low, high)} if low < high else {}
+    key, ends = "time_ratio_median", bootstrap_quantile(values, episode, episodes, 0.5)
+    return {key: middle}, {key: ends} if ends else {}
 
 
 class ClosedLoopScore(Metric):
@@ -163,7 +166,7 @@ class ClosedLoopScore(Metric):
 
     def update(self, rollout: Rollout) -> None:
         """Add episodes."""
-        for name, (above, below, _) in closed_loop(rollout).items():
+        for name, (above, below, *_) in closed_loop(rollout).items():
             self.above[NAMES.index(name)] += above.sum()
             self.below[NAMES.index(name)] += below.sum()
 

@@ -78,7 +78,7 @@ def personal_space_igibson(rollout: Rollout) -> Ratio:
     See `pedzoo.metrics.contact_functions.compliance_igibson`.
     """
     stored = contact_functions.compliance_igibson(_nearest(rollout), rollout.scored)
-    return ratio(stored.where(rollout.mask, 0.0), rollout.mask)
+    return ratio(stored.where(rollout.mask, 0.0), rollout.mask)._replace(part=True)
 
 
 @metric()

@@ -22,7 +22,7 @@ def intervention_share(rollout: Rollout) -> Ratio:
     """Share of people's steps that the safety layer changes by more than 2 cm."""
     if rollout.changed is None:
         return _nothing(rollout)
-    return mean((rollout.changed > NOTICED).float(), rollout.scored)
+    return mean(rollout.changed > NOTICED, rollout.scored)
 
 
 @metric()

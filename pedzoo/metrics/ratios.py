@@ -12,7 +12,7 @@ from weakref import WeakKeyDictionary
 import torch
 from torch import Tensor
 
-from pedzoo.metrics.statistics.intervals import Interval, bootstrap, wilson
+from pedzoo.metrics.statistics.intervals import Interval, ratio_interval, wilson
 from pedzoo.sim.rollout import Rollout
 
 T = TypeVar("T")
@@ -29,11 +29,13 @@ class Ratio(NamedTuple):
         above: Of each episode (E,) float64.
         below: Likewise: how many episodes, people, frames, ... the sum above is over.
         share: Whether it is a share of episodes or people.
+        part: Whether it is a share of anything else, such as steps: at most 1.
     """
 
     above: Tensor
     below: Tensor
     share: bool = False
+    part: bool = False
 
 
 def metric(scenes: Scenes = "all") -> Callable[[Function], Function]:
@@ -64,10 +66,12 @@ def once(function: Callable[[Rollout], T]) -> Callable[[Rollout], T]:
 
 def ratio(above: Tensor, below: Tensor | None = None) -> Ratio:
     """Return the ratio of sums over all but episodes; per episode where the denominator is empty."""
+    part = below is not None and above.dtype == below.dtype == torch.bool
     above = above.flatten(1).sum(1, dtype=torch.float64) if above.dim() > 1 else above.double()
     if below is None:
         return Ratio(above, torch.ones_like(above))
-    return Ratio(above, below.flatten(1).sum(1, dtype=torch.float64) if below.dim() > 1 else below.double())
+    below = below.flatten(1).sum(1, dtype=torch.float64) if below.dim() > 1 else below.double()
+    return Ratio(above, below, part=part)
 
 
 def share(above: Tensor, below: Tensor | None = None) -> Ratio:
@@ -77,7 +81,7 @@ def share(above: Tensor, below: Tensor | None = None) -> Ratio:
 
 def mean(value: Tensor, known: Tensor) -> Ratio:
     """Return the mean of the ``known`` values, both (E, ...)."""
-    return ratio(value.where(known, 0), known)
+    return ratio(value & known if value.dtype == torch.bool else value.where(known, 0), known)
 
 
 def of_sums(above: Tensor, below: Tensor, known: Tensor) -> Ratio:
@@ -92,24 +96,24 @@ def finite(value: Tensor) -> Ratio:
 
 def of_parts(parts: Sequence[Ratio]) -> Ratio:
     """Return a metric of all episodes, given that of some episodes after the other."""
-    above, below, shares = zip(*parts, strict=True)
-    return Ratio(torch.cat(above), torch.cat(below), shares[0])
+    above, below, *_ = zip(*parts, strict=True)
+    return parts[0]._replace(above=torch.cat(above), below=torch.cat(below))
 
 
 def summarised(ratios: Mapping[str, Ratio]) -> tuple[dict[str, float], dict[str, Interval]]:
     """Return the values of metrics and their 95 % intervals over episodes.
 
     A metric about which no episode says anything is in neither; one about which all say the same has no
-    interval, unless it is a share: a bootstrap knows nothing then.
+    interval, unless it is a share; nor do few episodes, see `ratio_interval`.
     """
     metrics: dict[str, float] = {}
     intervals: dict[str, Interval] = {}
-    for name, (above, below, is_share) in ratios.items():
+    for name, (above, below, is_share, part) in ratios.items():
         if not float(below.sum()) > 0:
             continue  # no person arrived, met another or walked
         metrics[name] = float(above.sum() / below.sum())
         trials = int((below > 0).sum())
-        interval = wilson(metrics[name], trials) if is_share else bootstrap(above, below)
-        if interval[0] < interval[1]:
+        interval = wilson(metrics[name], trials) if is_share else ratio_interval(above, below, part)
+        if interval and interval[0] < interval[1]:
             intervals[name] = interval
     return metrics, intervals

@@ -13,6 +13,7 @@ from pedzoo.eval.forecast import forecast_row
 from pedzoo.eval.time_blocks import BlockSums, blocks
 from pedzoo.metrics.forecast import ForecastScore
 from pedzoo.metrics.forecast_nll import NegativeLogLikelihood
+from pedzoo.metrics.statistics.intervals import ratio_interval
 from pedzoo.models.base import known_displacements, true_displacements
 from pedzoo.models.zoo.loading import load
 from tools.paper.line_density import NATS, line_likelihood, log_density, strayed
@@ -23,25 +24,23 @@ def test_blocks_are_as_long_as_a_window_and_within_a_recording() -> None:
     assert blocks([7, 3, 0, 2], 3).tolist() == [0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 3, 3]
 
 
-def test_interval_of_two_blocks_by_hand() -> None:
-    """Drawn twice with replacement, blocks with means 1 and 3 give 1, 2 or 3: a quarter, a half, a quarter.
-
-    So the 2.5 % and 97.5 % quantiles are 1 and 3. Windows come in any order, and in two updates.
-    """
+def test_interval_of_three_blocks_is_that_of_their_sums() -> None:
+    """Windows come in any order, and in two updates."""
     data = TrajectoryDataModule(pred_len=8)
     data.setup("test")
     sums = BlockSums(data.sets["test"])
-    sums.block = torch.tensor([0, 0, 1, 1])
+    sums.block = torch.tensor([0, 0, 1, 2])
     sums.add(torch.tensor([3, 0]), {"ade_m": (torch.tensor([6.0, 1.0]), torch.tensor([2, 1]))})
     sums.add(torch.tensor([1, 2]), {"ade_m": (torch.tensor([3.0, 6.0]), torch.tensor([3, 2]))})
-    assert sums.intervals()["ade_m"] == pytest.approx((1.0, 3.0))
+    expected = ratio_interval(torch.tensor([4.0, 6.0, 6.0]), torch.tensor([4, 2, 2]))
+    assert expected and sums.intervals()["ade_m"] == pytest.approx(expected)
 
 
-def test_one_block_has_no_interval() -> None:
+def test_two_blocks_have_no_interval() -> None:
     data = TrajectoryDataModule()
     data.setup("test")
     sums = BlockSums(data.sets["test"])
-    sums.block = torch.zeros(5, dtype=torch.long)
+    sums.block = torch.tensor([0, 0, 0, 1, 1])
     sums.add(torch.arange(5), {"ade_m": (torch.rand(5), torch.ones(5))})
     assert sums.intervals() == {}
 

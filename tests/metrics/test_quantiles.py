@@ -38,7 +38,21 @@ def test_interval_of_a_median_shrinks_with_episodes_and_holds_it() -> None:
     widths = []
     for episodes in (20, 320):
         value = torch.randn(2 * episodes, generator=generator)
-        low, high = bootstrap_quantile(value, torch.arange(2 * episodes) // 2, episodes, 0.5)
+        low, high = bootstrap_quantile(value, torch.arange(2 * episodes) // 2, episodes, 0.5) or (0.0, 0.0)
         assert low < float(value.median()) < high
         widths.append(high - low)
     assert widths[1] < widths[0] / 2
+
+
+@pytest.mark.parametrize("episodes", [3, 5, 6, 10, 20])
+def test_intervals_of_medians_cover_or_are_none(episodes: int) -> None:
+    """People of one episode are alike: half of their variance is the episode's."""
+    random, trials = np.random.default_rng(episodes), 150
+    found = []
+    for _ in range(trials):
+        value = (random.normal(0, 1, (episodes, 1)) + random.normal(0, 1, (episodes, 3))).ravel()
+        number = torch.arange(episodes).repeat_interleave(3)
+        found.append(bootstrap_quantile(torch.from_numpy(value), number, episodes, 0.5))
+    missed = sum(not low <= 0 <= high for low, high in filter(None, found))
+    assert missed < 0.07 * trials + 2 * (0.07 * trials) ** 0.5
+    assert (None in found) == (episodes < 6)

@@ -4,11 +4,15 @@ import math
 from functools import lru_cache
 
 import torch
+from scipy.special import ndtr, stdtrit
 from torch import Tensor
 
 from pedzoo.metrics.statistics.quantiles import quantiles
 
 RESAMPLES = 2000
+
+FEWEST, FEWEST_DRAWN = 3, 6
+"""Episodes (or people, or blocks of time) of an interval by Student's t, and of one by a bootstrap."""
 
 _NORMAL_95 = 1.959964
 
@@ -27,24 +31,70 @@ def wilson(share: float, trials: int) -> Interval:
     return max(0.0, low), min(1.0, high)
 
 
-def bootstrap(numerator: Tensor, denominator: Tensor) -> Interval:
-    """Return the percentile bootstrap interval over episodes of a ratio of sums, (E,) each."""
-    times = _resampled(len(numerator))
-    below = times @ denominator.double()
-    result = (times @ numerator.double() / below)[below > 0]
-    low, high = torch.quantile(result, torch.tensor([0.025, 0.975], dtype=torch.float64)).tolist()
-    return low, high
+def ratio_interval(above: Tensor, below: Tensor, part: bool = False) -> Interval | None:
+    """Return the interval of a ratio of sums over episodes, (E,) each; None where it cannot be honest.
+
+    Student's t with the jackknife's standard error (HC3: MacKinnon and White, "Some heteroskedasticity-
+    consistent covariance matrix estimators with improved finite sample properties", Journal of Econometrics
+    29, 1985). Where no value is below 0 the upper end is that of the logarithm, which is larger: rare counts
+    and other skewed values are mostly too low. A bootstrap of few episodes is too narrow, and of rare counts
+    it knows but one or two. There is no interval for fewer than `FEWEST` episodes, nor where all say the
+    same: no event at all says nothing of how many come together.
+
+    Args:
+        above: Values; one sign or both.
+        below: How much each counts, none below 0.
+        part: Whether ``above`` are parts of ``below``, so that the ratio is at most 1.
+    """
+    known = below > 0
+    above, below = above[known].double(), below[known].double()
+    episodes = len(above)
+    if episodes < FEWEST:
+        return None
+    value, weight = float(above.sum() / below.sum()), below / below.sum()
+    error = float(((above / below - value) * weight / (1 - weight)).norm())
+    half = t_95(episodes) * error
+    if not 1e-9 * abs(value) < half < math.inf:
+        return None
+    if bool((above < 0).any()):
+        return value - half, value + half
+    if half > 10 * value:  # one episode has nearly all the weight
+        return None
+    low, high = value - half, value * math.exp(half / value)
+    if part and value < 1:
+        low = 1 - (1 - value) * math.exp(min(half / (1 - value), 10.0))
+    return max(0.0, low), min(high, 1.0 if part else math.inf)
 
 
-def bootstrap_quantile(value: Tensor, episode: Tensor, episodes: int, at: float) -> Interval:
-    """Return the percentile bootstrap interval over episodes of the quantile ``at`` of values (N,).
+def t_95(groups: int) -> float:
+    """Return how many standard errors of so many groups are in half of an interval."""
+    return float(stdtrit(groups - 1, 0.975))
+
+
+def percentile_interval(values: Tensor, groups: int | None = None) -> Interval | None:
+    """Return the interval of a number, of its values (R,) in resamples of ``groups``; NaN where it has none.
+
+    Without ``groups`` it holds 95 % of the values.
+
+    The expanded percentile interval: wider, as Student's t is wider than the normal distribution
+    (Hesterberg, "What Teachers Should Know About the Bootstrap", The American Statistician 69, 2015). None
+    for fewer than `FEWEST_DRAWN` groups: their extremes cover less than 95 %. None where all are the same.
+    """
+    if not len(values) or (groups is not None and groups < FEWEST_DRAWN):
+        return None
+    tail = float(ndtr(-math.sqrt(groups / (groups - 1)) * t_95(groups))) if groups else 0.025
+    ends = torch.tensor([tail, 1 - tail], dtype=torch.float64)
+    low, high = torch.nanquantile(values.double(), ends).tolist()
+    return (low, high) if low < high else None
+
+
+def bootstrap_quantile(value: Tensor, episode: Tensor, episodes: int, at: float) -> Interval | None:
+    """Return `percentile_interval` over episodes of the quantile ``at`` of values (N,).
 
     ``episode`` (N,) is the episode of each value.
     """
     result = quantiles(value, episode, _resampled(episodes), (at,))[:, 0]
-    ends = torch.nanquantile(result, torch.tensor([0.025, 0.975], dtype=torch.float64))
-    low, high = ends.tolist()
-    return low, high
+    return percentile_interval(result, len(episode.unique()))
 
 
 @lru_cache(maxsize=2)  # all metrics of a row, and all rows of a table, have the same
