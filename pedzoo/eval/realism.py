@@ -20,6 +20,7 @@ from pedzoo.metrics.ratios import of_parts, summarised
 from pedzoo.metrics.realism.crowds import (
     CrowdSums,
     compared,
+    contact_intervals,
     crowd,
     densities,
     density_speed,
@@ -32,7 +33,7 @@ from pedzoo.metrics.realism.crowds import (
 from pedzoo.metrics.realism.distances import drawn_people, halves
 from pedzoo.metrics.realism.features import FEATURES, every_step
 from pedzoo.metrics.realism.walks import RecordedWalks, Walks, WalksByPerson, of_people, tracks_of, walks_of
-from pedzoo.metrics.statistics.intervals import Interval, wilson
+from pedzoo.metrics.statistics.intervals import percentile_interval, wilson
 from pedzoo.sim.replay.people import RecordedPeople
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.scenarios.replay import PreparedReplay
@@ -102,7 +103,9 @@ def replay_row(
     distance = resampled_distances(mine, real, drawn, drawn)
     resamples = of_people(tables, drawn) | compared(mine, real, drawn, drawn, distance, spread)
     numbers = {key: float(value) for key, value in values.items() if not value.isnan()}
-    intervals = {key: result for key in numbers if (result := _interval(resamples[key]))}
+    found = {key: percentile_interval(resamples[key], int(seen.sum())) for key in numbers}
+    found |= contact_intervals(mine, real, torch.arange(len(seen)), len(seen))
+    intervals = {key: ends for key, ends in found.items() if ends and key in numbers}
     for key in ("success", "deadlock"):
         intervals[key] = wilson(numbers[key], int(seen.sum()))
     more, theirs = summarised({key: of_parts([part[key] for part in own]) for key in own[0]})
@@ -141,7 +144,7 @@ def reference_rows(scenario: PreparedReplay, metrics: Sequence[str] = ()) -> lis
         "n": int(seen.sum()),
         "rounds": 1,
         "metrics": {key: float(value.nanmean()) for key, value in result.items() if not value.isnan().all()},
-        "ci95": {key: interval for key, value in result.items() if (interval := _interval(value))},
+        "ci95": {key: interval for key, value in result.items() if (interval := percentile_interval(value))},
         "per_agent": [],
     }
     return [replay_row(REAL, scenario.real_parts(), scenario, STEP_SECONDS, metrics), floor]
@@ -163,13 +166,6 @@ def _weights(of_seen: Tensor, seen: Tensor) -> Tensor:
     weights = torch.zeros(len(of_seen), len(seen), dtype=torch.float64)
     weights[:, seen] = of_seen.double()
     return weights
-
-
-def _interval(values: Tensor) -> Interval | None:
-    """Return what holds 95 % of the values (R,) that are there; None where they do not differ."""
-    quantiles = torch.tensor([0.025, 0.975], dtype=torch.float64)
-    low, high = torch.nanquantile(values.double(), quantiles).tolist()
-    return (low, high) if low < high else None
 
 
 def _curve(mine: CrowdSums, real: CrowdSums, once: Tensor) -> list[dict[str, float | None]]:

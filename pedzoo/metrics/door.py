@@ -102,8 +102,9 @@ def yielder_speed(velocity: Tensor, known: Tensor, seconds: Tensor, dt: float) -
 def flow(seconds: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
     """Return how many people got through (E,) long, and the door's width times the time they took (E,), m s.
 
-    Their ratio is the specific flow between the first and the last passing. 0 and 0 where fewer than two got
-    through, or all in the same moment. For N people it is N / (N - 1) times that of a steady stream.
+    Their ratio is the specific flow from the first to the last passing, N / (T w): the flow of PedPy's
+    `compute_flow` for one interval, by the width. For N people it is N / (N - 1) times that of a steady
+    stream. 0 and 0 where fewer than two got through, or all in the same moment.
     """
     through = seconds.isfinite()
     last = seconds.where(through, -torch.inf).amax(1)

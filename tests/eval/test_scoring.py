@@ -16,15 +16,18 @@ from pedzoo.data.tracks import Tracks
 from pedzoo.eval.evaluate import evaluate
 from pedzoo.eval.scoring.crowds import ScoredCrowd, recorded_crowd
 from pedzoo.eval.scoring.files import file_crowd
+from pedzoo.eval.scoring.rows import _verdict as verdict_of
 from pedzoo.eval.scoring.rows import row
 from pedzoo.eval.scoring.same_people import companions
 from pedzoo.eval.scoring.score import Reference, score
 from pedzoo.eval.scoring.windows import STEPS, JointWindows, windows_of
 from pedzoo.eval.scoring.wosac import bins, likelihood, policy_windows, recorded_windows
 from pedzoo.eval.suite import OwnRecordings
+from pedzoo.metrics.door import flow
 from pedzoo.metrics.realism.bottlenecks import through
 from pedzoo.metrics.realism.crowdes import ScoredSteps, columns
 from pedzoo.metrics.realism.crowds import spreads
+from pedzoo.metrics.realism.two_sample import auc
 from pedzoo.metrics.realism.wosac import (
     BINS,
     MEASURED,
@@ -82,6 +85,50 @@ def test_a_file_of_the_recording_scores_as_the_recording_in_memory(
     assert metrics["standing_share"] == float(recorded.sums["standing_share"].of(torch.ones(1, 80)))
 
 
+def auc_of(table: np.ndarray, path: Path, real: PreparedReplay, recorded: ScoredCrowd) -> float:
+    """The AUC of a crowd whose people have other numbers than the recorded ones."""
+    numbers = np.unique(table[:, 1])
+    others = np.random.default_rng(5).permutation(numbers)
+    table = np.column_stack((table[:, 0], others[np.searchsorted(numbers, table[:, 1])], table[:, 2:]))
+    side = file_crowd(
+        written(path / "other.csv", table[np.random.default_rng(6).permutation(len(table))]), real
+    )
+    assert (side.twin < 0).float().mean() > 0.9
+    verdict = verdict_of(side, recorded, side.fine.clips, recorded.fine.clips)
+    once = (torch.ones(1, len(crowd.seen)) for crowd in (side, recorded))
+    return float(auc(verdict, *once))
+
+
+def straightened(table: np.ndarray, agents: np.ndarray) -> np.ndarray:
+    """The same with some people on straight lines, at constant speed."""
+    table = table[np.lexsort((table[:, 0], table[:, 1]))]
+    for agent in agents:
+        mine = table[:, 1] == agent
+        ends = table[mine][[0, -1], 2:]
+        share = np.linspace(0, 1, mine.sum())[:, None]
+        table[mine, 2:] = ends[0] * (1 - share) + ends[1] * share
+    return table
+
+
+@pytest.mark.parametrize(
+    "change",
+    [[0, 0, 0, 0], [0, 0, 0.6, 0], [400, 0, 80, -0.6]],
+    ids=["other numbers", "shifted", "far away and later"],
+)
+def test_copies_cannot_be_told_apart(
+    change: list[float], real: PreparedReplay, recorded: ScoredCrowd, tmp_path: Path
+) -> None:
+    assert auc_of(plaza() + change, tmp_path, real, recorded) == pytest.approx(0.5, abs=0.03)
+
+
+def test_the_copied_half_of_a_crowd_does_not_hide_the_other(
+    real: PreparedReplay, recorded: ScoredCrowd, tmp_path: Path
+) -> None:
+    """Straight walkers are found and copies count half: three quarters. Near straight ones they are more."""
+    half = straightened(plaza(), np.unique(plaza()[:, 1])[::2])
+    assert 0.7 < auc_of(half, tmp_path, real, recorded) < 0.95
+
+
 def test_strangers_are_scored_wherever_they_stand(real: PreparedReplay, tmp_path: Path) -> None:
     frame = np.arange(40)
     crowd = [
@@ -96,6 +143,49 @@ def test_strangers_are_scored_wherever_they_stand(real: PreparedReplay, tmp_path
             score([str(tmp_path / "queue.csv")], "embedded", dt=dt, likelihood=False)
     with pytest.raises(UserError, match="m/s"):
         file_crowd(written(tmp_path / "fast.csv", plaza() * [1, 1, 100, 100]), real)
+
+
+def still(agent: int, rows: int, speed: float = 0.0, first: int = 0) -> np.ndarray:
+    frame = np.arange(rows)
+    return np.column_stack(
+        (frame + first, np.full(rows, agent), frame * 0.4 * speed, np.full(rows, agent / 2))
+    )
+
+
+DEGENERATE = {
+    "all stand": [still(i, 30) for i in range(3)],
+    "one stands": [still(1, 30)],
+    "one walks": [still(1, 30, 1.2)],
+    "all on one spot": [still(1, 30) * [1, i, 1, 1] for i in (1, 2)],
+    "two rows each": [still(i, 2, 1.0) for i in range(4)],
+    "nine rows each": [still(i, 9, 1.0) for i in range(4)],
+    "one frame": [still(i, 1) for i in range(4)],
+    "never together": [still(i, 20, 1.2, 50 * i) for i in range(3)],
+}
+
+
+def test_crowds_without_anything_to_say_keep_their_rows_and_others_theirs(tmp_path: Path) -> None:
+    some = written(tmp_path / "real.csv", plaza()[plaza()[:, 1] < 6])
+    files = [
+        written(tmp_path / f"{name.replace(' ', '_')}.csv", np.concatenate(rows))
+        for name, rows in DEGENERATE.items()
+    ]
+    report = score([*files, "go_to_goal"], Reference(some, 0.4), dt=0.4, likelihood=False)
+    json.dumps(report, allow_nan=False)
+    rows = {Path(one["name"]).stem: one for one in report["rows"]}
+    assert [Path(one["name"]).stem for one in report["rows"][2:]] == [
+        *(Path(f).stem for f in files),
+        "go_to_goal",
+    ]
+    assert (
+        rows["all_stand"]["metrics"]["standing_share"] == 1 and rows["all_stand"]["metrics"]["w1_speed"] > 0
+    )
+    assert {name for name, one in rows.items() if not one["n"]} == {"two_rows_each", "one_frame"}
+    for name in ("two_rows_each", "nine_rows_each", "one_frame", "one_walks"):
+        assert any(name in note for note in report["notes"]), name
+    bad = written(tmp_path / "bad.csv", np.concatenate([still(i, 30, 40.0) for i in range(3)]))
+    with pytest.raises(UserError, match="m/s"):  # before the policy walks
+        score(["go_to_goal", bad], Reference(some, 0.4), dt=0.4, progress=lambda *_: pytest.fail("walked"))
 
 
 def test_what_a_score_needs_is_asked_for_by_its_own_options(tmp_path: Path) -> None:
@@ -120,13 +210,7 @@ def test_one_recorded_person_is_too_few(tmp_path: Path, recwarn: pytest.Warnings
 def test_a_constant_velocity_crowd_is_told_apart(
     real: PreparedReplay, recorded: ScoredCrowd, tmp_path: Path
 ) -> None:
-    table = plaza()
-    table = table[np.lexsort((table[:, 0], table[:, 1]))]
-    for agent in np.unique(table[:, 1]):
-        mine = table[:, 1] == agent
-        ends = table[mine][[0, -1], 2:]
-        share = np.linspace(0, 1, mine.sum())[:, None]
-        table[mine, 2:] = ends[0] * (1 - share) + ends[1] * share
+    table = straightened(plaza(), np.unique(plaza()[:, 1]))
     metrics = row(file_crowd(written(tmp_path / "straight.csv", table), real), recorded, {})["metrics"]
     assert metrics["classifier_auc"] > 0.95 and metrics["coarse_classifier_auc"] > 0.9
     assert metrics["closed_loop_ade_m"] > 0.1
@@ -200,7 +284,10 @@ def test_flow_and_headways_say_how_many_got_through() -> None:
     result = through(walks, torch.tensor([0.0, 0.0, 1.0, 0.0, 0.5]))
     assert result["opening_through_share"] == 0.75  # the last is still before it
     assert result["opening_headway_p50_s"] == pytest.approx(0.8)
-    assert result["opening_flow_per_m_s"] == pytest.approx(2 / 1.6 / 0.5)
+    gate = torch.tensor([[0.0, 0.0, 1.0, 0.0, 0.5]])
+    people, room = flow(torch.tensor([[0.2, 1.0, 1.8, math.inf]]), gate)
+    assert result["specific_flow_per_m_s"] == pytest.approx(3 / 1.6 / 0.5)  # N / (T w), as PedPy
+    assert float(people / room) == pytest.approx(result["specific_flow_per_m_s"])  # as of rollouts
 
 
 def test_companions_stay_together() -> None:
@@ -243,6 +330,6 @@ def test_the_command_writes_one_json(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert main(["score", mine, "--against", "embedded", "--likelihood", "false", "--json", str(out)]) == 0
     report = json.loads(out.read_text())
     assert [one["name"] for one in report["rows"]] == ["real", "real halves", mine]
-    assert report["protocol"]["version"] == 1
+    assert report["protocol"]["version"] == 2
     assert "mine.csv" in capsys.readouterr().out
     assert main(["score", str(tmp_path / "absent.csv"), "--against", "embedded"]) == 2

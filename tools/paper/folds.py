@@ -7,14 +7,15 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pedzoo.eval.summary import mean_interval
+from pedzoo.metrics.statistics.intervals import FEWEST
 from tools.paper.paper import Errors
 
 
 def means(rows: Sequence[dict[str, Any]], folds: Sequence[str]) -> list[dict[str, Any]]:
     """Return the mean over the folds of every row that all of them have, with its interval.
 
-    ``blocks`` is the smallest number of blocks of time among them. A fold of one block has no interval, and
-    so nothing that it is part of has one.
+    ``blocks`` is the smallest number of blocks of time among them. A fold of fewer than `FEWEST` has no
+    interval, and so nothing that it is part of has one.
     """
     grouped: dict[tuple[str, str, str], dict[str, dict[str, Any]]] = {}
     for row in rows:
@@ -29,7 +30,7 @@ def means(rows: Sequence[dict[str, Any]], folds: Sequence[str]) -> list[dict[str
         for key in mine[0]["metrics"]:
             values = [row["metrics"][key] for row in mine]
             metrics[key] = sum(values) / len(values)
-            if blocks < 2:
+            if blocks < FEWEST:
                 continue
             # who is always exactly right has no interval either
             ends = [row["ci95"].get(key, (value, value)) for row, value in zip(mine, values, strict=True)]

@@ -26,6 +26,10 @@ ALIKE = 0.6
 """Where no clock is stated, fast steps of the slower crowd are at least so many of those of the other one."""
 
 
+class NothingToScoreError(UserError):
+    """A file of people without steps that could be scored: its row is empty, and others keep theirs."""
+
+
 def file_crowd(path: str, real: PreparedReplay, dt: float | None = None) -> ScoredCrowd:
     """Return the people of a simulator's file.
 
@@ -39,8 +43,11 @@ def file_crowd(path: str, real: PreparedReplay, dt: float | None = None) -> Scor
         dt: Seconds between consecutive frame numbers; None for what the file says, or rows 0.4 s apart.
 
     Raises:
-        UserError: The file is refused, or no person in it can be scored.
+        UserError: The file is refused.
+        NothingToScoreError: No person in it can be scored.
     """
+    if np.isnan(rows_apart(Tracks.read(path))):
+        raise NothingToScoreError(f"{path}: no agent has two rows, expected walks")
     source = OwnFiles([path], _assumed(path, real) if dt is None else dt, "0,0,1", option="--dt")
     tracks = source.recordings("test")[0].tracks
     people, xy = without_goals([tracks])
@@ -53,7 +60,9 @@ def file_crowd(path: str, real: PreparedReplay, dt: float | None = None) -> Scor
     role = torch.where(known, recorded.what[twin], CONTROLLED)
     role = torch.where(short & (role == CONTROLLED), SHORT, role)
     if not (role == CONTROLLED).any():
-        raise UserError(f"{path}: expected walks of more than {OBS_LEN} rows 0.4 s apart: is --dt right?")
+        raise NothingToScoreError(
+            f"{path}: expected walks of more than {OBS_LEN} rows 0.4 s apart: is --dt right?"
+        )
     goal = torch.where(known.unsqueeze(1), recorded.goal[twin], people.exit)
     never = torch.where(known.unsqueeze(1), goal, torch.inf)  # strangers have arrived when they leave
     name = Path(path).name
@@ -109,15 +118,12 @@ def _assumed(path: str, real: PreparedReplay) -> float | None:
     """Return the seconds between frame numbers for rows 0.4 s apart; None where the file says its own.
 
     Raises:
-        UserError: No agent has two rows, people then walk much slower or faster than the recorded ones, or
-            the file is refused.
+        UserError: People then walk much slower or faster than the recorded ones, or the file is refused.
     """
     tracks = Tracks.read(path)
     if tracks.source.seconds is not None:
         return None
     seconds = STEP_SECONDS / rows_apart(tracks)
-    if np.isnan(seconds):
-        raise UserError(f"recording {path!r}: no agent has two rows, expected walks")
     check_walks(tracks, seconds, "--dt")
     assert real.script is not None
     rows = (real.persons.last - real.persons.first + 1).numpy()

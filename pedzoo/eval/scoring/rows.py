@@ -16,10 +16,17 @@ from pedzoo.eval.scoring.crowds import CrowdView, ScoredCrowd, blocks_of
 from pedzoo.eval.scoring.same_people import same_people
 from pedzoo.metrics.realism.clips import Clips
 from pedzoo.metrics.realism.crowdes import columns
-from pedzoo.metrics.realism.crowds import compared, distances, only, resampled_distances, spreads
-from pedzoo.metrics.realism.distances import drawn_people, halves
-from pedzoo.metrics.realism.two_sample import FOLDS, Verdict, auc, two_sample
-from pedzoo.metrics.statistics.intervals import Interval
+from pedzoo.metrics.realism.crowds import (
+    compared,
+    contact_intervals,
+    distances,
+    only,
+    resampled_distances,
+    spreads,
+)
+from pedzoo.metrics.realism.distances import drawn_people, halves, sums
+from pedzoo.metrics.realism.two_sample import FOLDS, Verdict, auc, nearest_parts, two_sample
+from pedzoo.metrics.statistics.intervals import Interval, percentile_interval, ratio_interval
 
 HALVES = "real halves"
 """The row of one half of the recorded people against the other: what a perfect crowd would score."""
@@ -45,15 +52,16 @@ class _Resampled(NamedTuple):
     theirs: Tensor
 
 
-def row(side: ScoredCrowd, real: ScoredCrowd, more: Mapping[str, Tensor]) -> dict[str, Any]:
+def row(side: ScoredCrowd, real: ScoredCrowd, more: Mapping[str, Tensor], windows: int = 0) -> dict[str, Any]:
     """Return a crowd's row beside the recorded one.
 
     Args:
         side: The crowd.
         real: The recorded crowd.
-        more: Further values (1 + R,).
+        more: Further values (1 + R,) of resampled windows.
+        windows: How many there are.
     """
-    drawn = _drawn(side, real)
+    drawn, (block, _, blocks) = _drawn(side, real), _blocks(side, real)
     values, telling = {}, {}
     for prefix, name in _VIEWS.items():
         mine, theirs = getattr(side, name), getattr(real, name)
@@ -63,9 +71,12 @@ def row(side: ScoredCrowd, real: ScoredCrowd, more: Mapping[str, Tensor]) -> dic
         telling[f"{prefix}classifier_auc"] = verdict.telling
     values |= {name: sums.of(drawn.mine) for name, sums in side.sums.items()}
     values |= same_people(side, real, drawn.mine)
+    exact = {name: percentile_interval(value[1:], windows) for name, value in more.items()}
+    exact |= contact_intervals(side.fine.crowd, real.fine.crowd, block, blocks) | _shares(side, block, blocks)
     values |= more
     values |= {name: torch.tensor([value]) for name, value in columns(side.walks, real.walks).items()}
-    return values_row(side.name, int(side.seen.sum()), side.rounds, values) | {"telling": telling}
+    row = values_row(side.name, int(side.seen.sum()), side.rounds, values, blocks, exact)
+    return row | {"telling": telling}
 
 
 def real_rows(real: ScoredCrowd) -> list[dict[str, Any]]:
@@ -74,7 +85,7 @@ def real_rows(real: ScoredCrowd) -> list[dict[str, Any]]:
     A policy's people are judged beside themselves, and halves are of different people: the bound can be
     beaten, chiefly in speed, nearest distance and lateral deviation.
     """
-    drawn = _drawn(real, real)
+    drawn, (block, _, blocks) = _drawn(real, real), _blocks(real, real)
     own = {name: sums.of(drawn.mine) for name, sums in real.sums.items()}
     values = {key: value for key, value in _distances(real.fine, real.fine, drawn, "").items()}
     own |= {key: values[key] for key in values if key.endswith(("_share", "_per_min"))}
@@ -92,7 +103,17 @@ def real_rows(real: ScoredCrowd) -> list[dict[str, Any]]:
         floor[f"{prefix}classifier_auc"] = _halves_auc(view.clips, first[:TESTS], splits.theirs[:TESTS])
     floor |= {name: sums.of(first) for name, sums in real.sums.items()}
     means = {key: torch.cat((value.nanmean().view(1), value)) for key, value in floor.items()}
-    return [values_row(real.name, count, 1, own), values_row(HALVES, count, 1, means)]
+    exact = contact_intervals(real.fine.crowd, real.fine.crowd, block, blocks)
+    exact |= _shares(real, block, blocks)
+    return [values_row(real.name, count, 1, own, blocks, exact), values_row(HALVES, count, 1, means)]
+
+
+def _shares(side: ScoredCrowd, block: Tensor, blocks: int) -> dict[str, Interval | None]:
+    """Return the intervals of a crowd's sums, by the block of time of each person (P,)."""
+    return {
+        name: ratio_interval(*(sums(block, value, blocks) for value in both), part=True)
+        for name, both in side.sums.items()
+    }
 
 
 def _distances(
@@ -115,7 +136,9 @@ def _distances(
 def _verdict(side: ScoredCrowd, real: ScoredCrowd, mine: Clips, theirs: Clips) -> Verdict:
     """Return what the classifiers say; people are split at random, the same people of both sides together."""
     split = _split(len(real.seen), 0)
-    own = torch.where(side.twin >= 0, split[side.twin], _split(len(side.seen), 1))
+    own = split[side.twin]
+    if (side.twin < 0).any():
+        own = torch.where(side.twin >= 0, own, nearest_parts(mine, theirs, split, len(own)))
     return two_sample(mine, theirs, own, split)
 
 
@@ -135,15 +158,20 @@ def _halves_auc(clips: Clips, first: Tensor, second: Tensor) -> Tensor:
     return torch.cat(result)
 
 
+def _blocks(side: ScoredCrowd, real: ScoredCrowd) -> tuple[Tensor, Tensor, int]:
+    """Return the blocks of time of a crowd's people (P,) and of recorded ones (Q,), and their number."""
+    (own, others), (block, blocks) = blocks_of(side.people), blocks_of(real.people)
+    if bool((side.twin >= 0).any()):  # one clock
+        return block[side.twin].where(side.twin >= 0, own.clamp_max(blocks - 1)), block, blocks
+    return own, block, max(blocks, others)
+
+
 def _drawn(side: ScoredCrowd, real: ScoredCrowd) -> _Resampled:
-    block, blocks = blocks_of(real.people)
-    own, others = blocks_of(side.people)
+    own, block, _ = _blocks(side, real)
+    blocks, others = (int(one.max()) + 1 for one in (block, own))
     times = drawn_people(blocks, RESAMPLES)
     theirs = times[:, block]
-    if bool((side.twin >= 0).any()):  # one clock
-        mine = times[:, block[side.twin].where(side.twin >= 0, own.clamp_max(blocks - 1))]
-    else:
-        mine = drawn_people(others, RESAMPLES, seed=1)[:, own]
+    mine = times[:, own] if bool((side.twin >= 0).any()) else drawn_people(others, RESAMPLES, seed=1)[:, own]
     seen = (side.seen, real.seen)
     whole = [
         torch.cat((torch.ones(1, len(who), dtype=torch.float64), weights)) * who
@@ -152,18 +180,26 @@ def _drawn(side: ScoredCrowd, real: ScoredCrowd) -> _Resampled:
     return _Resampled(*whole)
 
 
-def values_row(name: str, n: int, rounds: int, values: Mapping[str, Tensor]) -> dict[str, Any]:
-    """Return a row of values (1 + R,): the first is the number, the others give its interval."""
+def values_row(
+    name: str,
+    n: int,
+    rounds: int,
+    values: Mapping[str, Tensor],
+    groups: int | None = None,
+    exact: Mapping[str, Interval | None] | None = None,
+) -> dict[str, Any]:
+    """Return a row of values (1 + R,): the first is the number, the others give its interval.
+
+    Args:
+        name: Of the crowd.
+        n: People.
+        rounds: How often they walked.
+        values: By the names of columns.
+        groups: See `percentile_interval`.
+        exact: Intervals that are known otherwise.
+    """
     known = {key: value for key, value in values.items() if not value[0].isnan()}
-    intervals = {key: ends for key, value in known.items() if (ends := _interval(value[1:]))}
+    found = {key: percentile_interval(value[1:], groups) for key, value in known.items()} | dict(exact or {})
+    intervals = {key: ends for key, ends in found.items() if ends and key in known}
     numbers = {key: float(value[0]) for key, value in known.items()}
     return {"name": name, "case": {}, "n": n, "rounds": rounds, "metrics": numbers, "ci95": intervals}
-
-
-def _interval(values: Tensor) -> Interval | None:
-    """Return what holds 95 % of the values (R,) that are there; None where they do not differ."""
-    if not len(values):
-        return None
-    quantiles = torch.tensor([0.025, 0.975], dtype=torch.float64)
-    low, high = torch.nanquantile(values.double(), quantiles).tolist()
-    return (low, high) if low < high else None

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from pedzoo.eval.scoring.crowds import ScoredCrowd
 from pedzoo.metrics.realism.crowdes import ScoredSteps
+from pedzoo.metrics.realism.distances import sums
 from pedzoo.metrics.realism.paths import closed_loop_error, padded
 from pedzoo.metrics.realism.walks import person_mean
 from pedzoo.sim.replay.companions import NEAR, TOGETHER
@@ -24,7 +25,7 @@ def same_people(side: ScoredCrowd, real: ScoredCrowd, weights: Tensor) -> dict[s
       of each other. `companions` says who they are.
     """
     known = side.twin >= 0
-    if not known.any():
+    if not known.any() or not len(side.walks.round):
         return {}
     true, length = padded(real.walks.xy, real.walks.person, len(real.seen))
     walk = side.walks.round * len(side.twin) + side.walks.person
@@ -71,7 +72,7 @@ def _pairs(walks: ScoredSteps) -> tuple[Tensor, Tensor, Tensor]:
     ends = torch.stack((person[one], person[other]), 1).sort(1).values
     near = (xy[one] - xy[other]).norm(dim=1) <= NEAR
     pair, which = ends.unique(dim=0, return_inverse=True)
-    return pair, torch.bincount(which, near.double(), len(pair)), torch.bincount(which, minlength=len(pair))
+    return pair, sums(which, near, len(pair)), torch.bincount(which, minlength=len(pair))
 
 
 def _near(side: ScoredCrowd, pairs: Tensor, weights: Tensor) -> Tensor:

@@ -12,8 +12,8 @@ from pedzoo.core.errors import UserError, at_least_one, whole
 from pedzoo.data.text_format import check_dt, is_recording
 from pedzoo.eval.results import SEEN
 from pedzoo.eval.rollout import Progress
-from pedzoo.eval.scoring.crowds import policy_crowd, recorded_crowd
-from pedzoo.eval.scoring.files import file_crowd
+from pedzoo.eval.scoring.crowds import ScoredCrowd, policy_crowd, recorded_crowd
+from pedzoo.eval.scoring.files import NothingToScoreError, file_crowd
 from pedzoo.eval.scoring.rows import RESAMPLES, real_rows, row, values_row
 from pedzoo.eval.scoring.windows import windows_of
 from pedzoo.eval.scoring.wosac import (
@@ -29,9 +29,11 @@ from pedzoo.policies.load import load_policy
 from pedzoo.sim.make import prepare_scenario
 from pedzoo.sim.scenarios.replay import PreparedReplay, Replay
 
-VERSION = 1
+VERSION = 2
 """Of the measures: it grows whenever a formula changes, so that only equal versions are compared."""
 
+HEADLINE = "realism", "coarse_realism", "classifier_auc", "coarse_classifier_auc"
+"""Measures whose absence is said."""
 
 LEAST = 2
 """Recorded people: one alone varies from nobody."""
@@ -127,16 +129,28 @@ def score(
             f"{against.recording}: {people} recorded person can be scored, too few for distances in the "
             f"recording's own standard deviations: give --against a recording of at least {LEAST} people"
         )
-    rows, notes = real_rows(real), []
+    files: dict[str, ScoredCrowd | None] = {}
+    notes: list[str] = []
+    for name in filter(is_recording, walks):  # a file is refused before anything takes long
+        try:
+            files[name] = file_crowd(name, prepared, dt)
+        except NothingToScoreError as error:
+            files[name] = None
+            notes.append(f"nothing is scored: {error}")
+    rows = real_rows(real)
     if gate is not None:
         rows[0]["metrics"] |= through(real.walks, gate)
     windows = windows_of(prepared) if likelihood else None
     recorded = recorded_windows(windows) if windows else None
     if windows and recorded:
-        rows.append(values_row(OTHERS, len(windows.begin), 1, others_likelihood(recorded, windows, fold)))
+        count = len(windows.begin)
+        rows.append(values_row(OTHERS, count, 1, others_likelihood(recorded, windows, fold), count))
     for name, weights in walks.items():
         if is_recording(name):
-            side = file_crowd(name, prepared, dt)
+            side = files.pop(name)
+            if side is None:
+                rows.append(values_row(name, 0, 1, {}))
+                continue
             strangers = int((side.twin < 0).sum())
             if strangers:
                 notes.append(f"{name}: {strangers} of {len(side.twin)} people are none of the recorded ones")
@@ -146,7 +160,9 @@ def score(
         if windows and recorded and not is_recording(name):
             joint = policy_windows(weights, windows, seed, physics, progress)
             more = likelihood_of(joint, recorded, fold)
-        result = row(side._replace(name=name), real, more)
+        result = row(side._replace(name=name), real, more, len(windows.begin) if windows else 0)
+        if missing := [key for key in HEADLINE if key not in result["metrics"]]:
+            notes.append(f"{name}: {result['n']} people walk too little for {', '.join(missing)}")
         if gate is not None:
             result["metrics"] |= through(side.walks, gate)
         if weights != name:

@@ -29,7 +29,7 @@ TABLES = {
         *("agent_contacts_per_min", "wall_contacts_per_min"),
     ),
     "the opening": (
-        *("opening_through_share", "opening_flow_per_m_s"),
+        *("opening_through_share", "specific_flow_per_m_s"),
         *(f"opening_headway_{name}_s" for name in HEADWAYS),
     ),
     "columns of CrowdES": tuple(f"crowdes_{name}" for name in CROWDES),

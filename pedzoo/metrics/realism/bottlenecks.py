@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.types import STEP_SECONDS
+from pedzoo.metrics.door import flow
 from pedzoo.metrics.realism.crowdes import ScoredSteps
 
 HEADWAYS = {"p5": 0.05, "p50": 0.5, "p95": 0.95}
@@ -17,7 +18,7 @@ def through(walks: ScoredSteps, opening: Tensor) -> dict[str, float]:
 
     * ``opening_through_share``: share of the scored people who end up on the other side: an odd number of
       crossings. Without it flow says nothing, since it is of those who got out.
-    * ``opening_flow_per_m_s``: people after the first, by the time from the first to the last and the width.
+    * ``specific_flow_per_m_s``: as of rollouts, see `pedzoo.metrics.door.flow`.
     * ``opening_headway_p5_s``, ``_p50_s``, ``_p95_s``: quantiles of the times between two in a row.
 
     Args:
@@ -49,8 +50,8 @@ def _through(person: Tensor, frame: Tensor, xy: Tensor, opening: Tensor) -> dict
     passed = last[count % 2 == 1].sort().values
     result = {"opening_through_share": len(passed) / len(people)}
     if len(passed) > 1 and passed[-1] > passed[0]:
-        took = float(passed[-1] - passed[0])
-        result["opening_flow_per_m_s"] = (len(passed) - 1) / took / float(opening[4])
+        number, room = flow(passed.unsqueeze(0), opening.unsqueeze(0))
+        result["specific_flow_per_m_s"] = float(number / room)
         for name, share in HEADWAYS.items():
             result[f"opening_headway_{name}_s"] = float(passed.diff().quantile(share))
     return result

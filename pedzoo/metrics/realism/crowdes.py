@@ -15,7 +15,7 @@ from torch import Tensor
 from pedzoo.core.errors import need
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.maps.walls.compiled import jit
-from pedzoo.metrics.realism.distances import wasserstein
+from pedzoo.metrics.realism.distances import sums, wasserstein
 
 QUADRATS = 10
 """On each side of the scene."""
@@ -94,13 +94,11 @@ def _of_walks(side: ScoredSteps) -> tuple[Tensor, ...]:
     turned = moved[1:] & moved[:-1]
     count = len(person)
 
-    def sums(value: Tensor, which: Tensor, owner: Tensor) -> tuple[Tensor, Tensor]:
-        return torch.bincount(owner[which], value[which], count), torch.bincount(
-            owner[which], minlength=count
-        )
+    def of(value: Tensor, which: Tensor, owner: Tensor) -> tuple[Tensor, Tensor]:
+        return sums(owner[which], value[which], count), torch.bincount(owner[which], minlength=count)
 
-    way, steps = sums(step.norm(dim=1), moved, where[1:])
-    bend, bends = sums(change, turned, where[2:])
+    way, steps = of(step.norm(dim=1), moved, where[1:])
+    bend, bends = of(change, turned, where[2:])
     long = bends > 0
     way, steps, bend, bends = (value[long] for value in (way, steps, bend, bends))
     return way, way / steps, bend / bends, steps.double()

@@ -12,13 +12,17 @@ from torch import Tensor
 
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.metrics.contact_functions import begins
-from pedzoo.metrics.realism.distances import Samples, counted, grid, resampled, wasserstein
+from pedzoo.metrics.realism.distances import Samples, counted, grid, resampled, sums, wasserstein
 from pedzoo.metrics.realism.features import CLOSE, FEATURES, SampledRollout, features, surroundings
+from pedzoo.metrics.statistics.intervals import Interval, ratio_interval
 from pedzoo.metrics.statistics.quantiles import quantiles
 from pedzoo.sim.rollout import Rollout
 
 MOST_CLOSE = 20
 """Places with more others close by count as if they had this many."""
+
+FEW = 10
+"""People who touch: of fewer a bootstrap of their contacts is too narrow."""
 
 TAIL = {"p95": 0.95, "p99": 0.99}
 """Quantiles of acceleration: means hide people who brake hard now and then."""
@@ -66,8 +70,9 @@ def crowd(
 
     def added(index: Tensor, columns: int, weights: Tensor | None = None) -> Tensor:
         """Return sums (P, columns), or counts, by person and a number of columns."""
-        result = torch.bincount(around.person * columns + index, weights, people * columns)
-        return result.view(people, columns).double()
+        place = around.person * columns + index
+        weights = torch.ones(len(place)) if weights is None else weights
+        return sums(place, weights, people * columns).view(people, columns)
 
     def points(when: Tensor) -> Tensor:
         return torch.bincount(rollout.person[when], minlength=people).double()
@@ -83,7 +88,7 @@ def crowd(
         agent_contact=contact(rollout.agent_contact),
         wall_contact=contact(rollout.wall_contact),
         round=(steps.scored.nonzero()[:, 0] + first) // scenes,
-        speeds_at=added(close, MOST_CLOSE + 1, around.speed.double()),
+        speeds_at=added(close, MOST_CLOSE + 1, around.speed),
         steps_at=added(close, MOST_CLOSE + 1),
     )
 
@@ -201,6 +206,31 @@ def compared(
     return result
 
 
+def contact_intervals(
+    crowd: CrowdSums, real: CrowdSums, group: Tensor, groups: int
+) -> dict[str, Interval | None]:
+    """Return the intervals of the numbers of contacts of `compared`, which are rare, over groups of people.
+
+    Differences to the real crowd have none here where fewer than `FEW` people of both touch: a bootstrap
+    knows too little then. All others keep theirs.
+
+    Args:
+        crowd: The simulated one.
+        real: The recorded one.
+        group: Which group each person of the first is in (P,) long.
+        groups: How many there are.
+    """
+    result: dict[str, Interval | None] = {}
+    for kind in ("agent_contact", "wall_contact"):
+        share, begun = (sums(group, row, groups) for row in getattr(crowd, kind))
+        minutes = sums(group, crowd.minutes, groups)
+        result[f"{kind}_share"] = ratio_interval(share, minutes, part=True)
+        result[f"{kind}s_per_min"] = ratio_interval(begun, minutes)
+        if sum(int((getattr(side, kind)[0] > 0).sum()) for side in (crowd, real)) < FEW:
+            result |= {f"{kind}_excess": None, f"{kind}_excess_per_min": None}
+    return result
+
+
 def density_speed(crowd: CrowdSums, weights: Tensor) -> tuple[Tensor, Tensor]:
     """Return the mean speed (R, C) at every density, m/s, NaN for a density without people, and the steps.
 
@@ -223,7 +253,7 @@ def _mean_speeds(crowd: CrowdSums) -> Tensor:
     speed, people = crowd.samples["speed"], len(crowd.minutes)
     rounds = int(crowd.round.max()) + 1 if len(crowd.round) else 1
     place = crowd.round * people + speed.person
-    total = torch.bincount(place, speed.value.double(), rounds * people)
+    total = sums(place, speed.value, rounds * people)
     return (total / torch.bincount(place, minlength=rounds * people)).view(rounds, people)
 
 

@@ -40,6 +40,11 @@ class CumulativeCounts(NamedTuple):
     before: Tensor
 
 
+def sums(place: Tensor, value: Tensor, size: int) -> Tensor:
+    """Return the sums (size,) float64 of values (N,) by place (N,); of none `bincount` has whole numbers."""
+    return torch.zeros(size, dtype=torch.float64).index_add_(0, place, value.double())
+
+
 def wasserstein(first: Tensor, second: Tensor) -> float:
     """Return the Wasserstein-1 distance of two sets of values (N,) and (M,), in their unit; NaN of none.
 

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from pedzoo.metrics.realism.distances import sums
 from pedzoo.metrics.realism.features import SampledRollout
 from pedzoo.metrics.smoothness import STANDS
 from pedzoo.sim.replay.companions import DRIFT, NEAR, TOGETHER
@@ -68,11 +69,11 @@ def _measured(steps: SampledRollout, people: int, axis: Tensor) -> dict[str, Per
     """Return the measures of a few episodes E; pairs are (E, S, A, A)."""
     scored, there = steps.scored, steps.person >= 0
     person = steps.person[scored]
-    whole = _sums(person, torch.ones(len(person)), people)
+    whole = sums(person, torch.ones(len(person)), people)
 
     def share(when: Tensor) -> PersonSums:
         """Return the share of scored steps (E, A, S)."""
-        return PersonSums(_sums(person, when[scored], people), whole)
+        return PersonSums(sums(person, when[scored], people), whole)
 
     xy, here = steps.xy.transpose(1, 2), there.transpose(1, 2)
     apart = xy.unsqueeze(2) - xy.unsqueeze(3)
@@ -127,7 +128,7 @@ def lane_order(steps: SampledRollout, pairs: Tensor, axis: Tensor, people: int) 
     above = (alike & strips).sum(3) - mixed.squeeze(3) * strips.sum(3)
     below = (1 - mixed.squeeze(3)) * strips.sum(3)
     person = steps.person.transpose(1, 2)[walks]
-    return PersonSums(*(_sums(person, value[walks], people) for value in (above, below)))
+    return PersonSums(*(sums(person, value[walks], people) for value in (above, below)))
 
 
 def main_axis(start: Tensor, goal: Tensor) -> Tensor:
@@ -147,7 +148,3 @@ def added(parts: list[dict[str, PersonSums]]) -> dict[str, PersonSums]:
         )
         for name in parts[0]
     }
-
-
-def _sums(person: Tensor, value: Tensor, people: int) -> Tensor:
-    return torch.bincount(person, value.double(), people)
