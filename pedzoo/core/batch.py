@@ -24,6 +24,8 @@ agents/group           (B, A) long            number of the company that the age
 agents/goal            (B, A, 2)              short-term goal; absent under the goal protocol ``none``
 agents/desired_velocity(B, A, 2)              pref_speed towards the goal; absent with it
 agents/remaining_path  (B, A, 1)              simulated scenes only: length of the path to the goal, metres
+agents/goal_since      (B, A, 1)              simulated scenes only: when the agent was given its goal, by
+                                              ``time``; -inf where it was on its way, or goes as recorded
 agents/mask            (B, A) bool            the agent is here
 agents/controlled      (B, A) bool            the policy at hand moves this agent
 agents/future          (B, A, T, 2)           recordings only: the true continuation
@@ -92,6 +94,7 @@ def scene_batch(
     goal: Tensor | None = None,
     desired_velocity: Tensor | None = None,
     remaining_path: Tensor | None = None,
+    goal_since: Tensor | None = None,
     controlled: Tensor | None = None,
     id: Tensor | None = None,
     key: Tensor | None = None,
@@ -118,6 +121,7 @@ def scene_batch(
         goal: Short-term goals; None leaves the key out, as for all that follow but ``controlled`` and ``id``.
         desired_velocity: The planner's velocities.
         remaining_path: Length of the path to the goal.
+        goal_since: When agents were given their goals.
         controlled: Which agents the policy moves; None for all that are here.
         id: Numbers of the agents; None for their slots.
         key: Keys of the scenes, the key ``scene_key``.
@@ -144,6 +148,7 @@ def scene_batch(
         "goal": goal,
         "desired_velocity": desired_velocity,
         "remaining_path": remaining_path,
+        "goal_since": goal_since,
         "mask": mask,
         "controlled": mask if controlled is None else controlled,
         "future": future,

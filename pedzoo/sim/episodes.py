@@ -94,6 +94,8 @@ class Episodes:
             if self._rules.deadline is None:
                 until = until.clamp_min(self._prepared.scenario.patience)
         position, past = state.position, state.past
+        # neither a recording nor the warm start says how they came
+        placed = self._warm_start == "static" if layout.opening is None else self._rules.script is None
         if velocity is None:
             velocity = (position - past[:, :, -2]) / TRACE_SECONDS
         goes = filled(layout.heading, heading_of(guidance.goal_point - position))
@@ -105,6 +107,7 @@ class Episodes:
             velocity=velocity,
             heading=faces,
             goal_point=guidance.goal_point,
+            goal_since=torch.full_like(remaining_path, 0.0 if placed else -torch.inf),
             reached=self._prepared.scenario.goals * stays.long(),
             deadline=until.masked_fill(waits, torch.inf),
             overdue=torch.zeros_like(state.overdue),

@@ -174,13 +174,14 @@ def step(state: State, commands: Tensor, physics: Physics, rules: Rules) -> tupl
     guidance = rules.guidance(after)
     # an agent that has squeezed into a corner that no planned way leads out of is as far as before
     remaining_path = torch.where(guidance.distance < torch.inf, guidance.distance, after.remaining_path)
-    begins = hit | taken_over
+    begins, since = hit | taken_over, state.goal_since
     progress = state.remaining_path - torch.where(begins, 0.0, remaining_path)
     reached = state.reached.unsqueeze(-1) + hits
     done = reached[..., -1] >= rules.goals
     if script is None:
         given = deadline(after.clock, remaining_path.detach(), after.pref_speed, rules.deadline)
         until = torch.where(begins, given, after.deadline)
+        since = torch.where(begins, after.clock.unsqueeze(1), since)
         over = done | ~state.mask
         ended, over = over.all(1), over | after.overdue
         settled = (over if waits is None else over | after.stands.isinf()).all(1) | failed
@@ -194,6 +195,7 @@ def step(state: State, commands: Tensor, physics: Physics, rules: Rules) -> tupl
         remaining_path=remaining_path,
         planned=after.planned + torch.where(set_out, planned(remaining_path), 0.0),
         goal_point=guidance.goal_point,
+        goal_since=since,
         deadline=until,
     )
     in_contact = (motion.agent_contact | motion.wall_contact).any(-1)

@@ -50,6 +50,8 @@ class State(NamedTuple):
         goal_id: The planner's number of each agent's goal (B, A) long, -1 for none.
         later_goals: The goals after the first (B, A, G) long, used in turn; -1 for none.
         goal_point: Where the goal is (B, A, 2), metres.
+        goal_since: When agents were given it (B, A), seconds on the clock; -inf where they were on their way
+            when the scene began, or go as recorded.
         drawn: Goals that were taken after the first (B, A) long.
         reached: Goals reached since the warm start (B, A) long.
         deadline: When the goal has to be reached (B, A), seconds on the clock.
@@ -90,6 +92,7 @@ class State(NamedTuple):
     goal_id: Tensor
     later_goals: Tensor
     goal_point: Tensor
+    goal_since: Tensor
     drawn: Tensor
     reached: Tensor
     deadline: Tensor
@@ -114,6 +117,7 @@ class State(NamedTuple):
         usual |= dict.fromkeys(("kind", "drive", "drawn", "reached"), none)
         usual |= {"group": none - 1}
         usual |= dict.fromkeys(("acceleration", "turn_acceleration", "deadline"), endless)
+        usual |= {"goal_since": -endless}
         usual |= {
             "overdue": never,
             "failed": never.new_zeros(len(mask)),

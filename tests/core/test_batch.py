@@ -78,7 +78,7 @@ def test_recordings_the_environment_and_the_controller_have_the_same_keys() -> N
     assert set(simulated.keys()) - own == set(seen[0].keys()) == set(recorded.keys()) | {"scene_key", "time"}
     theirs = set(agents_of(seen[0]).keys()) - {"action"}
     assert set(agents_of(simulated).keys()) - {"info"} == theirs
-    theirs -= {"remaining_path"}  # of simulated scenes
+    theirs -= {"remaining_path", "goal_since"}  # of simulated scenes
     assert set(agents_of(recorded).keys()) - {"future", "future_valid"} == theirs
     for batch in (recorded, simulated, seen[0]):
         kinds = {key: (value.dtype, value.dim()) for key, value in agents_of(batch).items() if key in theirs}

@@ -21,7 +21,7 @@ from pedzoo.models.blocks.people.evasion import evasion
 from pedzoo.models.blocks.people.following import held_back
 from pedzoo.models.blocks.people.narrow import confinement, narrowness
 from pedzoo.models.blocks.people.nearest import FEATURES, nearest
-from pedzoo.models.blocks.people.setting_out import setting_out
+from pedzoo.models.blocks.people.setting_out import AT_ONCE, setting_out
 from pedzoo.models.blocks.people.step_features import RAYS, WALLS, Situation
 from pedzoo.models.blocks.people.style import STYLE_DIM, held_of, jitter_of, kink_of_change, kinks_of
 from pedzoo.models.blocks.people.walker_architecture import WalkerArchitecture
@@ -209,7 +209,7 @@ class SocialWalker(Forecaster):
         result = result + moves
         if a.halts:
             drawn = z[..., HALT_PERIOD] if a.lasting_halts else step[..., 3]
-            going = RARE_HALT + WALKS_ON * confined - out[..., 16] + 1.7 * drawn
+            going = RARE_HALT + WALKS_ON * confined - out[..., 16] + 1.7 * drawn + AT_ONCE * now.sets_out
             goes = _hard((going / 0.4).sigmoid()).unsqueeze(-1)
             if a.lasting_halts:
                 result = torch.lerp(_braked(past[:, :, -1]), result, goes)

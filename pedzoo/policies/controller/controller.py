@@ -209,7 +209,7 @@ class Controller:
         asked, new = _of(people, by_id(goals, "goals")), agents.is_new
         comes = bool(new.any())
         if asked or comes:
-            online_goals, with_goals = online_goals.with_goals(agents, position, asked)
+            online_goals, with_goals = online_goals.with_goals(agents, position, asked, clock.now)
             agents = agents if with_goals is agents else with_goals.arrived(position, position)
         if comes and not self._warned and (misplaced := online_goals.misplaced(agents, position)):
             warnings.warn(misplaced, stacklevel=3)  # beyond the wrapper of torch
@@ -284,6 +284,7 @@ class Controller:
             goal=torch.where(other, ahead, guidance.goal).unsqueeze(0),
             desired_velocity=torch.where(other, velocity, guidance.desired_velocity).unsqueeze(0),
             remaining_path=guidance.distance.view(*size, 1),
+            goal_since=agents.goal_since.view(*size, 1),
             controlled=agents.walks.unsqueeze(0),
             id=agents.number.unsqueeze(0),
             key=self._key.unsqueeze(1),

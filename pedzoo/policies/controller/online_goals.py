@@ -44,7 +44,7 @@ class OnlineGoals(NamedTuple):
         return grids[0].map_id if grids else -1
 
     def with_goals(
-        self, people: Roster, position: Tensor, goals: Mapping[Any, Any]
+        self, people: Roster, position: Tensor, goals: Mapping[Any, Any], now: float
     ) -> tuple[OnlineGoals, Roster]:
         """Return the planner with the goals, and the people with theirs. A new goal ends standing.
 
@@ -54,6 +54,7 @@ class OnlineGoals(NamedTuple):
             people: All agents that are here.
             position: Where they are (N, 2), metres.
             goals: Where some of the people are going, by id; None to stand.
+            now: Seconds since the first call.
 
         Raises:
             UserError: A person has no goal, or one that is in a wall, outside the map or out of reach.
@@ -80,6 +81,7 @@ class OnlineGoals(NamedTuple):
         people = people._replace(goal=asked, goal_id=goal_id, goal_point=goal_point, stands=stands & ~fresh)
         if not fresh.any():
             return self, people
+        people = people._replace(goal_since=people.goal_since.masked_fill(fresh, now))
         planner, added = self.planner, fresh
         if planner.goals > max(_KEPT, 4 * len(fresh)):
             # the table of a goal is as large as the floor plan, and new goals keep coming

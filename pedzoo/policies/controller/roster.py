@@ -32,6 +32,7 @@ class Roster(NamedTuple):
         goal: Their goals as they were asked for (N, 2) float64; NaN where none was.
         goal_point: Where the planner has put these (N, 2), metres; NaN where none was.
         goal_id: The planner's numbers of these (N,) long, -1 for none.
+        goal_since: When they were given these (N,), seconds since the first call; -inf where none was.
         stands: Which people have no goal, or have reached theirs (N,) bool.
         heading: Directions of the bodies (N,), radians; NaN for agents that have just come.
         trace: Velocities of the trace steps of their last decision (N, S, 2), m/s; NaN before the first.
@@ -47,6 +48,7 @@ class Roster(NamedTuple):
     goal: Tensor
     goal_point: Tensor
     goal_id: Tensor
+    goal_since: Tensor
     stands: Tensor
     heading: Tensor
     trace: Tensor
@@ -65,6 +67,7 @@ class Roster(NamedTuple):
             goal=torch.zeros(0, 2, dtype=torch.float64),
             goal_point=torch.zeros(0, 2),
             goal_id=torch.zeros(0, dtype=torch.long),
+            goal_since=torch.zeros(0),
             stands=torch.zeros(0, dtype=torch.bool),
             heading=torch.zeros(0),
             trace=torch.zeros(0, ticks, 2),
@@ -137,6 +140,7 @@ class Roster(NamedTuple):
             goal=merged(self.goal, nothing(self.goal)),
             goal_point=merged(self.goal_point, nothing(self.goal_point)),
             goal_id=merged(self.goal_id, torch.full((len(new),), -1)),
+            goal_since=merged(self.goal_since, torch.full((len(new),), -torch.inf)),
             stands=merged(self.stands, flags([False] * len(new))),
             heading=merged(self.heading, nothing(self.heading)),
             trace=merged(self.trace, nothing(self.trace)),

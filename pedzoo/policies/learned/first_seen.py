@@ -92,6 +92,11 @@ class FirstSeenMemory:
         # a scene that is walked a second time has the same key, and its clock went back
         since = time - before.last
         known = (before.person == person) & complete & (since > -1e-3) & (since < _ABSENT)
+        if (
+            "sets_out" in agents.keys()
+        ):  # that they stood for as long as they had no goal is no manner of theirs
+            still = ~walks(before.history.diff(dim=2)).any(2)
+            known = known & ~(still & cast("Tensor", agents["sets_out"])[..., 0])
         sets_out = moves & ~before.goes_on
         on_way = known & (path < before.left + _OTHER_GOAL) & ~sets_out
         stands = known & ~walks(history[:, :, -1] - history[:, :, -2])

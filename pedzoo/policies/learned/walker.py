@@ -19,6 +19,7 @@ from pedzoo.policies.base import NamedPolicy, deterministic
 from pedzoo.policies.learned.first_seen import FirstSeenMemory
 from pedzoo.policies.learned.holding import holding_places
 from pedzoo.policies.learned.same_spot import led_apart
+from pedzoo.policies.learned.setting_out import setting_out
 from pedzoo.policies.safety_layer.clearance import SHOULDERS
 from pedzoo.policies.safety_layer.layer import safe
 
@@ -160,7 +161,8 @@ class Walker(NamedPolicy):
 
     def _seen(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Return the scenes as the model sees them."""
-        scenes = extend_goals(tensordict) if self.extend_goal else tensordict
+        scenes = setting_out(tensordict)
+        scenes = extend_goals(scenes) if self.extend_goal else scenes
         return self._first_seen.added(scenes) if self.model.remembers else scenes
 
     def noise_of(self, tensordict: TensorDictBase) -> Tensor | None:

@@ -48,7 +48,7 @@ def step_compiled(
     flags = torch.empty(6, scenes, agents, dtype=torch.bool)
     counts = torch.empty(4, scenes, agents, dtype=torch.long)
     reached = torch.empty(scenes, agents, ticks, dtype=torch.long)
-    lengths = torch.empty(4, scenes, agents)
+    lengths = torch.empty(5, scenes, agents)
     heading, clock = torch.empty_like(state.heading), torch.empty_like(state.clock)
     failed, ends = torch.empty_like(state.failed), torch.empty(2, scenes, dtype=torch.bool)
     happened, now, bad, marks, numbers = (value.numpy() for value in (events, clock, failed, flags, counts))
@@ -70,16 +70,20 @@ def step_compiled(
         velocity=velocity, heading=heading, goal_id=goal_id, drawn=drawn, reached=count, overdue=overdue,
     )  # fmt: skip
     guidance = rules.guidance(after)
-    inputs = guidance.distance, state.remaining_path, state.planned, state.deadline, state.pref_speed
+    inputs = (
+        guidance.distance, state.remaining_path, state.planned, state.deadline, state.goal_since,
+        state.pref_speed,
+    )  # fmt: skip
     settle(
         *(value.detach().numpy() for value in inputs),
         now, bad, state.mask.numpy(), happened, marks, numbers,
         rules.goals, *limits(rules.deadline), GOAL_RADIUS, CONTACT_COST,
         lengths.numpy(), ends.numpy(), state.reached.numpy(), reached.numpy(),
     )  # fmt: skip
-    remaining_path, planned, deadline, reward = lengths.unbind()
+    remaining_path, planned, deadline, goal_since, reward = lengths.unbind()
     after = after._replace(
-        remaining_path=remaining_path, planned=planned, goal_point=guidance.goal_point, deadline=deadline
-    )
+        remaining_path=remaining_path, planned=planned, goal_point=guidance.goal_point, deadline=deadline,
+        goal_since=goal_since,
+    )  # fmt: skip
     agent, wall, _ = events.unbind()
     return after, guidance, Events(past[:, :, -ticks:], agent, wall, reached, reward, *ends.unbind())

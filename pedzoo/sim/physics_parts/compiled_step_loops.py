@@ -144,18 +144,19 @@ def move(
 
 
 @compiled(
-    "void(f4[:,:], f4[:,:], f4[:,:], f4[:,:], f4[:,:], f4[:], b1[:], b1[:,:], b1[:,:,:,:], b1[:,:,:],"
-    " i8[:,:,:], i8, f4, f4, f4, f4, f4[:,:,:], b1[:,:], i8[:,:], i8[:,:,:])"
+    "void(f4[:,:], f4[:,:], f4[:,:], f4[:,:], f4[:,:], f4[:,:], f4[:], b1[:], b1[:,:], b1[:,:,:,:],"
+    " b1[:,:,:], i8[:,:,:], i8, f4, f4, f4, f4, f4[:,:,:], b1[:,:], i8[:,:], i8[:,:,:])"
 )
 def settle(
-    distance, remaining_path, planned, deadline, pref_speed, clock, failed, mask, events, flags, counts,
-    goals, paths, least_seconds, goal_radius, contact_cost, lengths, ends, reached, reached_until,
+    distance, remaining_path, planned, deadline, goal_since, pref_speed, clock, failed, mask, events, flags,
+    counts, goals, paths, least_seconds, goal_radius, contact_cost, lengths, ends, reached, reached_until,
 ):  # fmt: skip
     """Write the effect of the planner's paths (B, A) on a decision.
 
     Args, in this order: the planner's ways; fields of the state before, but for clocks and failures; results
-    of `move`; numbers; the results: lengths (4, B, A), which are ways, planned ways, deadlines and rewards;
-    ends (2, B), terminated and truncated; goals reached before (B, A), and until each trace point (B, A, S).
+    of `move`; numbers; the results: lengths (5, B, A), which are ways, planned ways, deadlines, when
+    goals were given, and rewards; ends (2, B), terminated and truncated; goals reached before (B, A), and
+    until each trace point (B, A, S).
     """
     scenes, agents = mask.shape
     overdue, moving, hit, sets_out = flags[2], flags[3], flags[4], flags[5]
@@ -167,17 +168,18 @@ def settle(
             begins = hit[b, a] or sets_out[b, a]
             goes_on = (hit[b, a] and counts[1, b, a] >= 0) or sets_out[b, a]
             lengths[1, b, a] = planned[b, a] + (max(now - goal_radius, _0) if goes_on else _0)
-            lengths[2, b, a] = deadline[b, a]
+            lengths[2, b, a], lengths[3, b, a] = deadline[b, a], goal_since[b, a]
             if begins:
+                lengths[3, b, a] = clock[b]
                 lengths[2, b, a] = clock[b] + max(paths * now / pref_speed[b, a], least_seconds)
             in_contact = False
             for tick in range(events.shape[3]):
                 in_contact = in_contact or events[0, b, a, tick] or events[1, b, a, tick]
                 reached_until[b, a, tick] = reached[b, a] + events[2, b, a, tick]
             progress = remaining_path[b, a] - (_0 if hit[b, a] else now)
-            lengths[3, b, a] = _0
+            lengths[4, b, a] = _0
             if moving[b, a]:
-                lengths[3, b, a] = progress - (contact_cost if in_contact else _0)
+                lengths[4, b, a] = progress - (contact_cost if in_contact else _0)
             done = counts[3, b, a] >= goals or not mask[b, a]
             ended = ended and done
             settled = settled and (done or overdue[b, a])

@@ -30,6 +30,7 @@ class Situation(NamedTuple):
         remaining: What is left of the path (B, A), metres.
         late: By how much they are behind a walk at that speed (B, A), seconds.
         called: 1 for people who have just got another goal, or are moved from now on, else 0 (B, A).
+        sets_out: 1 for people who have stood until a second ago, for want of a goal, else 0 (B, A).
         hindered: 1 for people who stand since they tried to walk in vain, else 0 (B, A).
         pressing: For how many steps, one after the other, they were asked to walk and stood (B, A).
         stood: In which share of the steps that are seen first they stood (B, A).
@@ -51,6 +52,7 @@ class Situation(NamedTuple):
     remaining: Tensor
     late: Tensor
     called: Tensor
+    sets_out: Tensor
     hindered: Tensor
     pressing: Tensor
     stood: Tensor
@@ -95,11 +97,23 @@ class Situation(NamedTuple):
         around = _walls(batch, history[:, :, -1], ahead) if walls else late.unsqueeze(-1)
         late = torch.where(there, late, 0.0)
         remaining = torch.where(there & remaining.isfinite(), remaining, 0.0)
-        called, hindered, pressing = (
+        called, sets_out, hindered, pressing = (
             torch.zeros_like(late) if key not in agents.keys() else agents[key][..., 0].to(late.dtype)
-            for key in ("called", "hindered", "pressing")
+            for key in ("called", "sets_out", "hindered", "pressing")
         )
-        manner = pref_speed, remaining, late, called, hindered, pressing, stood, style, crowd, change
+        manner = (
+            pref_speed,
+            remaining,
+            late,
+            called,
+            sets_out,
+            hindered,
+            pressing,
+            stood,
+            style,
+            crowd,
+            change,
+        )
         company, moves = companions_of(batch), goes_on(batch) & there
         return cls(history, there, ahead, *manner, agents["radius"][..., 0], around, company, moves)
 
@@ -122,6 +136,7 @@ class Situation(NamedTuple):
             remaining=(self.remaining - done).clamp_min(0),
             late=self.late + STEP_SECONDS - done / self.pref_speed,
             called=torch.zeros_like(self.called),
+            sets_out=torch.zeros_like(self.sets_out),
             hindered=torch.zeros_like(self.hindered),
             pressing=torch.zeros_like(self.pressing),
         )
