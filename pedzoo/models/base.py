@@ -37,10 +37,12 @@ class Walking:
     Attributes:
         safety: Keep clear of others and walls, see `pedzoo.policies.safety_layer.layer`.
         extend_goal: Do not slow down round corners, see `pedzoo.policies.learned.walker.extend_goals`.
+        keep_speed: Alone, walk at the preferred speed, see `pedzoo.models.blocks.people.own_speed`.
     """
 
     safety: bool = False
     extend_goal: bool = False
+    keep_speed: bool = False
 
 
 class Forecaster(nn.Module):
@@ -62,6 +64,7 @@ class Forecaster(nn.Module):
             see `pedzoo.policies.safety_layer.layer`.
         walking_extend_goal: Whether nearer goals are moved out when it walks, likewise; see
             `pedzoo.policies.learned.walker.extend_goals`.
+        walking_keep_speed: Whether it walks at the preferred speed alone, likewise.
         goal_protocol: The goal protocol that it was trained on; None where it does not matter.
         config: The settings that it was built with, as plain values without groups: with the weights, all
             of the model.
@@ -79,6 +82,7 @@ class Forecaster(nn.Module):
     walking_noise: Noise = "episode"
     walking_safety: bool = False
     walking_extend_goal: bool = False
+    walking_keep_speed: bool = False
     goal_protocol: GoalProtocol | None = None
     config: dict[str, Any]
 
@@ -93,6 +97,7 @@ class Forecaster(nn.Module):
         for group in groups:
             if isinstance(group, Walking):
                 self.walking_safety, self.walking_extend_goal = group.safety, group.extend_goal
+                self.walking_keep_speed = group.keep_speed
 
     @classmethod
     def of(cls, **settings: Any) -> Self:

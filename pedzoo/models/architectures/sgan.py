@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from pedzoo.core.batch import agents_of, goals_of, maps_of
 from pedzoo.core.errors import UserError
-from pedzoo.core.types import GoalProtocol
+from pedzoo.core.types import PRED_LEN, STEP_SECONDS, GoalProtocol
 from pedzoo.data.goals import TIMED
 from pedzoo.models.base import Forecaster, Walking
 from pedzoo.models.blocks.floor_plan.map_alexnet import AlexNetEncoder
@@ -25,6 +25,7 @@ from pedzoo.models.blocks.parameter_cache import NOTHING, FusedWeights, Paramete
 from pedzoo.models.blocks.people import ego_frame, linear_extrapolation
 from pedzoo.models.blocks.people.approach import ApproachPooling
 from pedzoo.models.blocks.people.crowd import Crowd
+from pedzoo.models.blocks.people.own_speed import at_own_speed
 from pedzoo.models.blocks.people.pooling import SocialPooling
 from pedzoo.models.blocks.recurrent import DisplacementDecoder, DisplacementEncoder
 from pedzoo.models.blocks.variety import VarietyLoss
@@ -158,8 +159,10 @@ class SGAN(Forecaster):
             # the untrained network is the trivial continuation itself
             init_with_zeros(self.decoder.output)
 
-    def encode(self, batch: TensorDict, steps: int, fused: FusedWeights = NOTHING) -> Encoded:
-        """Return all that does not depend on the noise; ``fused`` saves time, see `FusedWeights`."""
+    def encode(
+        self, batch: TensorDict, steps: int, fused: FusedWeights = NOTHING, alone: bool = False
+    ) -> Encoded:
+        """Return all that does not depend on the noise; ``alone``: all people twice, then without others."""
         agents = agents_of(batch)
         crowd = Crowd.of(agents["mask"])
         history = crowd.pack(agents["history"])
@@ -193,8 +196,14 @@ class SGAN(Forecaster):
             features.append(self.map_dropout(self.map(maps_of(batch), position, heading, map_id, pose)))
         if self.approach is not None:
             features.append(self.approach(position, last_step, heading, hidden, crowd))
-        context = self.to_decoder(torch.cat(features, -1), fused.to_decoder)
-        return Encoded(context, moved[:, -1], self._base(last_step, goal, steps), frame, crowd)
+        seen, first, base = torch.cat(features, -1), moved[:, -1], self._base(last_step, goal, steps)
+        if alone:
+            nobody = seen.clone()
+            if self.approach is not None:
+                nobody[:, -self.approach.dim :] = 0.0
+            seen, first = torch.cat((seen, nobody)), first.repeat(2, 1)
+            base, frame = (None if one is None else torch.cat((one, one)) for one in (base, frame))
+        return Encoded(self.to_decoder(seen, fused.to_decoder), first, base, frame, crowd)
 
     def _base(self, last_step: Tensor, goal: Tensor | None, steps: int) -> Tensor | None:
         if self.residual == "none":
@@ -244,22 +253,28 @@ class SGAN(Forecaster):
 
     def mode(self, batch: TensorDict, steps: int) -> Tensor:
         """Return the future (B, 1, A, T, 2) at the mode of the noise, z = 0."""
-        fused = self._parameter_cache(self)
-        encoded = self.encode(batch, steps, fused)
-        zero = encoded.context.new_zeros(1, encoded.context.shape[0], self.noise_dim)
-        path = self.decode(encoded, zero, steps, fused)
-        return encoded.crowd.unpack(path.transpose(0, 1)).transpose(1, 2)
+        return self.next_steps(batch, None, steps, steps).unsqueeze(1)
 
     def next_steps(self, batch: TensorDict, noise: Tensor | None, steps: int, horizon: int) -> Tensor:
         """Return the first steps of one future (B, A, steps, 2); no others are decoded."""
         fused = self._parameter_cache(self)
         encoded = self.encode(batch, horizon, fused)
-        if noise is None:
-            z = encoded.context.new_zeros(len(encoded.context), self.noise_dim)
-        else:
-            z = encoded.crowd.pack(noise)
-        path = self.decode(encoded, z.unsqueeze(0), steps, fused)
-        return encoded.crowd.unpack(path[0])
+        zero = encoded.context.new_zeros(encoded.context.shape[0], self.noise_dim)
+        z = zero if noise is None else encoded.crowd.pack(noise)
+        return encoded.crowd.unpack(self.decode(encoded, z.unsqueeze(0), steps, fused)[0])
+
+    def step_and_wish(self, batch: TensorDict, noise: Tensor | None) -> tuple[Tensor, Tensor]:
+        """Return the next steps (B, A, 2), metres, twice; alone, people keep their speed if they shall."""
+        if not self.walking_keep_speed:
+            return super().step_and_wish(batch, noise)
+        fused = self._parameter_cache(self)
+        encoded = self.encode(batch, PRED_LEN, fused, alone=True)
+        pack, agents = encoded.crowd.pack, agents_of(batch)
+        history, wanted = pack(agents["history"]), pack(agents["desired_velocity"]) * STEP_SECONDS
+        z = history.new_zeros(len(history), self.noise_dim) if noise is None else pack(noise)
+        step, alone = self.decode(encoded, z.repeat(2, 1).unsqueeze(0), 1, fused)[0, :, 0].chunk(2)
+        step = encoded.crowd.unpack(at_own_speed(step, alone, history[:, -1] - history[:, -2], wanted))
+        return step, step
 
     def loss(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor:
         """Return the variety loss, summed over scenes."""
