@@ -38,6 +38,7 @@ from pedzoo.train.robots.experience import act, walked_once
 from pedzoo.train.robots.ppo import RobotPPO
 from pedzoo.train.robots.teacher import taught, teacher_of
 from tools.paper.crowdnav_runs import run
+from tools.reliability.kills import difference
 
 pytestmark = [
     *LIGHTNING_MARKS,
@@ -294,12 +295,17 @@ def test_imitation_comes_near_the_teacher() -> None:
 
 
 FIT = ["fit", "--config", "robot/ppo", "--trainer.enable_progress_bar", "false", "--model.envs=8"]
-FIT += ["--model.steps=4", "--model.updates=1", "--model.episodes=4", "--model.minibatches=2"]
-FIT += ["--model.policy.width=16", "--trainer.check_val_every_n_epoch=1"]
+FIT += ["--model.steps=4", "--model.updates=2", "--model.episodes=4", "--model.minibatches=2"]
+FIT += ["--model.policy.width=16", "--model.final_lr=1", "--trainer.check_val_every_n_epoch=1"]
 
 
 @pytest.mark.parametrize(
-    ("scenario", "robot"), [("crowdnav:crowds=16", "disc"), ("door:people=2", "diff_drive")]
+    ("scenario", "robot"),
+    [
+        ("crowdnav:crowds=16", "disc"),
+        ("crowdnav_pp:crowds=9,people=3", "disc"),
+        ("door:people=2", "diff_drive"),
+    ],
 )
 def test_the_command_line_trains_resumes_and_loads(
     scenario: str,
@@ -325,12 +331,14 @@ def test_the_command_line_trains_resumes_and_loads(
         assert main(["fit", "--resume", str(run), f"--{option}", value]) == 2
         assert f"--{option} {value}: the run '{run}' goes on with " in capsys.readouterr().err
     assert main(["fit", "--resume", str(run), "--trainer.max_epochs=2"]) == 0
+    assert main([*FIT, *options, "--trainer.max_epochs=2", "--runs=whole"]) == 0
+    assert difference(run, next(Path("whole/robot.ppo").iterdir())) in ("", "metrics.csv")  # which has times
     logged = (run / "metrics.csv").read_text()
     for name in ("train/samples_per_s", "train/kl", "val/success", "val/return"):
         assert name in logged
     assert "nan" not in logged
     state = torch.load(run / "checkpoints" / "last.ckpt", weights_only=True)
-    assert int(state["state_dict"]["iteration"]) == 2
+    assert int(state["state_dict"]["iteration"]) == 4
     policy = load_robot_policy(str(run / "checkpoints" / "last.ckpt"))
     assert isinstance(policy, Attention) and policy.config["width"] == 16
     assert policy.action(scene(robot)).shape == (6, 1, 2)

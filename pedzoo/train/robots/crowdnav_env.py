@@ -66,7 +66,7 @@ class CrowdNavEnv(EnvBase):
         super().__init__(batch_size=torch.Size([num_envs]))
         self.decision_dt, self.robots = TIME_STEP, 1
         self.weights = dict(USUAL if reward is None else reward)
-        self._random = torch.Generator().manual_seed(0)
+        self._random, self._first = torch.Generator().manual_seed(0), 0
         if unknown_terms := self.weights.keys() - {*USUAL, "intrusion"}:
             raise unknown("reward", min(unknown_terms), [*USUAL, "intrusion"])
         self.setting = setting if people is None else replace(setting, people=people)
@@ -99,13 +99,16 @@ class CrowdNavEnv(EnvBase):
         self.done_spec = done
 
     def _set_seed(self, seed: int | None) -> None:
-        self._random.manual_seed(0 if seed is None else whole("seed", seed))
+        number = 0 if seed is None else whole("seed", seed)
+        self._random.manual_seed(number)
+        # a validation begins with the first crowds, each epoch of a training with others
+        self._first = int(torch.randint(len(self.crowds.place), (), generator=self._random)) if number else 0
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         flags = None if tensordict is None else tensordict.get("_reset", None)
         anew = torch.ones_like(self._crowd, dtype=torch.bool) if flags is None else flags.view(-1)
         count = len(self.crowds.place)
-        crowd = torch.arange(len(anew)) % count  # each one, while there are enough
+        crowd = (self._first + torch.arange(len(anew))) % count  # each one, while there are enough
         if flags is not None:
             crowd = torch.randint(count, crowd.shape, generator=self._random)
         self._crowd = torch.where(anew, crowd, self._crowd)

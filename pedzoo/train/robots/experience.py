@@ -20,21 +20,26 @@ _KEPT: list[Any] = [("robots", "observation"), ("robots", "body")]
 
 
 class Gatherer:
-    """B scenes in which a policy gathers decisions; the scenes go on from one gathering to the next.
+    """B scenes in which a policy gathers decisions; the scenes of a seed go on from one gathering to the next.
+
+    A checkpoint keeps no scenes: with a seed of its own in every epoch, a resumed training meets those of an
+    uninterrupted one.
 
     TorchRL's collectors store the whole scene batch of every decision. This stores the robots' observations.
     """
 
-    def __init__(self, env: RobotEnv | CrowdNavEnv, seed: int) -> None:
-        """Take an environment whose scenes begin with a seed."""
-        self.env, self._seed = env, seed
-        self._now: TensorDictBase | None = None
+    def __init__(self, env: RobotEnv | CrowdNavEnv) -> None:
+        """Take an environment."""
+        self.env = env
+        self._seed: int | None = None
+        self._now: TensorDictBase = TensorDict()
 
     @torch.no_grad()
     def gather(
         self,
         acting: TensorDictModuleBase,
         steps: int,
+        seed: int,
         teacher: Teacher | None = None,
         device: torch.device | str = "cpu",
     ) -> TensorDict:
@@ -43,13 +48,14 @@ class Gatherer:
         Args:
             acting: Writes ``robots/decision`` and ``log_prob``.
             steps: T.
+            seed: Of the scenes; with another one than before, all begin anew.
             teacher: Says what it would have decided (B, R, 2): ``robots/taught``.
             device: Where ``acting`` is; scenes and decisions are on the CPU.
         """
-        if self._now is None:
-            self.env.set_seed(self._seed, static_seed=True)
-        now = self.env.reset() if self._now is None else self._now
-        lived = []
+        if seed != self._seed:
+            self.env.set_seed(seed, static_seed=True)
+            self._seed, self._now = seed, self.env.reset()
+        now, lived = self._now, []
         for _ in range(steps):
             before = acting(now.select(*_KEPT).clone().to(device)).to("cpu")
             if teacher:

@@ -180,11 +180,10 @@ class RobotPPO(L.LightningModule):
 
     def on_fit_start(self) -> None:
         """Make environments and TorchRL's loss."""
-        seed = _SEEDS + self.seed * 1_000_003 + int(self.iteration)
         acting, clip_ratio, entropy, critic = actor(self.mean), *self.weights
         loss = clipped(acting, self.value, clip_ratio, entropy, critic, self.device, "robots", "decision")
         estimate = advantages(self.gamma, self.gae_lambda, self.device, "robots")
-        gatherers = [Gatherer(self.environment(name, self.envs, True), seed) for name in self.scenarios]
+        gatherers = [Gatherer(self.environment(name, self.envs, True)) for name in self.scenarios]
         self._parts = acting, loss, estimate, gatherers
 
     def training_step(self, batch: Tensor, batch_idx: int) -> None:
@@ -194,7 +193,8 @@ class RobotPPO(L.LightningModule):
         acting, loss, estimate, gatherers = self._parts
         imitates = int(self.iteration) < self.imitate
         teacher = self.teacher if imitates else None
-        gathered = [one.gather(acting, self.steps, teacher, self.device) for one in gatherers]
+        seed = _SEEDS + self.seed * 1_000_003 + self.current_epoch
+        gathered = [one.gather(acting, self.steps, seed, teacher, self.device) for one in gatherers]
         lived: Any = torch.cat(gathered).to(self.device)
         log = outcome_shares(lived["next"])
         log["reward"] = lived["next", "robots", "reward"].mean()
