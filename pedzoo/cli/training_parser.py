@@ -159,6 +159,7 @@ class RunCLI(LightningCLI):
         with ExitStack() as if_it_fails:
             if self.run:
                 if_it_fails.callback(self.run.end)
+            self._check_precision()
             for name in ("check_val_every_n_epoch", "accumulate_grad_batches"):
                 if (number := self.config_init["trainer"].get(name)) is not None:
                     at_least_one(f"--trainer.{name}", number)
@@ -168,6 +169,13 @@ class RunCLI(LightningCLI):
                 raise UserError(str(error)) from error
             if_it_fails.pop_all()
         return trainer
+
+    def _check_precision(self) -> None:
+        known = getattr(self.model, "precisions", ["32-true"])
+        given = str(self.config_init["trainer"].get("precision") or known[0])
+        usual = {"16": "16-mixed", "bf16": "bf16-mixed", "32": "32-true", "64": "64-true"}
+        if usual.get(given, given) not in known:
+            raise UserError(f"--trainer.precision {given}: this trains in {' or '.join(known)} alone")
 
     def go_on_from_last(self, run: RunFolder) -> None:
         """Start from the last checkpoint where the run of a Slurm job goes on that is run again."""

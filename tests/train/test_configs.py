@@ -90,3 +90,30 @@ def test_a_wrong_base_is_told_by_the_command(tmp_path: Path, capsys: pytest.Capt
     (tmp_path / "mine.yaml").write_text("base: sgan_gaol\n")
     assert main(["fit", "--config", str(tmp_path / "mine.yaml")]) == 2
     assert "unknown config 'sgan_gaol': did you mean 'sgan_goal'?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", config_names())
+def test_a_config_trains_in_a_precision_or_says_in_one_line_that_it_does_not(
+    name: str, tmp_path: Path, request: pytest.FixtureRequest, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if "alexnet" in name:
+        request.getfixturevalue("alexnet")
+    options = [
+        f"--runs={tmp_path / 'runs'}",
+        "--trainer.fast_dev_run=1",
+        "--trainer.enable_progress_bar=false",
+    ]
+    if not name.startswith("robot/"):
+        options += ["--data.fold=embedded", "--data.loading.batch_size=8", "--rollout.scenarios=[]"]
+    plain = name.partition("/")[0] not in ("closed_loop", "ppo", "robot")
+    trains = {
+        "bf16-mixed": plain and "anchor" in name,
+        "64-true": plain and "map" not in name and name != "social_vrnn",
+    } | ({"16-true": False} if name == "anchors" else {})
+    for precision in trains:
+        assert main(["fit", "--config", name, *options, "--trainer.precision", precision]) == (
+            0 if trains[precision] else 2
+        )
+        said = capsys.readouterr().err
+        told = f"--trainer.precision {precision}: this trains in 32-true" in said and said.count("\n") == 1
+        assert told != trains[precision] and not (tmp_path / "runs").exists()

@@ -30,6 +30,7 @@ class LoopModule(ForecastModule):
     An update whose gradient is not finite is skipped, and counted as ``train/skipped``.
     """
 
+    in_scenes = True
     skipped: Tensor
 
     def __init__(

@@ -35,6 +35,8 @@ _FEWEST = 2
 class CrowdModule(ForecastModule):
     """All people of an excerpt of a recording walk on, and are compared with those who really did."""
 
+    in_scenes = True
+
     def __init__(
         self,
         generator: Forecaster,

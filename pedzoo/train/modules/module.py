@@ -15,6 +15,7 @@ from pedzoo.core.errors import UserError, at_least_zero
 from pedzoo.core.spec import setting_groups, setting_types
 from pedzoo.metrics.forecast import ForecastScore
 from pedzoo.models.base import Forecaster
+from pedzoo.models.blocks.recurrent import DisplacementEncoder
 from pedzoo.models.zoo.loading import architecture_in, config_of
 from pedzoo.train.modules.contract import check_model, is_own
 
@@ -28,9 +29,11 @@ class ForecastModule(L.LightningModule):
 
     Attributes:
         by_loss: The model's own loss is what trains it.
+        in_scenes: It walks in scenes, which are in single precision.
     """
 
     by_loss: ClassVar[bool] = False
+    in_scenes: ClassVar[bool] = False
     iteration: Tensor
 
     def __init__(
@@ -97,6 +100,14 @@ class ForecastModule(L.LightningModule):
         if is_own(self.generator):
             config_of(self.generator)  # it can be saved
             check_model(self.generator, next(iter(data.recorded("train"))).to(self.device), self.by_loss)
+
+    @property
+    def precisions(self) -> list[str]:
+        """Those of the trainer in which this trains: floor plans are single, LSTMs of one call not mixed."""
+        if self.in_scenes:
+            return ["32-true"]
+        mixes = not any(isinstance(part, DisplacementEncoder) for part in self.modules())
+        return ["32-true", *["64-true"] * ("map" not in self.generator.needs), *["bf16-mixed"] * mixes]
 
     def random(self) -> torch.Generator:
         """Return the source of everything random in this iteration."""

@@ -121,6 +121,7 @@ class PPOModule(ForecastModule):
     own loss on their batch in every update.
     """
 
+    in_scenes = True
     skipped: Tensor
 
     def __init__(

@@ -20,7 +20,7 @@ _KEPT: list[Any] = [("robots", "observation"), ("robots", "body")]
 
 
 class Gatherer:
-    """B scenes in which a policy gathers decisions; the scenes of a seed go on from one gathering to the next.
+    """B scenes in which a policy gathers decisions; scenes of a seed go on from one gathering to the next.
 
     A checkpoint keeps no scenes: with a seed of its own in every epoch, a resumed training meets those of an
     uninterrupted one.
