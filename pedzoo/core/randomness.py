@@ -17,13 +17,14 @@ from torch import Tensor
 from pedzoo.core.errors import whole
 
 
-def _signed(value: int) -> int:
+def signed(value: int) -> int:
+    """Return the int64 of the same 64 bits."""
     return value - 2**64 if value >= 2**63 else value
 
 
-_GOLDEN = _signed(0x9E3779B97F4A7C15)
-_FIRST = _signed(0xBF58476D1CE4E5B9)
-_SECOND = _signed(0x94D049BB133111EB)
+_GOLDEN = signed(0x9E3779B97F4A7C15)
+_FIRST = signed(0xBF58476D1CE4E5B9)
+_SECOND = signed(0x94D049BB133111EB)
 
 
 def _shifted(x: Tensor, bits: int) -> Tensor:
@@ -50,7 +51,7 @@ def join(key: Tensor, *parts: Tensor | int | str) -> Tensor:
 @lru_cache(4096)
 def _mixed(number: int) -> int:
     """Return ``mix(number * _GOLDEN + 1)`` of one number: ten operations on tensors fewer."""
-    return int(mix(torch.tensor(_signed((number * _GOLDEN + 1) % 2**64))))
+    return int(mix(torch.tensor(signed((number * _GOLDEN + 1) % 2**64))))
 
 
 def uniform(key: Tensor) -> Tensor:
@@ -77,13 +78,14 @@ class Draws:
         self.key, self.episode = key, episode
 
     @classmethod
-    def for_episodes(cls, seed: int, episode: Tensor) -> Draws:
-        """Return the numbers of the scenes ``episode`` (B,) long of a seed.
+    def for_episodes(cls, seed: int | Tensor, episode: Tensor) -> Draws:
+        """Return the numbers of the scenes ``episode`` (B,) long of a seed, or of seeds (B,) long.
 
         Raises:
             UserError: The seed is no whole number.
         """
-        number = _signed(whole("seed", seed) % 2**64)
+        several = isinstance(seed, Tensor) and seed.dim()
+        number = seed if several else signed(whole("seed", seed) % 2**64)
         return cls(join(torch.zeros_like(episode) + number, episode), episode)
 
     def keys(self, what: str, *shape: int) -> Tensor:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from pedzoo.core.adapters import copied, put, tensordict_of
 from pedzoo.core.batch import actions_of, agents_of
 from pedzoo.core.errors import UserError, at_least_one, whole
 from pedzoo.core.machine import usable
+from pedzoo.core.randomness import signed
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planning.guidance import Guidance
@@ -218,6 +220,14 @@ class PedestrianEnv(EnvBase):
     def set_seed(self, seed: int | None = None, static_seed: bool = False) -> int | None:
         """Choose the scenes of any whole number, as `EnvBase.set_seed`, which takes no negative ones."""
         return super().set_seed(None if seed is None else whole("seed", seed) % 2**64, static_seed)
+
+    def choose_scenes(self, which: Tensor, seeds: Sequence[int] | int) -> None:
+        """Choose what begins next in some rows (B,) bool: scenes of one seed, or the first of B seeds."""
+        rows = which.nonzero().view(-1).cpu()
+        one = not isinstance(seeds, Sequence)
+        numbers = torch.tensor([signed(whole("seed", seed) % 2**64) for seed in ([seeds] if one else seeds)])
+        first = self._first + rows * one
+        self._queue.choose(rows, numbers[rows * (not one)], first, self._stride if one else 1)
 
     def _set_seed(self, seed: int | None) -> None:
         self.seed = 0 if seed is None else whole("seed", seed)

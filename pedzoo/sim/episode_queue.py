@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from pedzoo.core.randomness import Draws
+from pedzoo.core.randomness import Draws, signed
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim.episodes import Episodes
 from pedzoo.sim.kernel import Rules
@@ -61,13 +61,18 @@ class EpisodeQueue:
             stride: From an episode to the next one of its row.
         """
         self._episodes, self._rules, self._opened = episodes, rules, opened
-        self._seed, self._stride = seed, stride
-        self._number = first + torch.arange(rows)
+        self._seed = torch.full((rows,), signed(seed % 2**64))
+        self._number, self._stride = first + torch.arange(rows), torch.full((rows,), stride)
         made = min(_MADE, _AGENTS_MADE // people)
         self._depth = min(max(1, made // rows), _DEEPEST)
         self._taken = torch.full((rows,), self._depth)
         self._ahead: tuple[Tensor, ...] = ()
         self._same: tuple[Tensor | None, ...] = ()
+
+    def choose(self, rows: Tensor, seed: Tensor, first: Tensor, stride: int) -> None:
+        """Choose other episodes for some rows (N,) long: their seeds and first numbers (N,) long."""
+        self._seed[rows], self._number[rows], self._stride[rows] = seed, first, stride
+        self._taken[rows] = self._depth
 
     def begin_all(self) -> Scenes:
         """Return the next episode of every row."""
@@ -114,9 +119,10 @@ class EpisodeQueue:
 
     def _made(self, rows: Tensor, episodes: int) -> tuple[Tensor, ...]:
         """Return all fields of the next ``episodes`` of some rows, those of a row one after the other."""
-        number = self._number[rows].unsqueeze(1) + self._stride * torch.arange(episodes)
-        self._number.index_add_(0, rows, torch.full_like(rows, episodes * self._stride))
-        state = self._episodes.begin(Draws.for_episodes(self._seed, number.view(-1)))
+        number = self._number[rows].unsqueeze(1) + self._stride[rows].unsqueeze(1) * torch.arange(episodes)
+        self._number.index_add_(0, rows, episodes * self._stride[rows])
+        seed = self._seed[rows].repeat_interleave(episodes)
+        state = self._episodes.begin(Draws.for_episodes(seed, number.view(-1)))
         return (*self._opened(state), *self._rules.guidance(state))
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib
 import re
+import subprocess
+import sys
 from typing import Any
 
 import gymnasium
@@ -11,6 +13,8 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.wrappers import vector as wrappers
 from pettingzoo.test import parallel_api_test
 from torchrl.envs.utils import check_env_specs
 
@@ -46,7 +50,7 @@ def row(batch: dict[str, Any], scene: int) -> dict[str, Any]:
 @pytest.mark.parametrize("name", IDS)
 def test_every_id_passes_the_checks_of_gymnasium_and_torchrl(name: str) -> None:
     env = made(name, render_mode="rgb_array").unwrapped
-    check_env(env, skip_render_check=True, skip_close_check=True)
+    check_env(env)
     picture = env.render()
     assert isinstance(picture, np.ndarray) and picture.shape == (480, 640, 3) and picture.std() > 0
     check_env_specs(env.batched.env)
@@ -79,6 +83,61 @@ def test_a_vector_environment_has_the_scenes_of_single_ones() -> None:
                 observation, info = single.reset()
             assert same(observation, row(seen, scene)) and same(info, row(infos, scene))
     assert ends >= 2 * scenes
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, "Disabled"])
+def test_scenes_begin_anew_as_those_of_gymnasium_do(mode: AutoresetMode | str) -> None:
+    """Of its own vector environment of single ones: step by step, with seeds of their own."""
+    chance, seeds = np.random.default_rng(1), [7, np.int64(8), 2**40]
+    own = vectors(CROSSING, num_envs=3, autoreset_mode=mode, **QUICK)
+    assert own.metadata["autoreset_mode"] is AutoresetMode(mode)
+    other = SyncVectorEnv([lambda: made(CROSSING, **QUICK)] * 3, autoreset_mode=mode)
+    seen, infos = own.reset(seed=seeds)
+    theirs, their_infos = other.reset(seed=[int(seed) for seed in seeds])
+    over, ends = np.zeros(3, bool), 0
+    for _ in range(14):
+        assert same(seen, theirs)
+        assert all(np.allclose(infos[key], value, atol=1e-3) for key, value in their_infos.items())
+        if over.any() and own.autoreset_mode is AutoresetMode.DISABLED:
+            with pytest.raises(UserError, match="are over: expected reset"):
+                own.step(np.zeros((3, 2)))
+            seen, infos = own.reset(options={"reset_mask": over.copy()})
+            theirs, their_infos = other.reset(options={"reset_mask": over.copy()})
+            assert same(seen, theirs) and infos["_SUCCESS"].tolist() == over.tolist()
+        actions = chance.uniform(-1, 1, (3, 2)).astype(np.float32)
+        (seen, *results, infos), (theirs, *expected, their_infos) = own.step(actions), other.step(actions)
+        assert all(np.allclose(*pair, atol=1e-3) for pair in zip(results, expected, strict=True))
+        over = results[1] | results[2]
+        ends += int(over.sum())
+    assert ends >= 3
+    kept = own.reset(seed=[1, None, 3])[0]
+    mask = np.array([False, False, True])
+    for seed, row_of in (([5, 6, 1], [None, None, 0]), (3, [None, None, 2])):
+        seen, _ = own.reset(seed=seed, options={"reset_mask": mask})
+        first = vectors(CROSSING, num_envs=3, **QUICK).reset(seed=1 if seed == [5, 6, 1] else 3)[0]
+        assert all(same(row(seen, i), row(kept, i)) for i in (0, 1)) and same(
+            row(seen, 2), row(first, row_of[2])
+        )
+
+
+def test_gymnasiums_vector_wrappers_take_it() -> None:
+    plain = vectors(CROSSING, num_envs=2, autoreset_mode="NextStep", **QUICK)
+    env = wrappers.RecordEpisodeStatistics(wrappers.FlattenObservation(plain))
+    env = wrappers.NormalizeReward(wrappers.NormalizeObservation(wrappers.ClipAction(env)))
+    env.reset(seed=0)
+    episodes = []
+    for _ in range(14):
+        *_, infos = env.step(env.action_space.sample())
+        episodes += infos["episode"]["l"][infos["_episode"]].tolist() if "episode" in infos else []
+    assert len(episodes) >= 4 and 5 in episodes and max(episodes) == 5
+
+
+def test_an_id_needs_no_import_of_its_package() -> None:
+    """Gymnasium has read no entry points since 1.0: the id names the module that knows it."""
+    code = (
+        f"import gymnasium as g; assert g.spec('pedzoo.sim.gym:{CROSSING}').entry_point.startswith('pedzoo')"
+    )
+    subprocess.run([sys.executable, "-W", "ignore", "-c", code], check=True)
 
 
 def test_a_seed_is_the_same_scene_and_none_is_one_by_chance() -> None:
@@ -215,8 +274,14 @@ def test_what_does_not_fit_is_named() -> None:
     with pytest.raises(UserError, match=r"size .0, 80.: expected width and height in pixels"):
         made(CROSSING, render_size=(0, 80))
     env = vectors(CROSSING, num_envs=2, **QUICK)
-    with pytest.raises(UserError, match="one number"):
-        env.reset(seed=[1, 2])
+    for wrong in ([1], [1, 2, 3], np.arange(3)):
+        with pytest.raises(UserError, match="expected one, or 2"):
+            env.reset(seed=wrong)
+    with pytest.raises(UserError, match="autoreset_mode 'Next': did you mean 'NextStep'"):
+        vectors(CROSSING, autoreset_mode="Next")
+    for mask in ([True, False], np.zeros(2, bool), np.ones(3, bool), np.ones(2)):
+        with pytest.raises(UserError, match="reset_mask"):
+            env.reset(options={"reset_mask": mask})
     env.reset(seed=1)
     with pytest.raises(UserError, match="action of shape"):
         env.step(np.zeros((2, 3)))

@@ -66,19 +66,33 @@ class Batched:
         self._totals = RobotTotals(self.env)
         self._pictures = Pictures(self.env, render_mode, size)
 
-    def reset(self, seed: int | None, chance: np.random.Generator) -> Step:
-        """Begin all scenes: the first ones of a seed, or without one those that follow.
+    def reset(
+        self,
+        seed: int | list[int] | None,
+        chance: np.random.Generator,
+        scenes: NDArray[np.bool_] | None = None,
+    ) -> Step:
+        """Begin ``scenes`` (B,) bool, or all: those of a seed, the first of B seeds, or those that follow.
 
-        The first time a seed that is not given is that of the settings, or one by ``chance``.
+        The first time all scenes begin. A seed that is not given is that of the settings then, or one by
+        ``chance``.
         """
         everything = np.ones(self.env.batch_size[0], dtype=bool)
-        if seed is None and self._begun:
-            return self.restart(everything)
+        begun, self._begun = self._begun, True
+        which = everything if scenes is None or not begun else scenes
         if seed is None:
+            if begun:
+                return self.restart(which)
             seed = int(chance.integers(2**31)) if self._seed is None else self._seed
-        self._begun = True
-        self.env.set_seed(seed)
-        return self._begun_with(self.env.reset(), torch.from_numpy(everything))
+        if not begun:
+            self.env.set_seed(0 if isinstance(seed, list) else seed)
+        if isinstance(seed, list) or begun:
+            self.env.choose_scenes(torch.from_numpy(which), seed)
+        return (
+            self._begun_with(self.env.reset(), torch.from_numpy(which))
+            if which.all()
+            else self.restart(which)
+        )
 
     def restart(self, scenes: NDArray[np.bool_]) -> Step:
         """Begin the next episodes of some scenes (B,) bool."""

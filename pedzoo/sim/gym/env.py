@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pedzoo.core.errors import UserError, whole
 from pedzoo.core.spec import Spec
 from pedzoo.sim.gym.batched import Batched, Step
-from pedzoo.sim.gym.render import MODES
+from pedzoo.sim.gym.render import MODES, modes_here
 from pedzoo.sim.gym.spaces import Observation
 
 FPS = 5
@@ -25,6 +25,7 @@ class OneScene:
         batched: The environment of TorchRL (``batched.env``) behind it.
     """
 
+    metadata: dict[str, Any] = {}  # noqa: RUF012
     several: ClassVar[str]
     """What there is for several scenes."""
 
@@ -52,6 +53,7 @@ class OneScene:
             raise UserError(f"num_envs {settings['num_envs']}: this environment has one; use {self.several}")
         self.batched = Batched(scenario, render_mode, seed, render_size, settings)
         self.render_mode = render_mode
+        self.metadata = self.metadata | {"render_modes": modes_here()}
         self.set_spaces()
 
     def set_spaces(self) -> None:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, installed
 from pedzoo.core.geometry import direction_of
 from pedzoo.sim.physics_parts.camera import Camera, check_size, person_color
 from pedzoo.sim.physics_parts.floor_marks import draw_goal
@@ -17,6 +19,14 @@ from pedzoo.sim.robot_parts.env import RobotEnv
 
 MODES = ("rgb_array", "human")
 """What ``render_mode`` may be, beside None."""
+
+
+def modes_here() -> list[str]:
+    """Return the modes of this machine: a window needs a display."""
+    shown = sys.platform in ("darwin", "win32") or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
+    backend = os.environ.get("MPLBACKEND", "").lower()
+    drawn = backend not in ("agg", "cairo", "pdf", "pgf", "ps", "svg", "template")
+    return [*MODES] if shown and drawn and installed("matplotlib") else [*MODES[:1]]
 
 
 class Pictures:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, at_least_one, unknown, whole
 from pedzoo.core.spec import Spec
 from pedzoo.sim.gym.batched import Batched, Step
 from pedzoo.sim.gym.env import FPS, check_one_robot
-from pedzoo.sim.gym.render import MODES
+from pedzoo.sim.gym.render import MODES, modes_here
 from pedzoo.sim.gym.spaces import Observation
 
 Infos = dict[str, Any]
@@ -23,13 +24,15 @@ class RobotVectorEnv(VectorEnv[Observation, ArrayLike, NDArray[Any]]):
     """B scenes with one robot each, stepped together: `gymnasium.make_vec` makes it.
 
     Scene i of a seed is that of `RobotGymEnv` with ``first_episode=i``. A scene that ends begins anew in the
-    same step: ``final_obs`` and ``final_info`` then have what came of the last decision.
+    same step: ``final_obs`` and ``final_info`` then have what came of the last decision. Or it does so in the
+    next step, whose action does not count, or when `reset` is called with a mask.
 
     Attributes:
         batched: The environment of TorchRL (``batched.env``) behind it.
+        autoreset_mode: When scenes begin anew.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
+    metadata: dict[str, Any] = {  # noqa: RUF012
         "render_modes": list(MODES),
         "render_fps": FPS,
         "autoreset_mode": AutoresetMode.SAME_STEP,
@@ -42,6 +45,7 @@ class RobotVectorEnv(VectorEnv[Observation, ArrayLike, NDArray[Any]]):
         render_mode: str | None = None,
         seed: int | None = None,
         render_size: tuple[int, int] = (640, 480),
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         **settings: Any,
     ) -> None:
         """Make the scenes.
@@ -52,44 +56,105 @@ class RobotVectorEnv(VectorEnv[Observation, ArrayLike, NDArray[Any]]):
             render_mode: ``rgb_array`` for pictures of all scenes, ``human`` for a window of one, or None.
             seed: Of the scenes; `reset` takes it, too. None: by chance.
             render_size: Width and height of pictures in pixels.
+            autoreset_mode: When scenes begin anew that have ended: ``SameStep``, ``NextStep``, ``Disabled``.
             settings: As of `pedzoo.make_robot_env`.
 
         Raises:
             UserError: An unknown name or setting, several robots, or no display for a window.
         """
+        modes = {mode.value: mode for mode in AutoresetMode}
+        mode = autoreset_mode if isinstance(autoreset_mode, AutoresetMode) else modes.get(autoreset_mode)
+        if mode is None:
+            raise unknown("autoreset_mode", str(autoreset_mode), modes)
+        num_envs = at_least_one("num_envs", num_envs)
         self.batched = Batched(scenario, render_mode, seed, render_size, settings | {"num_envs": num_envs})
         check_one_robot(self.batched)
-        self.num_envs, self.render_mode = num_envs, render_mode
+        self.num_envs, self.render_mode, self.autoreset_mode = num_envs, render_mode, mode
+        self.metadata = self.metadata | {"autoreset_mode": mode, "render_modes": modes_here()}
+        self._over: NDArray[np.bool_] = np.zeros(num_envs, dtype=bool)
+        self._seen: Observation = {}
         self.single_observation_space = self.batched.observations.space
         self.single_action_space = self.batched.actions[0]
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, Infos]:
-        """Begin the first scenes of a seed, or else the next ones; there are no options.
+        """Begin the first scenes of a seed, or else the next ones.
+
+        Args:
+            seed: Scene i is that of number i; of B seeds, each scene is the first one of its own, as that of
+                `RobotGymEnv` is. None among them: by chance.
+            options: ``reset_mask`` (B,) bool: scenes that begin, while others stay. Infos are of these alone.
 
         Raises:
-            UserError: A list of seeds: the scenes of one seed differ already.
+            UserError: Not one seed nor B of them, or a mask of another shape, of other values or of no scene.
         """
-        if seed is not None and not isinstance(seed, int | np.integer):
-            raise UserError(
-                f"seed {seed!r}: expected one number; scene i of a seed is another one for every i"
-            )
+        seeds = None
+        if isinstance(seed, list | tuple) or (isinstance(seed, np.ndarray) and seed.ndim):
+            seeds = list(seed)
+            if len(seeds) != self.num_envs:
+                raise UserError(
+                    f"seed of {len(seeds)} numbers: expected one, or {self.num_envs}, one of each"
+                )
+            seed = None
+        seed = None if seed is None else whole("seed", seed)
         super().reset(seed=seed)
-        step = self.batched.reset(seed, self.np_random)
-        return _observation(step), _infos(step)
+        if seeds is not None:
+            seeds = [self._any() if one is None else whole("seed", one) for one in seeds]
+        which = self._mask(options)
+        step = self.batched.reset(seeds or seed, self.np_random, which)
+        new = _observation(step)
+        self._seen = _merged(new, self._seen, which) if self._seen else new
+        self._over = self._over & ~which
+        return self._seen, _infos(step, which)
+
+    def _any(self) -> int:
+        return int(self.np_random.integers(2**31))
+
+    def _mask(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
+        """Return which scenes (B,) begin; see `reset`."""
+        mask = (options or {}).get("reset_mask", np.ones(self.num_envs, dtype=bool))
+        if (
+            not isinstance(mask, np.ndarray)
+            or mask.dtype.kind != "b"
+            or mask.shape != (self.num_envs,)
+            or not mask.any()
+        ):
+            raise UserError(
+                f"reset_mask {mask!r:.100}: expected an array ({self.num_envs},) bool, not all false"
+            )
+        return mask if self._seen else np.ones_like(mask)
 
     def step(
         self, actions: ArrayLike
     ) -> tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Infos]:
-        """Take a decision in every scene (B, 2), and begin those anew that have ended."""
+        """Take a decision in every scene (B, 2), and begin those anew that have ended.
+
+        Raises:
+            UserError: An action has another shape, or a scene is over that `reset` should have begun.
+        """
+        begins, mode = self._over, self.autoreset_mode
+        if begins.any():
+            if mode is AutoresetMode.DISABLED:
+                raise UserError(
+                    f"scenes {begins.nonzero()[0].tolist()} are over: expected reset(options={{'reset_mask': "
+                    "terminated | truncated}) before the next step"
+                )
+            actions = np.where(begins.reshape(-1, 1), 0.0, np.asarray(actions))
         step = self.batched.step(actions)
         observation, infos = _observation(step), _infos(step)
         terminated, truncated = step.terminated[:, 0], step.truncated[:, 0]
+        if begins.any():
+            new = self.batched.restart(begins)
+            observation = _merged(_observation(new), observation, begins)
+            infos = _merged(_infos(new), infos, begins)
+            step.reward[begins], terminated[begins], truncated[begins] = 0.0, False, False
         over = terminated | truncated
-        if over.any():
+        if mode is not AutoresetMode.SAME_STEP:
+            self._over = over
+        elif over.any():
             new = self.batched.restart(over)
             last, finished = observation, infos
             observation, infos = _merged(_observation(new), last, over), _merged(_infos(new), finished, over)
@@ -99,6 +164,7 @@ class RobotVectorEnv(VectorEnv[Observation, ArrayLike, NDArray[Any]]):
             flags = {name: over & value for name, value in finished.items() if name.startswith("_")}
             infos |= {"final_obs": finals, "_final_obs": over}
             infos |= {"final_info": finished | flags, "_final_info": over.copy()}
+        self._seen = observation
         return observation, step.reward[:, 0], terminated, truncated, infos
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
@@ -115,11 +181,12 @@ def _observation(step: Step) -> Observation:
     return {name: value[:, 0] for name, value in step.observation.items()}
 
 
-def _infos(step: Step) -> Infos:
-    """Return the values (B,) of all scenes, each with the mask of scenes that have it: all."""
+def _infos(step: Step, which: NDArray[np.bool_] | None = None) -> Infos:
+    """Return the values (B,) of all scenes, each with the mask of scenes that have it: ``which``, or all."""
     infos: Infos = {}
     for name, value in step.info.items():
-        infos |= {name: value[:, 0], f"_{name}": np.ones(len(value), dtype=bool)}
+        has = np.ones(len(value), dtype=bool) if which is None else which.copy()
+        infos |= {name: value[:, 0], f"_{name}": has}
     return infos
 
 
