@@ -188,6 +188,20 @@ def test_crowds_without_anything_to_say_keep_their_rows_and_others_theirs(tmp_pa
         score(["go_to_goal", bad], Reference(some, 0.4), dt=0.4, progress=lambda *_: pytest.fail("walked"))
 
 
+@pytest.mark.parametrize("rate", [10, 25])
+def test_rows_of_a_video_are_not_taken_for_steps(rate: int, real: PreparedReplay, tmp_path: Path) -> None:
+    table = plaza()[plaza()[:, 1] < 20]
+    walks = []
+    for agent in np.unique(table[:, 1]):
+        frame, _, x, y = table[table[:, 1] == agent].T
+        now = np.arange(np.ceil(frame.min() * 0.4 * rate), frame.max() * 0.4 * rate)
+        places = [np.interp(now / rate, np.sort(frame) * 0.4, value[frame.argsort()]) for value in (x, y)]
+        walks.append(np.column_stack((now, np.full(len(now), agent), *places)))
+    with pytest.raises(UserError, match=r"people walk at 0\.\d+ m/s, .* --dt, .*; \S+ is likely") as error:
+        file_crowd(written(tmp_path / "video.csv", np.concatenate(walks)), real)
+    assert float(str(error.value).split()[-3]) == pytest.approx(1 / rate, rel=0.3)
+
+
 def test_what_a_score_needs_is_asked_for_by_its_own_options(tmp_path: Path) -> None:
     mine = written(tmp_path / "mine.csv", plaza())
     with pytest.raises(UserError, match=r"--data.dt is None: .* of the file of --against"):

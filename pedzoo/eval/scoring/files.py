@@ -133,7 +133,8 @@ def _assumed(path: str, real: PreparedReplay) -> float | None:
     if theirs and distance(tracks) > WALKED and not ALIKE < mine / theirs < 1 / ALIKE:
         raise UserError(
             f"{path}: with rows 0.4 s apart people walk at {mine:.2g} m/s, the recorded ones at "
-            f"{theirs:.2g}: give --dt, the seconds between consecutive frame numbers"
+            f"{theirs:.2g}: give --dt, the seconds between frame numbers; "
+            f"{seconds * mine / theirs:.2g} is likely"
         )
     say(f"{path} does not say its frame rate: its rows are taken to be 0.4 s apart (--dt)")
     return seconds
