@@ -135,6 +135,7 @@ def test_an_id_needs_no_import_of_its_package(monkeypatch: pytest.MonkeyPatch) -
     """Gymnasium has read no entry points since 1.0: the id names the module that knows it."""
     monkeypatch.delitem(gymnasium.registry, CROSSING)
     monkeypatch.delitem(sys.modules, "pedzoo.sim.gym")
+    monkeypatch.setattr(pedzoo.sim, "gym", pedzoo.sim.gym)  # which comes back at the end
     assert made(f"pedzoo.sim.gym:{CROSSING}", **QUICK).reset(seed=0)[0]["mask"].any()
 
 
