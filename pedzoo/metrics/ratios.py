@@ -16,7 +16,6 @@ from pedzoo.metrics.statistics.intervals import Interval, ratio_interval, wilson
 from pedzoo.sim.rollout import Rollout
 
 T = TypeVar("T")
-Function = TypeVar("Function", bound=Callable[[Rollout], tuple[Tensor, Tensor] | tuple[Tensor, Tensor, bool]])
 
 Scenes = Literal["all", "ordinary", "doors"]
 """Of which rollouts a metric is: ``ordinary`` are all but replays, ``doors`` those of them with a gate."""
@@ -36,6 +35,11 @@ class Ratio(NamedTuple):
     below: Tensor
     share: bool = False
     part: bool = False
+
+
+Function = TypeVar(
+    "Function", bound=Callable[[Rollout], Ratio | tuple[Tensor, Tensor] | tuple[Tensor, Tensor, bool]]
+)
 
 
 def metric(scenes: Scenes = "all") -> Callable[[Function], Function]:
