@@ -8,7 +8,7 @@ from typing import Any
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import find_config
 from pedzoo.core.renamed import new_config
-from pedzoo.core.size_limits import read_mapping
+from pedzoo.core.size_limits import check_yaml, read_mapping
 from pedzoo.core.spec import spelled
 
 BASE = "base"
@@ -50,7 +50,12 @@ def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any
 
 def read_config(path: Path) -> dict[Any, Any]:
     """Return the mapping in a config file as it stands there; errors as of `read_mapping`."""
-    return read_mapping(path, "config", "a mapping such as 'model: ...'")
+    result = read_mapping(path, "config", "a mapping such as 'model: ...'")
+    try:
+        check_yaml(result)
+    except UserError as error:
+        raise UserError(f"config {str(path)!r}: a text in it {error}") from error
+    return result
 
 
 def _loaded(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:

@@ -4,6 +4,7 @@ A small file can expand to a large one: references that multiply, pictures of on
 apart. The error of a file above a limit names the limit and a remedy.
 """
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +45,7 @@ MOST_VALUES = 100_000
 MOST_DIGITS = 300
 """Letters of a whole number: a number of more is larger than every floating point number."""
 
-_NO_YAML = (yaml.YAMLError, ValueError, LookupError, AttributeError)
+_NO_YAML = (yaml.YAMLError, ValueError, LookupError, AttributeError, ArithmeticError)
 """Errors of values that do not fit their form, such as a date on the 99th of a month."""
 
 
@@ -83,14 +84,10 @@ def load_yaml(text: bytes | str, references: bool = False) -> Any:
         UserError: It is no YAML, has values that are not of the kind they say, references or many levels.
     """
     try:
-        result = _loaded(text, references)
-        if references:
-            check_limit(_values_in(result, {}), MOST_VALUES, "it", "values", "write fewer references (*)")
-        return result
+        loader = _counted(text, references)
+        return None if loader.counted is None else loader.construct_document(loader.counted)
     except UserError:
         raise
-    except RecursionError as error:
-        raise UserError("cannot be read: a value is inside itself") from error
     except _NO_YAML as error:
         raise UserError(f"cannot be read: {' '.join(str(error).split())}") from error
 
@@ -123,6 +120,8 @@ _SAFE: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's: `pedzoo
 class _Loader(_SAFE):
     """The safe loader, with whole numbers of at most `MOST_DIGITS`."""
 
+    counted: Any
+
     def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
         """Return a whole number."""
         check_limit(len(node.value), MOST_DIGITS, f"{node.value[:20]}...", "digits", "write a smaller number")
@@ -132,7 +131,24 @@ class _Loader(_SAFE):
 _Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
 
 
-def _loaded(text: bytes | str, references: bool) -> Any:
+def check_yaml(value: Any) -> None:
+    """Check all texts in a value, which jsonargparse reads as YAML: they have the limits of `load_yaml`.
+
+    Raises:
+        UserError: One exceeds them. What is no YAML passes.
+    """
+    waiting = [value]
+    while waiting:
+        one = waiting.pop()
+        if isinstance(one, str):
+            with suppress(yaml.YAMLError):
+                _counted(one, references=True)
+        elif isinstance(one, dict | list):
+            waiting += one.values() if isinstance(one, dict) else one
+
+
+def _counted(text: bytes | str, references: bool) -> Any:
+    """Return a loader of YAML that has ``counted`` values, references and merges (``<<``) written out."""
     expected = f"{'' if references else 'no references (*) and '}at most {DEEPEST} levels of values"
     depth = values = 0
     for event in yaml.parse(text, _Loader):
@@ -141,14 +157,24 @@ def _loaded(text: bytes | str, references: bool) -> Any:
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         if depth > DEEPEST or (isinstance(event, yaml.AliasEvent) and not references):
             raise UserError(f"expected {expected}")
-    return yaml.load(text, _Loader)
+    loader = _Loader(text)
+    loader.counted = loader.get_single_node()
+    try:
+        values = _values_in(loader.counted, {})
+    except RecursionError as error:
+        raise UserError("cannot be read: a value is inside itself") from error
+    check_limit(values, MOST_VALUES, "it", "values", "write fewer references (*)")
+    return loader
 
 
-def _values_in(value: Any, known: dict[int, int]) -> int:
-    """Return the number of values with all references written out; ``known`` has those of earlier ones."""
-    if not isinstance(value, dict | list):
+def _values_in(node: Any, known: dict[int, int]) -> int:
+    """Return the number of values with all references written out; ``known`` has those of earlier ones.
+
+    That many pairs are merged at most. It is counted before anything is built: a merge builds all of them.
+    """
+    if not isinstance(node, yaml.CollectionNode):
         return 1
-    if id(value) not in known:
-        parts = value.values() if isinstance(value, dict) else value
-        known[id(value)] = 1 + sum(_values_in(part, known) for part in parts)
-    return known[id(value)]
+    if id(node) not in known:
+        parts = [pair[1] for pair in node.value] if isinstance(node, yaml.MappingNode) else node.value
+        known[id(node)] = 1 + sum(_values_in(part, known) for part in parts)
+    return known[id(node)]

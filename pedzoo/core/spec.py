@@ -15,8 +15,9 @@ from typing import Any, NamedTuple, get_args, get_type_hints
 
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.registry import Registry
+from pedzoo.core.size_limits import check_yaml
 
-_ADDRESS = re.compile(r"(hf|https?)://[^/:]*(:\d+(?=/))?[^:]*")
+_ADDRESS = re.compile(r"(hf|https?|file)://[^/:]*(:\d+(?=/))?[^:]*")
 """An address on the net: the colons of its scheme and its port are its own."""
 
 _QUOTES = "'\""
@@ -125,6 +126,7 @@ def build(registry: Registry, what: str | Spec | SpecText, base: type, **given: 
 def make(cls: type, kind: str, spec: Spec | SpecText, **given: Any) -> Any:
     """Return ``cls`` built from the settings of ``spec`` and from ``given`` values; errors as in `build`."""
     name, settings = spec
+    check_yaml(dict(settings))
     types = setting_types(cls)
     written = isinstance(spec, SpecText)
     arguments = {key: value for key, value in given.items() if key in types}

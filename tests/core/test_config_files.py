@@ -12,7 +12,10 @@ import yaml
 from pedzoo.core.configs import load_config, merged
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import config_names
-from pedzoo.core.spec import parse, spelled
+from pedzoo.core.registry import SCENARIOS
+from pedzoo.core.size_limits import load_yaml, read_mapping
+from pedzoo.core.spec import Spec, SpecText, build, make, parse, spelled
+from pedzoo.sim.scenario_parts.scenario import Scenario
 
 
 @pytest.fixture(autouse=True)
@@ -171,3 +174,63 @@ def test_references_are_for_people_and_not_for_bombs(tmp_path: Path) -> None:
     path.write_text("\n".join(lines))
     with pytest.raises(UserError, match="490,329,055 values, at most 100,000 are read: write fewer"):
         load_config(path)
+
+
+def _merges(levels: int, width: int) -> str:
+    lines = ["a0: &a0 {a: 1, b: 2, c: 3, d: 4, e: 5, f: 6, g: 7, h: 8, i: 9}"]
+    lines += [f"a{n}: &a{n} {{<<: [{', '.join([f'*a{n - 1}'] * width)}]}}" for n in range(1, levels + 1)]
+    return "\n".join(lines)
+
+
+BOMBS = {
+    "merges": _merges(9, 9),
+    "wide merges": _merges(2, 300),
+    "merge keys": "a0: &a {"
+    + ", ".join(f"k{n}: 1" for n in range(1000))
+    + "}\nb: {"
+    + "<<: *a, " * 200
+    + "}",
+    "merges of merges": _merges(6, 9).replace("<<: [", "<<: [{<<: [").replace("]}", "]}]}"),
+    "references": "\n".join(
+        ["a0: &a0 [x, x]", *(f"a{n}: &a{n} [*a{n - 1}, *a{n - 1}]" for n in range(1, 60))]
+    ),
+    "a merge in itself": "a: &a {<<: *a}",
+    "levels": "a: " + "[" * 100_000,
+    "levels of mappings": "a: " + "{a: " * 30 + "}" * 30,
+}
+
+
+@pytest.mark.parametrize("bomb", BOMBS)
+@pytest.mark.parametrize("inside", ["file", "text"])
+def test_yaml_is_counted_before_it_is_loaded(bomb: str, inside: str, tmp_path: Path) -> None:
+    """Also that in texts, which the command line reads as YAML where no text is expected."""
+    path, said = (
+        tmp_path / "own.yaml",
+        "at most 100,000 are read|inside itself|at most 20 levels|maximum nesting",
+    )
+    text = BOMBS[bomb] if inside == "file" else yaml.safe_dump({"data": {"files": BOMBS[bomb]}})
+    path.write_text(text)
+    began = time.process_time()
+    with pytest.raises(UserError, match=said):
+        load_config(path)
+    if inside == "file":
+        with pytest.raises(UserError, match=said):
+            read_mapping(path, "scenario", "people")
+    else:
+        with pytest.raises(UserError, match=said):
+            build(SCENARIOS, Spec("door", {"people": BOMBS[bomb]}), Scenario)
+        with pytest.raises(UserError, match=said):
+            make(SCENARIOS.get("door"), "scenario", SpecText("door", {"people": BOMBS[bomb]}))
+    assert time.process_time() - began < 1
+
+
+def test_what_is_merged_and_is_no_bomb_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "own.yaml"
+    path.write_text(_merges(3, 9) + "\nb: {<<: [{a: 5}, *a1], b: 7}\nc: {<<: *a0, a: 8}\nd:\n")
+    result = load_config(path)
+    usual = dict(zip("abcdefghi", range(1, 10), strict=True))
+    assert result["a3"] == usual and result["b"] == usual | {"a": 5, "b": 7} and result["d"] is None
+    assert result["c"] == usual | {"a": 8} and load_yaml("") is None
+    for text in ("59:" * 999 + "59.5", "0x" + "f" * 5000, "a: 2001-99-14t21:59:43"):
+        with pytest.raises(UserError, match=r"cannot be read|digits"):
+            load_yaml(text)
