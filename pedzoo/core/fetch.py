@@ -14,7 +14,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pedzoo import __version__
 from pedzoo.core.errors import UserError
@@ -40,6 +40,8 @@ PATIENCE, SLOWEST = 180.0, 1000.0
 
 _BLOCK = 1 << 13
 """Bytes per piece, at most."""
+
+_NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 
 _FAILED: set[str] = set()
 """Hosts that failed in this process. They are asked last, so that not every file waits for them."""
@@ -157,6 +159,8 @@ def _alone(target: Path) -> Iterator[None]:
 def _whole(url: str, target: Path, sha256: str | None, expected: ExpectedLength, token: str | None) -> Path:
     """Try at one address until all of the file has come, and return where it is."""
     part = target.with_name(f".{target.name}.part")
+    if part.is_symlink():  # the name is known to others who may write there
+        part.unlink()
     clock = DownloadTimer(time.monotonic(), _length(part))
     mixed, furthest, waits = part.exists(), 0, iter(WAITS)
     while True:
@@ -223,18 +227,21 @@ def _stream(url: str, part: Path, expected: ExpectedLength, clock: DownloadTimer
     import requests  # takes 0.1 s: only downloads pay for it
     import urllib3
 
-    def authorize(request: requests.PreparedRequest) -> requests.PreparedRequest:
-        request.headers["Authorization"] = f"Bearer {token}"  # requests drops it where another host answers
-        return request
+    class Session(requests.Session):
+        def rebuild_auth(self, prepared_request: Any, response: Any) -> None:  # not from .netrc
+            if self.should_strip_auth(response.request.url, prepared_request.url):
+                prepared_request.headers.pop("Authorization", None)
 
     # Compressed on the way, a file's parts and its length would be those of something else.
     headers = {"Accept-Encoding": "identity", "User-Agent": f"pedzoo/{__version__}"}
+    headers |= {"Authorization": f"Bearer {token}"} if token else {}
     if start := _length(part):
         headers["Range"] = f"bytes={start}-"
-    auth = authorize if token else None
+    # without ``auth`` requests takes that of .netrc
+    asked: dict[str, Any] = {"stream": True, "timeout": TIMEOUT, "auth": lambda request: request}
     again = requests.ConnectionError, requests.Timeout, requests.exceptions.ChunkedEncodingError
     try:
-        with requests.get(url, headers=headers, auth=auth, stream=True, timeout=TIMEOUT) as answer:
+        with Session() as session, session.get(url, headers=headers, **asked) as answer:
             _read(answer, part, start, expected, clock)
     except urllib3.exceptions.HTTPError as error:  # while the file comes: requests is not between
         raise _BrokeOffError(_root(error)) from error
@@ -272,10 +279,10 @@ def _read(
         raise _RefusedError("is sent compressed, although that was not asked for")
     look = {"unit": "B", "unit_scale": True, "disable": None, "leave": False, "delay": 0.5}
     bar = tqdm(total=total, initial=done, desc=part.name[1:-5], **look)
-    with part.open("ab" if goes_on else "wb") as file, bar:
-        while block := answer.raw.read1(
-            _BLOCK
-        ):  # all bytes that have come: `iter_content` waits for whole blocks
+    mode = "ab" if goes_on else "wb"
+    with bar, open(part, mode, opener=lambda *at: os.open(at[0], at[1] | _NO_LINK, 0o666)) as file:
+        # all bytes that have come: `iter_content` waits for whole blocks
+        while block := answer.raw.read1(_BLOCK):
             done += file.write(block)
             bar.update(len(block))
             expected.check(done)

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from secrets import token_hex
 from typing import Literal
 
 from pedzoo.core.errors import UserError, unknown
@@ -115,14 +116,15 @@ def whole(path: Path) -> Iterator[Path]:
     of one. The folder of the file is made where it is missing.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    part = path.with_name(f".{path.stem}.{token_hex(4)}.part{path.suffix}")
     try:
+        part.touch(exist_ok=False)  # no link of others, who cannot know its name beforehand
         yield part
         with part.open("r+b") as file:
             os.fsync(file.fileno())
         os.replace(part, path)
     except OSError as error:  # a full disk does not say of which file
-        error.filename = error.filename or str(path)
+        error.filename = str(path) if error.filename in (None, str(part), part) else error.filename
         raise
     finally:
         part.unlink(missing_ok=True)

@@ -18,6 +18,7 @@ from helpers.server import Page, Site, serving
 from pedzoo.core import fetch as fetching
 from pedzoo.core.errors import UserError
 from pedzoo.core.fetch import fetch
+from pedzoo.core.paths import PARTS, whole, write_whole
 
 CONTENT = bytes(range(256)) * 1000
 SUM = hashlib.sha256(CONTENT).hexdigest()
@@ -299,3 +300,51 @@ def test_an_interrupted_download_is_continued_by_the_next(site: Site, place: Pat
     page.drip = 0.0
     assert fetch(url, SUM, "file.bin").read_bytes() == CONTENT
     assert site.ranges_asked() == [None, f"bytes={stored}-"]
+
+
+def test_servers_get_nothing_of_the_users(
+    site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not at the first address, not where it leads to, and with a token of another host neither."""
+    netrc = tmp_path / "netrc"
+    netrc.write_text("".join(f"machine {host} login me password p\n" for host in ("127.0.0.1", "localhost")))
+    netrc.write_text(netrc.read_text() + "default login me password p\n")
+    netrc.chmod(0o600)
+    monkeypatch.setenv("NETRC", str(netrc))
+    with serving() as other:
+        for number, (start, goal) in enumerate(((site, site), (site, other), (other, site))):
+            for host in ("127.0.0.1", "localhost"):
+                goal_url = goal.put("file.bin", CONTENT).replace("127.0.0.1", host)
+                moved = Page(statuses=[302], headers={"Location": goal_url, "Set-Cookie": "a=b"})
+                url = start.put("moved.bin", moved)
+                assert fetch(goal_url, SUM, f"{number}{host}.bin").read_bytes() == CONTENT
+                assert fetch(url, SUM, f"{number}{host}-moved.bin").read_bytes() == CONTENT
+        told = [name for one in (site, other) for _, headers in one.asked for name in headers]
+        assert len(site.asked) + len(other.asked) == 18
+    assert not {"authorization", "proxy-authorization"} & {name.lower() for name in told}
+
+
+def test_links_of_others_are_not_followed(site: Site, tmp_path: Path) -> None:
+    """The names of unfinished downloads are known to all, those of unfinished files to nobody."""
+    precious = tmp_path / "precious"
+    folder = tmp_path / "cache"
+    folder.mkdir()
+    url = site.put("file.bin", Page(CONTENT, cuts=[1000]))
+    for content in (b"mine", b""):
+        precious.write_bytes(content)
+        part_of(folder / "file.bin").symlink_to(precious)
+        assert fetch(url, SUM, "file.bin").read_bytes() == CONTENT
+        assert precious.read_bytes() == content and not (folder / "file.bin").is_symlink()
+        (folder / "file.bin").unlink()
+    names = set()
+    for _ in range(20):
+        with whole(folder / "a.json") as part:
+            assert part.is_file() and not part.is_symlink() and part.match(PARTS) and part.suffix == ".json"
+            names.add(part.name)
+            part.write_bytes(b"new")
+        write_whole(folder / "b.json", b"new")
+    assert len(names) == 20 and str(os.getpid()) not in "".join(names)
+    assert (folder / "a.json").stat().st_mode == (folder / "b.json").stat().st_mode
+    (folder / "plain").write_bytes(b"")
+    assert (folder / "a.json").stat().st_mode == (folder / "plain").stat().st_mode
+    assert sorted(path.name for path in folder.iterdir() if path.name.startswith(".")) == []

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
+import os
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
 
 from pedzoo.core.batch import PERSON, ROBOT
+from pedzoo.sim.physics_parts.bullet import client
 from pedzoo.sim.physics_parts.bullet.figure import PARTS, SHIN, STRIDE, THIGH, gait, lofted
 from pedzoo.sim.physics_parts.stance import Stance
 
@@ -49,3 +54,15 @@ def test_surfaces_are_closed_and_look_outwards() -> None:
         first, second, third = points[faces].unbind(1)
         volume = (first * torch.linalg.cross(second, third)).sum() / 6
         assert volume > 0
+
+
+def test_looking_for_a_gpu_runs_no_code_of_the_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("pybullet")
+    monkeypatch.chdir(tmp_path)
+    Path("pybullet.py").write_text("open('it ran', 'w').close()")
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: SimpleNamespace(origin="no plugin"))
+    monkeypatch.setattr(Path, "exists", lambda self: True)  # a device
+    assert client.egl_plugin.__wrapped__() is None
+    assert os.listdir() == ["pybullet.py"]

@@ -18,6 +18,8 @@ from typing import Any
 PATIENCE = 5.0
 """Seconds that a worker has to end in good order."""
 
+_SAFE_PATH = "PYTHONSAFEPATH"
+
 _payload = b""  # of a process
 
 
@@ -33,10 +35,9 @@ class Processes:
     def __init__(self, payload: bytes, count: int) -> None:
         """Take what `pedzoo.eval.workers.jobs.packed` returned; a process starts with its first job."""
         self._context = _Context()
+        begin = payload, os.environ.get(_SAFE_PATH)
         with _signals_left():  # the first executor starts Python's process that cleans up after semaphores
-            self._executors = [
-                ProcessPoolExecutor(1, self._context, _begin, (payload,)) for _ in range(count)
-            ]
+            self._executors = [ProcessPoolExecutor(1, self._context, _begin, begin) for _ in range(count)]
 
     def submit(self, worker: int, job: int) -> Future[bytes]:
         """Return the future outcome of a job; the first jobs go to the workers in their order."""
@@ -85,15 +86,23 @@ class _Process(SpawnProcess):
 
 @contextmanager
 def _signals_left() -> Iterator[None]:
-    """Start processes that leave to the caller's what a terminal or Slurm sends to all of them."""
-    if os.name == "nt":
-        yield
-        return
-    heard = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP, signal.SIGUSR1})
+    """Start processes that leave to the caller's what a terminal or Slurm sends to all of them.
+
+    Python starts them with code, and would look for its modules in the working directory first.
+    """
+    before = os.environ.get(_SAFE_PATH)
+    os.environ[_SAFE_PATH] = "1"
+    signals = set() if os.name == "nt" else {signal.SIGINT, signal.SIGHUP, signal.SIGUSR1}
+    heard = signal.pthread_sigmask(signal.SIG_BLOCK, signals) if signals else None
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, heard)
+        if before is None:
+            del os.environ[_SAFE_PATH]
+        else:
+            os.environ[_SAFE_PATH] = before
+        if heard is not None:
+            signal.pthread_sigmask(signal.SIG_SETMASK, heard)
 
 
 class _Context(SpawnContext):
@@ -105,10 +114,12 @@ class _Context(SpawnContext):
         return self.started[-1]
 
 
-def _begin(payload: bytes) -> None:
+def _begin(payload: bytes, safe_path: str | None) -> None:
     """Prepare a worker; it ends when its parent is gone."""
     global _payload
     _payload = payload
+    if safe_path is None:
+        del os.environ[_SAFE_PATH]  # it is for the start alone
     threading.Thread(target=_follow_parent, daemon=True).start()
     for library in ("OMP", "MKL", "OPENBLAS"):
         os.environ[f"{library}_NUM_THREADS"] = "1"

@@ -85,7 +85,7 @@ def egl_plugin() -> str | None:
     )
     try:
         tried = subprocess.run(
-            [sys.executable, "-c", code, spec.origin], capture_output=True, timeout=60, check=False
+            [sys.executable, "-P", "-c", code, spec.origin], capture_output=True, timeout=60, check=False
         )
     except subprocess.TimeoutExpired:
         return None
