@@ -14,7 +14,7 @@ from pathlib import Path
 from pedzoo import __version__
 from pedzoo.cli.signals import EndedBySignal, exit_code, heard
 from pedzoo.core import renamed
-from pedzoo.core.errors import UserError, missing_extra
+from pedzoo.core.errors import NO_ROOM, UserError, lacks_memory, missing_extra
 from pedzoo.core.paths import config_names, weight_files
 from pedzoo.core.registry import (
     DATASETS,
@@ -59,10 +59,17 @@ def main(argv: list[str] | None = None) -> int:
     except BrokenPipeError:  # of `| head`: no more is read, not at exit either
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
-    except OSError as error:
-        if error.errno != errno.ENAMETOOLONG:
+    except (MemoryError, OSError, RuntimeError) as error:
+        if (refusal := lacks_memory(error) or _of_a_file(error)) is None:
             raise
-        return _refused(UserError(f"{error.filename!r:.100}: no file has so long a name"))
+        return _refused(refusal)
+
+
+def _of_a_file(error: Exception) -> UserError | None:
+    name, number = getattr(error, "filename", None), getattr(error, "errno", None)
+    if number == errno.ENAMETOOLONG:
+        return UserError(f"{name!r:.100}: no file has so long a name")
+    return UserError(f"cannot write {name or 'a file'}: {os.strerror(number)}") if number in NO_ROOM else None
 
 
 def _refused(error: UserError) -> int:

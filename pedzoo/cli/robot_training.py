@@ -3,19 +3,21 @@
 import shlex
 from pathlib import Path
 from time import monotonic
-from typing import Any
+from typing import Any, cast
 
 from lightning.pytorch.cli import LightningArgumentParser
 
 from pedzoo.cli.parsing import parse
 from pedzoo.cli.progress import duration
+from pedzoo.cli.starting import ExpandedCommand, resumed
 from pedzoo.cli.suggestions import given
-from pedzoo.cli.training_parser import ProgressBar, RunCLI, Signals, check_seed, result_line
+from pedzoo.cli.training_parser import ConfigParser, ProgressBar, RunCLI, Signals, check_seed, result_line
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
+from pedzoo.train.modules.module import check_state, read_progress
 from pedzoo.train.robots.ppo import RobotPPO
 from pedzoo.train.run import RunFolder, run_name
-from pedzoo.train.run_settings import check_unchanged
+from pedzoo.train.run_settings import check_unchanged, tell_changes
 
 PLACE = ("scenarios", "people", "robot", "decision_dt")
 """Settings of a robot's training that its card has: where it was trained, among whom, and in which body."""
@@ -38,16 +40,12 @@ class RobotTrainingCLI(RunCLI):
 
     def __init__(self, typed: list[str], about: str, example: str) -> None:
         """Parse the command line as it was ``typed``, and build trainer and model."""
-        self.typed, argv = typed, typed
-        if folder := given(typed, "--resume"):
-            self.run = RunFolder.resume(folder)
-            argv = [
-                *("--config", str(self.run.path / "config.yaml"), "--ckpt_path", str(self.run.last)),
-                *typed,
-            ]
+        folder = given(typed, "--resume")
+        self.typed, self.start = typed, resumed(typed, folder) if folder else ExpandedCommand(typed)
+        self.run = self.start.run
         super().__init__(
             RobotPPO,
-            args=argv,
+            args=self.start.argv,
             prog="pedzoo fit",
             usage=f"pedzoo fit --config robot/ppo [...]\nexample: {example}",
             description=about,
@@ -66,13 +64,17 @@ class RobotTrainingCLI(RunCLI):
 
     def parse_arguments(self, parser: LightningArgumentParser, args: Any) -> None:
         """Parse, with errors in one line."""
+        cast("ConfigParser", parser).start = self.start
         self.config = parse(parser, args, [("model", RobotPPO)])
         check_seed(self.config["seed_everything"])
         if self.run:
             check_unchanged(self.run.path, self.plain_config(), "model.init_args", PLACE, RobotPPO)
+            tell_changes(self.run.path, self.plain_config())
 
     def instantiate_trainer(self, **kwargs: Any) -> Any:
         """Build the trainer with the run folder's loggers and checkpoints."""
+        if file := self.config["ckpt_path"]:
+            check_state(self.model, read_progress(file))
         self.run = self.run or RunFolder.claim(self._base())
         self.go_on_from_last(self.run)
         self.run.begin()

@@ -1,11 +1,13 @@
 """Where a training starts from: what ``--resume``, ``--weights`` and checkpoints stand for."""
 
+import re
+from collections.abc import Set
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from pedzoo.cli.suggestions import given
+from pedzoo.cli.suggestions import given, split_names
 from pedzoo.core.errors import UserError
-from pedzoo.core.registry import names_code
+from pedzoo.core.registry import names_code, whole_name
 from pedzoo.models.zoo.loading import read_checkpoint
 from pedzoo.models.zoo.typed_fields import refuse_code
 from pedzoo.train.fine_tuning import architecture_options, config_beside, options_of, options_to_continue
@@ -21,11 +23,13 @@ class ExpandedCommand(NamedTuple):
         argv: With the options that were left to runs and weights.
         run: The run that goes on, if one does.
         beside: The config among these options that the person did not name: it lies beside a checkpoint.
+        typed: What the person did name, where ``beside`` is that of a run that goes on.
     """
 
     argv: list[str]
     run: RunFolder | None = None
     beside: Path | None = None
+    typed: Set[str] | None = None
 
 
 def expand(command: Command, argv: list[str]) -> ExpandedCommand:
@@ -40,8 +44,7 @@ def expand(command: Command, argv: list[str]) -> ExpandedCommand:
         other = next(option for option in named if option != "--weights")
         raise UserError(f"--weights begins a training and {other} goes on with one: give one of them")
     if folder := named.get("--resume"):
-        run = RunFolder.resume(folder)
-        return ExpandedCommand([*options_to_continue(run), *argv], run)
+        return resumed(argv, folder)
     configured = given(argv, "--config") or given(argv, "-c")
     if weights := named.get("--weights"):
         if configured:
@@ -57,6 +60,26 @@ def expand(command: Command, argv: list[str]) -> ExpandedCommand:
             return ExpandedCommand(["--config", str(config), *argv], beside=config)
         _check_checkpoint(checkpoint)
     return ExpandedCommand(argv)
+
+
+def resumed(argv: list[str], folder: str) -> ExpandedCommand:
+    """Write out what ``--resume RUN`` stands for.
+
+    Raises:
+        UserError: No such run, or its checkpoint is damaged.
+    """
+    run = RunFolder.resume(folder)
+    config = run.path / "config.yaml"
+    named = given(argv, "--config") or given(argv, "-c")
+    beside = None if named and Path(named).resolve() == config.resolve() else config
+    return ExpandedCommand([*options_to_continue(run), *argv], run, beside, names_typed(argv))
+
+
+def names_typed(argv: list[str]) -> set[str]:
+    """Return all that a command line may name, as of `whole_name`: values, and the parts of lists."""
+    values = [word.partition("=")[2] if word.startswith("--") else word for word in argv]
+    parts = [part for value in values for part in (*split_names(value), *re.split(r"[][{}\"',\s]+", value))]
+    return {whole_name(name) for name in (*values, *parts)}
 
 
 def _check_checkpoint(file: str) -> None:

@@ -21,7 +21,7 @@ from pedzoo.cli.progress import duration
 from pedzoo.cli.robot_training import RobotTrainingCLI, trains_robots
 from pedzoo.cli.starting import Command, expand
 from pedzoo.cli.training_parser import ConfigParser, ProgressBar, RunCLI, Signals, check_seed, result_line
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import NO_ROOM, UserError
 from pedzoo.core.machine import versions
 from pedzoo.core.registry import import_path, names_code
 from pedzoo.core.renamed import new_options
@@ -30,9 +30,9 @@ from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.data.recordings import find_fold
 from pedzoo.models.zoo.loading import architecture_of, read_checkpoint
 from pedzoo.train.fine_tuning import start_from
-from pedzoo.train.modules.module import ForecastModule
+from pedzoo.train.modules.module import ForecastModule, read_progress
 from pedzoo.train.run import RunFolder, Wandb, finish_wandb, run_name
-from pedzoo.train.run_settings import DATA, check_unchanged
+from pedzoo.train.run_settings import DATA, check_unchanged, tell_changes
 from pedzoo.train.validation.rollout_validation import ClosedLoopValidation
 
 _EXPECTED = (
@@ -66,7 +66,7 @@ def train(command: Command, argv: list[str], about: str, example: str) -> int:
         except MisconfigurationException as error:  # options that do not go together, no such metric, no GPU
             raise UserError(str(error)) from error
         except OSError as error:
-            if error.errno not in (errno.ENOSPC, errno.EROFS, errno.EACCES, errno.EDQUOT):
+            if error.errno not in (*NO_ROOM, errno.EACCES):
                 raise
             raise UserError(f"cannot write {error.filename or 'a file'}: {error.strerror}") from error
 
@@ -76,13 +76,14 @@ class TrainingCLI(RunCLI):
 
     def __init__(self, command: Command, typed: list[str], about: str = "", example: str = "") -> None:
         """Parse the command line as it was ``typed``, and build trainer, model and data."""
-        argv, self.run, self.beside = expand(command, typed)
+        self.start = expand(command, typed)
+        self.run = self.start.run
         self.command: Command = command
         self.typed = typed
         super().__init__(
             ForecastModule,
             TrajectoryDataModule,
-            args=argv,
+            args=self.start.argv,
             prog=f"pedzoo {command}",
             usage=f"pedzoo {command} {_USAGE[command]} [--data.X ...] [...]\nexample: {example}",
             description=about,
@@ -113,7 +114,7 @@ class TrainingCLI(RunCLI):
         """Parse, with errors in one line."""
         files = cast("ConfigParser", parser)
         files.classes = classes = classes_named(args)
-        files.beside = self.beside
+        files.start = self.start
         args = [
             import_path(word) if before in ("--model", "--model.generator") and names_code(word) else word
             for before, word in zip(["", *args], new_options(args, classes), strict=False)
@@ -122,12 +123,14 @@ class TrainingCLI(RunCLI):
         check_seed(self.config["seed_everything"])
         if self.command == "fit" and self.config["resume"] and self.run:
             check_unchanged(self.run.path, self.plain_config(), "data", DATA, TrajectoryDataModule)
+            tell_changes(self.run.path, self.plain_config())
 
     def instantiate_trainer(self, **kwargs: Any) -> Any:
         """Build the trainer with the run folder's loggers and checkpoints."""
         if file := self.config["ckpt_path"]:
             # Lightning would ask, too, but only after its logger has removed an earlier run's metrics.
-            cast("ForecastModule", self.model).check(read_checkpoint(file))
+            read = read_progress if self.command == "fit" else read_checkpoint
+            cast("ForecastModule", self.model).check(read(file))
         elif self.command == "fit" and (weights := self.config["weights"]):
             start_from(cast("ForecastModule", self.model), weights)
             print(f"starts from: {weights}")

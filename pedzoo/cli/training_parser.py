@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from csv import DictReader
 from pathlib import Path
+from traceback import extract_tb
 from types import MappingProxyType
 from typing import Any
 
@@ -16,12 +17,13 @@ from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 
 from pedzoo.cli.parsing import PARSER_SETTINGS
 from pedzoo.cli.signals import hear_again
+from pedzoo.cli.starting import ExpandedCommand
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError, at_least_one
 from pedzoo.core.registry import file_path, import_path, names_code
 from pedzoo.models.zoo.loading import read_checkpoint
 from pedzoo.train.run import RunFolder
-from pedzoo.train.run_settings import reusable_settings
+from pedzoo.train.run_settings import resumable_settings, reusable_settings
 from pedzoo.train.slurm import run_again
 
 
@@ -62,11 +64,11 @@ class ConfigParser(LightningArgumentParser):
 
     Attributes:
         classes: Those that the command line and its config files name, by their place.
-        beside: The config beside a checkpoint, which the person did not name: not all of it is taken.
+        start: What the command goes on from. A config that the person did not name is not trusted.
     """
 
     classes: Mapping[str, str] = MappingProxyType({})
-    beside: Path | None = None
+    start: ExpandedCommand = ExpandedCommand([])
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         """Make a parser, also one of a class within: these have no settings of `PARSER_SETTINGS`."""
@@ -75,10 +77,13 @@ class ConfigParser(LightningArgumentParser):
     def parse_path(self, path: str | os.PathLike, *args: Any, **kwargs: Any) -> Namespace:
         """Parse a config file; arguments as of jsonargparse's."""
         settings = load_config(os.fspath(path), self.classes)
-        if self.beside and Path(path) == self.beside:
-            settings = reusable_settings(settings, self.beside)
-        else:
-            settings = with_classes(settings, lambda path: import_path(path) if names_code(path) else path)
+        beside, typed = self.start.beside, self.start.typed
+        if beside and Path(path).resolve() == beside.resolve():
+            if typed is None:
+                settings = reusable_settings(settings, beside)
+            else:
+                settings = resumable_settings(settings, beside, typed)
+        settings = with_classes(settings, lambda path: import_path(path) if names_code(path) else path)
         whole = yaml.safe_dump(settings, sort_keys=False)
         return self.parse_string(whole, os.path.basename(path), *args, **kwargs)
 
@@ -137,11 +142,16 @@ class RunCLI(LightningCLI):
     def instantiate_classes(self) -> None:
         """Build all objects; where a class refuses its options, the message is that of the class.
 
+        The folder of the run is let go of then.
+
         Raises:
             UserError: A class refused its options.
         """
         try:
-            super().instantiate_classes()
+            with ExitStack() as if_it_fails:
+                if_it_fails.callback(lambda: self.run and self.run.end())
+                super().instantiate_classes()
+                if_it_fails.pop_all()
         except ValueError as error:
             cause: BaseException | None = error
             while cause is not None and not isinstance(cause, UserError):
@@ -151,24 +161,19 @@ class RunCLI(LightningCLI):
             raise
 
     def instantiate_trainer(self, **kwargs: Any) -> Any:
-        """Build the trainer; where it refuses its options, the run's folder is let go of.
+        """Build the trainer.
 
         Raises:
-            UserError: It does.
+            UserError: It refuses its options.
         """
-        with ExitStack() as if_it_fails:
-            if self.run:
-                if_it_fails.callback(self.run.end)
-            self._check_precision()
-            for name in ("check_val_every_n_epoch", "accumulate_grad_batches"):
-                if (number := self.config_init["trainer"].get(name)) is not None:
-                    at_least_one(f"--trainer.{name}", number)
-            try:
-                trainer = super().instantiate_trainer(**kwargs)
-            except ValueError as error:
-                raise UserError(str(error)) from error
-            if_it_fails.pop_all()
-        return trainer
+        self._check_precision()
+        for name in ("check_val_every_n_epoch", "accumulate_grad_batches"):
+            if (number := self.config_init["trainer"].get(name)) is not None:
+                at_least_one(f"--trainer.{name}", number)
+        try:
+            return super().instantiate_trainer(**kwargs)
+        except ValueError as error:
+            raise UserError(str(error)) from error
 
     def _check_precision(self) -> None:
         known = getattr(self.model, "precisions", ["32-true"])
@@ -202,7 +207,13 @@ class RunCLI(LightningCLI):
                 if str(stop) == "SIGUSR1":
                     print(run_again(), flush=True)
             raise
-        except Exception:  # raised again; such as that of a process whose neighbour was killed
+        except Exception as error:  # raised again; such as that of a process whose neighbour was killed
+            if not isinstance(error, UserError | MisconfigurationException) and _restores(error):
+                said, file = " ".join(str(error).split()), self.config["ckpt_path"]
+                raise UserError(
+                    f"cannot go on from {file!r} ({type(error).__name__}: {said:.300}): is it damaged, or of "
+                    "another training?"
+                ) from error
             if self.trainer.is_global_zero and (how := _how_to_go_on(run)):
                 print(f"\nbroken off{how}", flush=True)
             raise
@@ -214,5 +225,18 @@ class RunCLI(LightningCLI):
         return {key: value for key, value in result.items() if key not in ("ckpt_path", "resume", "config")}
 
 
+def _restores(error: Exception) -> bool:
+    """Return whether an error was raised while Lightning took a checkpoint's state."""
+    frames = extract_tb(error.__traceback__)
+    return any("checkpoint_connector" in frame.filename and "restore" in frame.name for frame in frames)
+
+
 def _how_to_go_on(run: RunFolder | None) -> str:
-    return f"; continue with: pedzoo fit --resume {run.path}" if run and run.last.is_file() else ""
+    if not run or not run.last.is_file():
+        return ""
+    config = run.path / "config.yaml"
+    try:
+        resumable_settings(load_config(config), config, frozenset())
+    except UserError:  # code of one's own has to be named again
+        return f"; continue with: pedzoo fit --resume {run.path} --config {config}"
+    return f"; continue with: pedzoo fit --resume {run.path}"

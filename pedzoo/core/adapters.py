@@ -93,3 +93,16 @@ def option_types(parser: ArgumentParser) -> dict[str, Any]:
     """
     known = parser._option_string_actions
     return {name: getattr(action, "_typehint", None) for name, action in known.items()}
+
+
+def worker_number() -> int:
+    """Return the number of this process among those that Python has started; 0 in the first one.
+
+    multiprocessing: its name has the number, but may be changed.
+    """
+    from multiprocessing import current_process
+
+    number = 0
+    for part in current_process()._identity:  # pyright: ignore[reportAttributeAccessIssue]
+        number = number * 1000 + part
+    return number

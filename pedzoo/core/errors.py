@@ -1,5 +1,6 @@
 """Errors that a person can act on: the given value, the expected one, the fix; packages that are missing."""
 
+import errno
 import math
 from collections.abc import Callable, Iterable
 from difflib import get_close_matches
@@ -22,6 +23,9 @@ EXTRAS = {
 """Modules of the extras of ``pyproject.toml``; imports of these stand where they are needed."""
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+
+NO_ROOM = (errno.ENOSPC, errno.EROFS, errno.EDQUOT, errno.EFBIG)
+"""What a system says where a file cannot be written, or not all of it."""
 
 LONGEST = 4000
 """Letters of a message: what was given may be of any length."""
@@ -141,6 +145,18 @@ def need(extra: str, what: str) -> None:
     """
     if absent := [module for module in EXTRAS[extra] if find_spec(module) is None]:
         raise UserError(f"{what} needs {' and '.join(absent)}, not installed here: {install_command(extra)}")
+
+
+def lacks_memory(error: Exception) -> UserError | None:
+    """Return the message for an error that says that memory lacks; None for any other one."""
+    said = " ".join(str(error).split())
+    no_memory = isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM
+    # torch's own ones have no class, or one of the GPU's
+    if no_memory or "allocate memory" in said or type(error).__name__ == "OutOfMemoryError":
+        return UserError(
+            f"not enough memory ({said or 'nothing is left':.300}): take fewer at once, or less data"
+        )
+    return None
 
 
 def missing_extra(error: ModuleNotFoundError) -> UserError | None:

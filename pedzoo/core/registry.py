@@ -228,6 +228,12 @@ def file_path(path: str) -> str:
     return f"{sys.modules[module].__file__}:{name}" if module.startswith(_OF_FILES) else path
 
 
+def whole_name(text: str) -> str:
+    """Return a name with the path of the file of code in it written out: so the same code has one name."""
+    file, code, name = text.partition(".py:")
+    return f"{file_of_code(f'{file}.py') or f'{file}.py'}:{name}" if code else text
+
+
 def _in_file(spec: str, kind: Kind, wanted: Callable[[Any], bool]) -> Any:
     """Return what ``path/to/file.py:name`` defines, of the ``wanted`` kind."""
     file, _, name = spec.rpartition(":") if names_code(spec) else (spec, "", "")

@@ -166,7 +166,7 @@ class Evaluation:
                     case = case._replace(deadline=self.options.deadline)
                 units = suite.units(case, self._policies, self._seeds, deterministic)
                 self.units += [unit._replace(**given) for unit in units]
-        self._digests = [digest(unit) for unit in self.units]
+        self._digests = [digest(unit) if resume else "" for unit in self.units]
         self.journal = Path(resume) if resume else None
         self._journal = Journal(self.journal)
         self._rows: dict[int, Rows] = {

@@ -14,7 +14,7 @@ from pedzoo.core.spec import name_of
 from pedzoo.models.zoo.compatibility import check_settings, check_shapes, check_tensors
 from pedzoo.models.zoo.file_header import config_in, opened
 from pedzoo.models.zoo.loading import read_checkpoint
-from pedzoo.models.zoo.store import find, weights_of
+from pedzoo.models.zoo.store import check_scheme, find, weights_of
 from pedzoo.policies.local_planner import LocalPlanner, ObservedPeople, Robot, load_local_planner
 from pedzoo.policies.robot_policy import RobotPolicy
 
@@ -35,6 +35,7 @@ def load_robot_weights(name: str) -> RobotPolicy | None:
     Raises:
         UserError: The weights cannot be read, or do not fit their architecture.
     """
+    check_scheme(name)
     if names_code(name):
         return None
     if name.endswith(".ckpt"):

@@ -13,7 +13,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
-from pedzoo.core.adapters import copied, put, tensordict_of
+from pedzoo.core.adapters import copied, put, tensordict_of, worker_number
 from pedzoo.core.batch import actions_of, agents_of
 from pedzoo.core.errors import UserError, at_least_one, whole
 from pedzoo.core.machine import usable
@@ -59,7 +59,7 @@ class PedestrianEnv(EnvBase):
         prepared: PreparedScenario,
         physics: Physics,
         num_envs: int = 1,
-        seed: int = 0,
+        seed: int | None = None,
         decision_dt: float = STEP_SECONDS,
         warm_start: WarmStart = "orca",
         first_episode: int = 0,
@@ -74,7 +74,8 @@ class PedestrianEnv(EnvBase):
             prepared: The result of `Scenario.prepare`.
             physics: Moves agents, and finds contacts.
             num_envs: B.
-            seed: Of all scenes; scene i of a seed is the same however many are run at once.
+            seed: Of all scenes; scene i of a seed is the same however many are run at once. None: 0, and in
+                processes that Python has started, such as a collector's workers, the number of the process.
             decision_dt: Seconds between two decisions, a multiple of 0.1.
             warm_start: Where the first 8 observed steps come from.
             first_episode: Number of the first scene.
@@ -230,7 +231,7 @@ class PedestrianEnv(EnvBase):
         self._queue.choose(rows, numbers[rows * (not one)], first, self._stride if one else 1)
 
     def _set_seed(self, seed: int | None) -> None:
-        self.seed = 0 if seed is None else whole("seed", seed)
+        self.seed = worker_number() if seed is None else whole("seed", seed)
         people, rows = self.prepared.people, self.batch_size[0]
         numbers = self.seed, rows, self._first, self._stride
         self._queue = EpisodeQueue(self._episodes, self.rules, self._opened, people, *numbers)

@@ -28,7 +28,7 @@ def make_env(
     physics: str = "compiled",
     clearance: float = CLEARANCE,
     body_radius: float = BODY_RADIUS,
-    seed: int = 0,
+    seed: int | None = None,
     decision_dt: float = STEP_SECONDS,
     warm_start: WarmStart = "orca",
     first_episode: int = 0,
@@ -47,7 +47,8 @@ def make_env(
             ``file.py:Class``, with settings. Called ``world`` before, and ``compiled`` ``grid``.
         clearance: Metres that planned ways keep from walls.
         body_radius: Of a person, metres.
-        seed: Of all scenes; scene i of a seed is the same however many are run at once.
+        seed: Of all scenes; scene i of a seed is the same however many are run at once. None: 0, and in
+            processes that Python has started, such as a collector's workers, the number of the process.
         decision_dt: Seconds between two decisions, a multiple of 0.1.
         warm_start: Where the first 8 observed steps come from.
         first_episode: Number of the first scene.

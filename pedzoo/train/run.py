@@ -113,7 +113,8 @@ class RunFolder:
             raise UserError(
                 f"run {str(self.path)!r} is in use by {holder}: wait until it ends, or end it, then resume"
             ) from error
-        self._holder.write_text(f"process {os.getpid()} on {gethostname()} since {datetime.now():%F %T}")
+        holder = f"process {os.getpid()} on {gethostname()} since {datetime.now():%F %T}"
+        write_whole(self._holder, holder.encode())
         if self.goes_on:
             for part in self.path.rglob(PARTS):
                 part.unlink()
@@ -129,9 +130,11 @@ class RunFolder:
     @rank_zero_only
     def end(self) -> None:
         """Unlock the folder. That of a run that failed before it wrote anything is removed."""
+        if not self._lock.is_locked:
+            return
         self._holder.unlink(missing_ok=True)
         files = [file for file in self.path.rglob("*") if file.is_file() and file.name != LOCK]
-        if not files and self._lock.is_locked:
+        if not files:
             shutil.rmtree(self.path, ignore_errors=True)
             for parent in list(self.path.parents)[:2]:
                 if parent.is_dir() and not any(parent.iterdir()):

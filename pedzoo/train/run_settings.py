@@ -1,17 +1,21 @@
-"""The settings that a checkpoint brings from the configuration of its run: data, not orders.
+"""The settings that a checkpoint or a resumed run brings from its configuration: data, not orders.
 
-A checkpoint may come from anywhere, and so may the configuration beside it. It says which model was trained
-on which data, for how long and how it was measured. It names no code, no place to write to, no logger.
+A run may come from anywhere. Its configuration says which model was trained on which data, for how long and
+how it was measured. It names no code, no place to write to, no logger.
 """
 
-from collections.abc import Iterable, Mapping
+import re
+from collections.abc import Iterable, Mapping, Set
 from inspect import signature
 from pathlib import Path
 from pydoc import locate
-from typing import Any, get_args, get_type_hints
+from typing import Any, NamedTuple, get_args, get_type_hints
+
+from lightning.pytorch.utilities import rank_zero_only
 
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
+from pedzoo.core.registry import import_path, names_code, whole_name
 from pedzoo.core.spec import setting_groups
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.models.zoo.typed_fields import refuse_code
@@ -26,6 +30,25 @@ SCHEDULE = (
     *("check_val_every_n_epoch", "val_check_interval", "num_sanity_val_steps", "accumulate_grad_batches"),
 )
 """Settings of the trainer, all of them numbers."""
+
+_OF_A_CALL = ("config", "ckpt_path", "resume")
+"""Keys that belong to one command line: a configuration with the first one would read another."""
+
+_OF_A_PLACE = {"runs", "weights", "data.root", "trainer.enable_progress_bar"}
+"""Options that change nothing of what is learned."""
+
+_CLASSES = (
+    "pedzoo.",
+    *(f"lightning.pytorch.{part}." for part in ("callbacks", "strategies", "accelerators", "profilers")),
+    *("torch.nn.", "torch.optim."),
+)
+"""How the classes begin that a configuration may name."""
+
+_GIVES_ORDERS = ("logger", "plugins")
+"""Settings of the trainer that send data elsewhere, or take the place of its parts."""
+
+_PLACE = re.compile(r"[/\\~]|^\w+(\.\w+)+$")
+"""A text of a class that is not pedzoo's, which would be imported or written to."""
 
 GROUPS = {"data": TrajectoryDataModule, "rollout": ClosedLoopValidation}
 
@@ -68,6 +91,29 @@ def check_unchanged(
             )
 
 
+@rank_zero_only
+def tell_changes(run: Path, settings: Mapping[str, Any]) -> None:
+    """Print every setting with which a run goes on that is another one than it began with.
+
+    Args:
+        run: Its folder.
+        settings: Those with which it goes on.
+    """
+    before, now = (_leaves(one) for one in (load_config(run / "config.yaml"), settings))
+    for name in before.keys() & now.keys() - _OF_A_PLACE:
+        if before[name] != now[name]:
+            print(f"note: goes on with --{name} {_typed(now[name])}, it was {_typed(before[name])}")
+
+
+def _leaves(settings: Mapping[str, Any], above: str = "") -> dict[str, Any]:
+    """Return all values that are no mappings, by the names of their options."""
+    result: dict[str, Any] = {}
+    for key, value in settings.items():
+        place = above if key == "init_args" else f"{above}.{key}".removeprefix(".")
+        result |= _leaves(value, place) if isinstance(value, Mapping) else {place: value}
+    return result
+
+
 def _group(settings: Any, path: str) -> Mapping[str, Any]:
     for key in path.split("."):
         settings = settings.get(key) if isinstance(settings, Mapping) else None
@@ -100,44 +146,130 @@ def reusable_settings(settings: Mapping[str, Any], file: Path) -> dict[str, Any]
             key: value for key in SCHEDULE if isinstance(value := trainer.get(key), int | float)
         }
     result |= {key: settings[key] for key in ("model", *GROUPS) if settings.get(key) is not None}
-    remedy = f"if it is yours, add --config {file}"
-    refuse_code(result, f"config {str(file)!r}", remedy)
-    try:
-        _check_class(ForecastModule, result.get("model"), "model")
-        for key, cls in GROUPS.items():
-            _check_arguments(cls, result.get(key), key)
-    except UserError as error:
-        raise UserError(f"config {str(file)!r}: {error}: {remedy}") from error
+    _Check(frozenset()).settings(result, file, f"if it is yours, add --config {file}")
     return result
 
 
-def _check_class(hint: type, value: Any, place: str) -> None:
-    """Check a value in the place of a class or a group of settings: a text would be imported, or read."""
-    for one in value if isinstance(value, list) else [value]:
-        if one is None:
-            continue
-        if not isinstance(one, Mapping):
-            raise UserError(f"{place} is {one!r:.80}, and such a file may not name classes or files there")
-        path = one.get("class_path")
-        if path is not None and not str(path).startswith("pedzoo."):
+def resumable_settings(settings: Mapping[str, Any], file: Path, typed: Set[str]) -> dict[str, Any]:
+    """Return what a run's configuration says to the command that goes on with it: all but that of a call.
+
+    Args:
+        settings: All that the configuration says.
+        file: Where it is, for messages.
+        typed: What the command line names, as of `whole_name`: code and classes of these may run.
+
+    Raises:
+        UserError: It names other code, another class, or a place to write to.
+    """
+    result = {key: value for key, value in settings.items() if key not in _OF_A_CALL}
+    remedy = f"if it is yours, type the same value behind --resume, or add --config {file}"
+    _Check(typed).settings(result, file, remedy)
+    return result
+
+
+class _Check(NamedTuple):
+    """A search for all that would run, or be imported, read or written, when settings become objects."""
+
+    typed: Set[str]
+
+    def settings(self, result: Mapping[str, Any], file: Path, remedy: str) -> None:
+        """Check all settings of a configuration."""
+        refuse_code(result, f"config {str(file)!r}", remedy, self.typed)
+        try:
+            _check_keys(result)
+            self._class(ForecastModule, result.get("model"), "model")
+            for key, cls in GROUPS.items():
+                self._class(cls, result.get(key), key)
+            self._trainer(result.get("trainer"))
+        except UserError as error:
+            raise UserError(f"config {str(file)!r}: {error}: {remedy}") from error
+
+    def _trainer(self, values: Any) -> None:
+        if not isinstance(values, Mapping | None):
+            raise UserError(f"trainer is {values!r:.80}, expected a mapping")
+        for key, value in (values or {}).items():
+            if key == "default_root_dir":  # a run's own folder takes its place
+                continue
+            for one in value if isinstance(value, list) else [value]:
+                path = one.get("class_path") if isinstance(one, Mapping) else one
+                if key in _GIVES_ORDERS and isinstance(path, str) and whole_name(path) not in self.typed:
+                    raise UserError(f"trainer.{key} is {path!r:.80}, which gives orders")
+                if key == "callbacks":
+                    self._class(object, one, f"trainer.{key}")
+                else:
+                    self._value(one, f"trainer.{key}")
+
+    def _class(self, hint: type, value: Any, place: str) -> None:
+        """Check a value in the place of a class or a group of settings: a text would be imported, or read."""
+        for one in value if isinstance(value, list) else [value]:
+            if one is None:
+                continue
+            if not isinstance(one, Mapping):
+                raise UserError(
+                    f"{place} is {one!r:.80}, and such a file may not name classes or files there"
+                )
+            if "class_path" not in one:
+                self._arguments(hint, one, place)
+                continue
+            if more := sorted(one.keys() - {"class_path", "init_args"}):
+                raise UserError(f"{place} has {more[0]!r:.80} beside its class")
+            self._arguments(self._named(one["class_path"], place), one.get("init_args"), place)
+
+    def _named(self, path: Any, place: str) -> type:
+        if typed := isinstance(path, str) and whole_name(path) in self.typed:
+            path = import_path(path) if names_code(path) else path
+        elif not str(path).startswith(_CLASSES):
             raise UserError(f"{place} is of the class {path!r:.80}, and such a file may name pedzoo's alone")
-        cls = locate(str(path)) if path else hint
-        if not isinstance(cls, type):
+        cls = locate(str(path))
+        # a path may lead through the imports of a module
+        if not isinstance(cls, type) or not (typed or cls.__module__.startswith(_CLASSES)):
             raise UserError(f"{place} is of the class {path!r:.80}, which pedzoo does not have")
-        _check_arguments(cls, one.get("init_args", {}) if path else one, place)
+        return cls
+
+    def _arguments(self, cls: type, values: Any, place: str) -> None:
+        if values is None:
+            return
+        if not isinstance(values, Mapping):
+            raise UserError(f"{place} is {values!r:.80}, expected a mapping")
+        own = cls.__module__.startswith("pedzoo.")
+        bases = reversed(cls.__mro__) if own else ()
+        hints = {key: hint for base in bases for key, hint in get_type_hints(base.__init__).items()}
+        for key, value in values.items():
+            kinds = _classes(hints.get(key))
+            for kind in kinds:
+                self._class(kind, value, f"{place}.{key}")
+            if not kinds:
+                self._value(value, f"{place}.{key}", own)
+
+    def _value(self, value: Any, place: str, own: bool = False) -> None:
+        """Check a value of which it is not known that it is a class; ``own`` for one of pedzoo's classes."""
+        if isinstance(value, Mapping):
+            if "class_path" in value:
+                self._class(object, value, place)
+            else:
+                for key, inner in value.items():
+                    self._value(inner, f"{place}.{key}", own)
+        elif isinstance(value, list):
+            for inner in value:
+                self._value(inner, place, own)
+        elif isinstance(value, str) and not own and not place.endswith(".monitor"):
+            to_disk = re.search("dir|path|file", place.rpartition(".")[2])
+            if whole_name(value) not in self.typed and (to_disk or _PLACE.search(value)):
+                raise UserError(
+                    f"{place} is {value!r:.80}, and such a file may not name code or places there"
+                )
 
 
-def _check_arguments(cls: type, values: Any, place: str) -> None:
-    if values is None:
-        return
-    if not isinstance(values, Mapping):
-        raise UserError(f"{place} is {values!r:.80}, expected a mapping")
-    hints = {
-        key: hint for base in reversed(cls.__mro__) for key, hint in get_type_hints(base.__init__).items()
-    }
-    for key, value in values.items():
-        for kind in _classes(hints.get(key)):
-            _check_class(kind, value, f"{place}.{key}")
+def _check_keys(value: Any) -> None:
+    """Refuse keys that stand for several ones, or for more of a list: they would pass by the other checks."""
+    if isinstance(value, list):
+        for one in value:
+            _check_keys(one)
+    elif isinstance(value, Mapping):
+        for key, inner in value.items():
+            if set(key) & set(".+") and not names_code(key):
+                raise UserError(f"{key!r:.80} is no key: write one level for each dot")
+            _check_keys(inner)
 
 
 def _classes(hint: Any) -> list[type]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import sys
 import threading
 import time
@@ -122,7 +123,10 @@ class Live:
         class Handler(BaseHTTPRequestHandler):
             def do_GET(self) -> None:
                 kind, body, status = "text/plain", b"not here", 404
-                if not live.latest():
+                if not all(map(_is_here, self.headers.get_all("Host", [""]))):
+                    # a page of another site, whose name leads to this machine
+                    body, status = b"open the address that pedzoo view has printed", 403
+                elif not live.latest():
                     body, status = b"the first people are about to start: load this again", 503
                 elif self.path == "/":
                     kind, body, status = "text/html", live.page().encode(), 200
@@ -144,6 +148,11 @@ class Live:
             raise UserError(
                 f"cannot serve on port {port}: {error}; take another one, --port 0 for any"
             ) from error
+
+
+def _is_here(host: str) -> bool:
+    """Return whether a Host header names this machine, at any port: it may be that of a tunnel."""
+    return bool(re.fullmatch(r"(127\.0\.0\.1|\[::1\]|localhost)(:\d+)?", host.strip(), re.IGNORECASE))
 
 
 class BulletWindow:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -10,6 +11,7 @@ import sys
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from jsonargparse import ArgumentParser
@@ -245,6 +247,55 @@ def test_our_own_mistakes_keep_their_traceback(monkeypatch):
     monkeypatch.setattr("pedzoo.cli.commands.models.run", lambda argv: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         main(["models"])
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (MemoryError(), "not enough memory (nothing is left): take fewer at once"),
+        (MemoryError("Unable to allocate 8 EiB"), "(Unable to allocate 8 EiB)"),
+        (
+            RuntimeError("[enforce fail] . DefaultCPUAllocator: can't allocate memory: 5"),
+            "allocate memory: 5)",
+        ),
+        (torch.OutOfMemoryError("CUDA out of memory. Tried\nto"), "(CUDA out of memory. Tried to)"),
+        (OSError(errno.ENOMEM, "Cannot allocate memory"), "Cannot allocate memory"),
+        (OSError(errno.EFBIG, "File too large", "big.ckpt"), "cannot write big.ckpt: File too large"),
+        (OSError(errno.EFBIG, "File too large"), "cannot write a file: File too large"),
+        (OSError(errno.ENOSPC, "No space left on device", "a"), "cannot write a: No space left on device"),
+        (OSError(errno.ENAMETOOLONG, "File name too long", "aa"), "'aa': no file has so long a name"),
+    ],
+)
+def test_what_the_machine_lacks_is_one_line(error, said, monkeypatch, capsys):
+    def fails(argv):
+        raise error
+
+    monkeypatch.setattr("pedzoo.cli.commands.models.run", fails)
+    assert main(["models"]) == 2
+    assert said in (told := capsys.readouterr().err) and told.count("\n") == 1
+
+
+def test_real_lacks_of_memory_and_of_room_are_told_apart_from_our_mistakes(monkeypatch, capsys, tmp_path):
+    for lacks in (
+        lambda argv: torch.zeros(2**60),
+        lambda argv: np.zeros(2**58),
+        lambda argv: bytearray(2**60),
+    ):
+        monkeypatch.setattr("pedzoo.cli.commands.models.run", lacks)
+        assert main(["models"]) == 2
+        assert capsys.readouterr().err.startswith("pedzoo: not enough memory (")
+    for mistake in (RuntimeError("shapes"), OSError(errno.ENOENT, "no such file", "x")):
+        monkeypatch.setattr(
+            "pedzoo.cli.commands.models.run", lambda argv, one=mistake: (_ for _ in ()).throw(one)
+        )
+        with pytest.raises(type(mistake)):
+            main(["models"])
+    if sys.platform == "linux":  # a limit of the shell's, in a process of its own
+        code = "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
+        code += "resource.setrlimit(resource.RLIMIT_FSIZE, (10, 10)); from pedzoo.cli.main import main; "
+        code += "sys.exit(main(['models', '--json', 'a.json']))"
+        ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
+        assert ended.returncode == 2 and "a.json" in ended.stderr and ended.stderr.count("\n") == 1
 
 
 def test_interrupt_has_its_exit_code(monkeypatch, capsys):

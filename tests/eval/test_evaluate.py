@@ -27,7 +27,7 @@ from pedzoo.eval.results import SuiteColumns, cell, markdown, pages
 from pedzoo.eval.suite import EvaluationOptions
 from pedzoo.eval.suites.goals import CELLS, POOL
 from pedzoo.eval.summary import mean_interval, summary
-from pedzoo.eval.work_units import digest, work
+from pedzoo.eval.work_units import code_sum, digest, work
 from pedzoo.eval.workers.journal import Journal
 from pedzoo.eval.workers.progress_meter import ProgressReport
 from pedzoo.maps.files.ros import write_ros
@@ -499,7 +499,93 @@ def test_a_part_is_known_by_all_that_its_numbers_depend_on(small: str) -> None:
     assert digests[0] != digests[1], "other weights under the same name"
     before = digest(unit)
     Path(small.rpartition(":")[0]).write_text(f"{SMALL}# changed")
+    assert digest(unit) == before
+    Path(small.rpartition(":")[0]).write_text(f"{SMALL}changed = 1")
     assert digest(unit) != before
+
+
+CODE = '''
+"""About it."""
+import math
+
+class Mine:
+    """More."""
+    size: int = 3
+
+    def area(self, side=2.0, *, known=frozenset("abc")):
+        """And more."""
+        return math.pi * side if side in {1.0, 2.0} else (lambda x: x + 1)(side)
+'''
+
+
+def test_code_is_known_by_what_it_does() -> None:
+    known = code_sum(CODE.encode())
+    for same in (
+        CODE.replace("About it", "Other words"),
+        CODE.replace('"""More."""', ""),
+        CODE.replace("And more", "And \\n more"),
+        CODE.replace('        """And more."""\n', ""),
+        CODE.replace("import math", "import math  # for pi\n\n\n# and nothing else"),
+        CODE.replace("side in {1.0, 2.0}", "(side\n            in {1.0, 2.0, })"),
+    ):
+        assert same != CODE and code_sum(same.encode()) == known
+    for old, new in (
+        ("2.0}", "3.0}"),
+        ("side=2.0", "side=2"),
+        ("*,", ""),
+        ("x + 1", "x - 1"),
+        ("math.pi", "math.tau"),
+        ("import math", "import cmath as math"),
+        ("size: int = 3", "size: int = 4"),
+        ('"abc"', '"abd"'),
+        ("def area", "def areas"),
+        ("class Mine", "class Mine(dict)"),
+        ("(lambda x: x + 1)", "(lambda x: 1 + x)"),
+    ):
+        assert old in CODE and code_sum(CODE.replace(old, new).encode()) != known, (old, new)
+    assert code_sum(b"1 +") != code_sum(b"1 -")  # no Python at all
+
+
+def test_a_part_knows_what_the_users_code_imports(
+    small: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (home := tmp_path / "home").mkdir()
+    (elsewhere := tmp_path / "elsewhere").mkdir()
+    monkeypatch.syspath_prepend(elsewhere)
+    files = {
+        home / "beside.py": "import deeper",
+        home / "deeper.py": "import beside\nimport own.tools.one as one",
+        elsewhere / "on_path.py": "x = 1",
+        elsewhere / "late.py": "x = 1",
+        elsewhere / "named.py": "x = 1",
+        elsewhere / "own/__init__.py": "from . import more",
+        elsewhere / "own/more.py": "x = 1",
+        elsewhere / "own/tools/__init__.py": "",
+        elsewhere / "own/tools/one.py": "from ..sibling import x\nfrom .two import y",
+        elsewhere / "own/tools/two.py": "y = 1",
+        elsewhere / "own/sibling.py": "x = 1",
+        home / "policy.py": (
+            "import json, torch, pedzoo.core.errors\nimport beside, absent\nfrom on_path import x\n"
+            "def f():\n    import late\n    importlib.import_module('named')\n"
+        ),
+    }
+    strangers = {home / "other.py": "x = 1", elsewhere / "own/unused.py": "x = 1", home / "notes.txt": ""}
+    for file, text in (files | strangers).items():
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
+    policy = f"{home / 'policy.py'}:Mine"
+    unit = Evaluation(["go_to_goal"], [small]).units[0]._replace(policy=policy, walks=policy)
+    before = digest(unit)
+    assert len({before, digest(unit)}) == 1
+    for file, text in files.items():
+        file.write_text(f"{text}\n# a comment\n")
+        assert digest(unit) == before, file
+        file.write_text(f"{text}\nz = 1\n")
+        assert digest(unit) != before, file
+        file.write_text(text)
+    for file in strangers:
+        file.write_text("z = 1")
+    assert digest(unit) == before
 
 
 def test_the_mean_of_cases_and_its_interval_by_hand() -> None:

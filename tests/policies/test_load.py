@@ -8,8 +8,13 @@ import pytest
 import torch
 
 import pedzoo
+from pedzoo.cli.checks import check_model
+from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
-from pedzoo.policies.load import load_policy
+from pedzoo.core.paths import config_names
+from pedzoo.core.spec import grouped
+from pedzoo.models.zoo.saved_config import saved_config
+from pedzoo.policies.load import load_policy, load_robot_policy
 
 
 def test_all_public_names_exist_and_are_documented():
@@ -53,6 +58,40 @@ def test_untrained_models_have_the_architecture_that_is_named():
         assert fresh.needs == trained.needs
     assert not torch.equal(next(fresh.parameters()), next(trained.parameters()))
     assert pedzoo.load("sgan", pretrained=False, noise_dim=4).noise_dim == 4
+
+
+@pytest.mark.parametrize("name", [name for name in config_names() if "/" in name])
+def test_configs_in_folders_have_untrained_models(name, tmp_path, monkeypatch):
+    for folder in (None, tmp_path):  # a folder of the same name hides none of them
+        if folder:
+            (folder / name).parent.mkdir()
+            monkeypatch.chdir(folder)
+        if name.startswith("robot/"):
+            with pytest.raises(UserError, match=f"'{name}' trains robots.*pedzoo fit --config {name}"):
+                pedzoo.load(name, pretrained=False)
+            continue
+        model = pedzoo.load(name, pretrained=False)
+        generator = load_config(name)["model"]["init_args"]["generator"]
+        assert type(model).__name__ == generator["class_path"].rpartition(".")[2] and not model.training
+        given = grouped(type(model), model.config)
+        for group, settings in generator["init_args"].items():
+            assert settings.items() <= given[group].items()
+
+
+@pytest.mark.parametrize("load", [pedzoo.load, load_policy, load_robot_policy, check_model, saved_config])
+@pytest.mark.parametrize(
+    ("address", "path"),
+    [
+        ("file:///zoo/sgan_goal.mall", "/zoo/sgan_goal.mall"),
+        ("file:///zoo/a%20b.safetensors", "/zoo/a b.safetensors"),
+        ("file:///zoo/best.ckpt", "/zoo/best.ckpt"),
+        ("file://localhost/zoo/sgan_goal.mall", "/zoo/sgan_goal.mall"),
+    ],
+)
+def test_addresses_of_files_are_told_to_be_paths(load, address, path):
+    for more in ("", ":safety=false") if load in (load_policy, check_model) else ("",):
+        with pytest.raises(UserError, match=f"{address}': expected a path .*: {path}$"):
+            load(address + more)
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from helpers.batches import make_batch
 from helpers.server import Page, serving
 from safetensors.torch import save_file
 
@@ -28,6 +29,7 @@ from pedzoo.core import fetch as fetching
 from pedzoo.core.errors import UserError
 from pedzoo.core.fetch import fetch
 from pedzoo.core.paths import shipped
+from pedzoo.core.registry import MODELS
 from pedzoo.data.own_files import OwnFiles
 from pedzoo.data.tracks import Tracks
 from pedzoo.maps.files.igibson import read_igibson
@@ -36,6 +38,7 @@ from pedzoo.maps.files.ros import read_ros
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.zoo.address import download
 from pedzoo.models.zoo.card import read_card
+from pedzoo.models.zoo.compatibility import LARGEST
 from pedzoo.models.zoo.loading import config_of, load
 
 ROS = "resolution: 0.05\norigin: [0, 0, 0]\noccupied_thresh: 0.65\nfree_thresh: 0.2\nimage: "
@@ -246,6 +249,8 @@ def test_cards_name_no_endless_weights() -> None:
         (torch.full((64, 2), -torch.inf), "has NaN or infinite values"),
         (torch.ones(64, 2, dtype=torch.int8), r"is of torch\.int8, expected floating point numbers"),
         (torch.ones(64, 2, dtype=torch.complex64), r"is of torch\.complex64"),
+        (torch.full((64, 2), 1e38), r"has a weight of 1e\+38, at most 1000 are read"),
+        (torch.cat((torch.zeros(127), torch.tensor([-2e6]))).view(64, 2), r"has a weight of 2e\+06, at most"),
     ],
 )
 def test_weights_are_finite_real_numbers(tmp_path: Path, kind: str, value: Any, message: str) -> None:
@@ -258,6 +263,21 @@ def test_weights_are_finite_real_numbers(tmp_path: Path, kind: str, value: Any, 
         save_file({**model.state_dict(), key: value}, path, {"config": json.dumps(config_of(model))})
     with pytest.raises(UserError, match=f"{key} {message}"):
         load(str(path))
+
+
+def test_the_largest_weights_that_are_read_give_finite_steps(tmp_path: Path) -> None:
+    for number, cls in enumerate((SGAN, MODELS.get("anchor_net"), MODELS.get("social_walker"))):
+        model = cls.of()
+        signs = torch.Generator().manual_seed(number)
+        state = {
+            key: torch.where(torch.rand(value.shape, generator=signs) < 0.5, -LARGEST, LARGEST).to(
+                value.dtype
+            )
+            for key, value in model.state_dict().items()
+        }
+        path = tmp_path / f"{number}.safetensors"
+        save_file(state, path, {"config": json.dumps(config_of(model))})
+        assert load(str(path)).sample(make_batch((3, 2)), 2, 8).isfinite().all()
 
 
 @pytest.mark.parametrize(

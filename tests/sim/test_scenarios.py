@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cached_property
 from pathlib import Path
 from textwrap import dedent
+from types import SimpleNamespace
 from typing import Any, Literal
 
 import pytest
@@ -246,3 +247,19 @@ def test_a_scenario_on_several_floor_plans(tmp_path: Any) -> None:
         make_env(f"goals:map={tmp_path}/c.yaml")
     env = make_env(f"goals:map=[{tmp_path}/a.yaml,{tmp_path}/b.yaml],pool=4,people=2", num_envs=2)
     assert env.reset()["map_id"].unique().tolist() == [grid.map_id]  # the same content is the same map
+
+
+def test_processes_of_a_collector_walk_other_scenes_unless_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    prepared = make_scenario("door:people=2").prepare(0.25)
+
+    def starts(number: tuple[int, ...], **settings: Any) -> list[float]:
+        with monkeypatch.context() as patch:
+            patch.setattr("multiprocessing.current_process", lambda: SimpleNamespace(_identity=number))
+            env = make_env(prepared, **settings)
+        env.reset()
+        return env.state.past.flatten().tolist()
+
+    workers = [(), (1,), (2,), (1, 1), (1, 2), (2, 1)]
+    assert starts(()) == starts((1,), seed=0) and starts((2,)) == starts((), seed=2)
+    assert len({tuple(starts(worker)) for worker in workers}) == len(workers)
+    assert len({tuple(starts(worker, seed=0)) for worker in workers}) == 1

@@ -15,10 +15,13 @@ from safetensors.torch import save_file
 
 import pedzoo
 from pedzoo.cli.main import main
+from pedzoo.cli.starting import names_typed
 from pedzoo.core.configs import load_config
+from pedzoo.core.errors import UserError
 from pedzoo.core.spec import grouped
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.zoo.loading import save_weights
+from pedzoo.train.run_settings import resumable_settings
 
 NAME = "sgan_goal_map.zara1"
 QUICK = ["--data.loading.batch_size", "8", "--model.samples", "2", "--trainer.limit_train_batches", "2"]
@@ -227,3 +230,150 @@ def test_the_config_beside_a_checkpoint_gives_no_orders(
     assert written["wandb"] == "off" and written["runs"] == "runs"
     assert {key: written["trainer"][key] for key in orders} == dict.fromkeys(orders)
     assert main(["validate", "--ckpt_path", last(first), "--rollout.scenarios", "null"]) == 0
+
+
+def _at(settings: Any, place: str, value: Any) -> dict[str, Any]:
+    """Put a value at a place of settings, and return them."""
+    inner, *above = settings, *place.split("/")[:-1]
+    for key in above:
+        inner = inner.setdefault(key, {})
+    inner[place.rpartition("/")[2]] = value
+    return settings
+
+
+def _their_run(elsewhere: Path, settings: dict[str, Any]) -> Path:
+    """Make a run of somebody's, and code that leaves a mark where it runs."""
+    best = make_run(elsewhere / "theirs")
+    best.rename(best.with_name("last.ckpt"))
+    run = best.parents[1]
+    (run / "config.yaml").write_text(yaml.safe_dump(settings))
+    mark = f"open({str(elsewhere / 'it ran')!r}, 'w').close()\n"
+    for name in ("own", "trap"):
+        Path(f"{name}.py").write_text(f"{mark}class Mine:\n    pass\n")
+    Path("trap.yaml").write_text("class_path: trap.Mine\ntrainer: {callbacks: [{class_path: trap.Mine}]}\n")
+    return run
+
+
+GENERATOR = "model/init_args/generator"
+HOSTILE: list[tuple[str, Any]] = [
+    ("data/fold", "own.py:Mine:all"),
+    (GENERATOR, {"class_path": "own.py:Mine"}),
+    ("trainer/callbacks", [{"class_path": "trap.Mine"}]),
+    ("rollout/scenarios", ["door", "own.py:Mine:people=2"]),
+    ("rollout/scenarios", [{"scenario": "own.py:Mine", "people": 2}]),
+    ("config", "trap.yaml"),
+]
+ROBOTS: list[tuple[str, Any]] = [
+    ("model/init_args/people", "orca:share=0.5+own.py:Mine"),
+    ("model/init_args/scenarios", ["own.py:Mine"]),
+]
+
+
+@pytest.mark.parametrize(
+    ("base", "place", "value"),
+    [*(("sgan_goal", *one) for one in HOSTILE), *(("robot/ppo", *one) for one in ROBOTS)],
+)
+def test_the_config_of_a_resumed_run_makes_no_code_run(
+    base: str, place: str, value: Any, elsewhere: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = _their_run(
+        elsewhere, _at(_whole_config() if base == "sgan_goal" else load_config(base), place, value)
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(elsewhere)
+        code = main(["fit", "--resume", str(run), "--trainer.enable_progress_bar", "false"])
+    said = capsys.readouterr().err
+    assert code == 2 and not Path("it ran").exists() and said.count("\n") == 1
+    if place != "config":
+        assert f"config '{run / 'config.yaml'}': " in said
+        assert f"behind --resume, or add --config {run / 'config.yaml'}" in said
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        *HOSTILE[:5],
+        ("rollout/physics", "own.py:Mine"),
+        ("rollout/scenarios", "door,own.py:Mine"),
+        ("weights", "own.py:Mine:weights=a.ckpt"),
+        ("model", "trap.Mine"),
+        ("model/class_path", "trap.Mine"),
+        ("model/class_path", "Mine"),
+        ("model/class_path", "pedzoo.core.machine.subprocess.Popen"),
+        ("model/class_path", ["trap.Mine"]),
+        ("model/init_args.generator", {"class_path": "trap.Mine"}),
+        ("model/init_args/generator+", {"class_path": "trap.Mine"}),
+        ("model/dict_kwargs", {"a": {"class_path": "trap.Mine"}}),
+        (f"{GENERATOR}/init_args/losses", "trap.yaml"),
+        (f"{GENERATOR}/init_args/unknown", {"class_path": "trap.Mine"}),
+        (f"{GENERATOR}/init_args/unknown", [[{"a": {"class_path": "trap.Mine"}}]]),
+        ("data", "trap.yaml"),
+        ("data/loading", {"class_path": "trap.Mine"}),
+        ("data.fold", "own.py:Mine:all"),
+        ("trainer", "trap.yaml"),
+        ("trainer.callbacks", "trap.Mine"),
+        ("trainer/callbacks+", "trap.Mine"),
+        ("trainer/callbacks", "trap.Mine"),
+        ("trainer/callbacks", "trap.yaml"),
+        ("trainer/callbacks", {"class_path": "lightning.pytorch.callbacks.model_checkpoint.os.system"}),
+        ("trainer/callbacks", {"class_path": "lightning.pytorch.callbacks.timer.timedelta"}),
+        (
+            "trainer/callbacks",
+            {"class_path": "lightning.pytorch.callbacks.LambdaCallback", "init_args": {"setup": "os.abort"}},
+        ),
+        (
+            "trainer/callbacks",
+            {"class_path": "lightning.pytorch.callbacks.ModelCheckpoint", "init_args": {"dirpath": "home"}},
+        ),
+        ("trainer/logger", "CSVLogger"),
+        ("trainer/logger", {"class_path": "lightning.pytorch.loggers.MLFlowLogger"}),
+        ("trainer/plugins", ["trap.Mine"]),
+        ("trainer/plugins", {"class_path": "lightning.pytorch.plugins.TorchCheckpointIO"}),
+        ("trainer/profiler", {"class_path": "trap.Mine"}),
+        ("trainer/strategy", "trap.Mine"),
+        ("trainer/strategy", {"class_path": "lightning.pytorch.strategies.DDPStrategy"}
+         | {"init_args": {"ddp_comm_hook": "trap.hook"}}),
+        ("trainer/accelerator", "trap.Mine"),
+        ("rollout", "trap.Mine"),
+        ("rollout", {"class_path": "trap.Mine"}),
+        ("base", "theirs.yaml"),
+    ],
+)  # fmt: skip
+def test_settings_of_a_resumed_run_are_searched_for_code(place: str, value: Any, elsewhere: Path) -> None:
+    settings = _at(_whole_config(), place, value)
+    Path("theirs.yaml").write_text(yaml.safe_dump({"trainer": {"callbacks": [{"class_path": "trap.Mine"}]}}))
+    Path("config.yaml").write_text(yaml.safe_dump(settings))
+    for allowed in ((), ("CSV", "trap", "own.py", "Mine.trap", "door")):
+        with pytest.raises(UserError, match=r"^config 'config.yaml': "):
+            resumable_settings(load_config("config.yaml"), Path("config.yaml"), set(allowed))
+
+
+def test_what_is_typed_again_or_is_no_code_goes_on(elsewhere: Path) -> None:
+    Path("own.py").write_text("class Mine:\n    pass\n")
+    lightning = "lightning.pytorch.callbacks"
+    stopping = {"class_path": f"{lightning}.EarlyStopping", "init_args": {"monitor": "rollout/door/success"}}
+    settings = _at(_whole_config(), "trainer/callbacks", [stopping, {"class_path": f"{lightning}.Timer"}])
+    settings["trainer"] |= {"strategy": "ddp", "devices": "auto", "precision": "bf16-mixed", "logger": True}
+    file = Path("config.yaml")
+    assert resumable_settings(settings, file, set()) == settings
+    assert "config" not in resumable_settings(settings | {"config": "trap.yaml"}, file, set())
+    for place, value, typed in (
+        ("data/fold", "own.py:Mine:all", ["--data.fold", "own.py:Mine:all"]),
+        ("data/fold", f"{elsewhere}/own.py:Mine:all", ["--data.fold=own.py:Mine:all"]),
+        (
+            "rollout/scenarios",
+            ["door", "own.py:Mine:people=2"],
+            ["--rollout.scenarios", "door,own.py:Mine:people=2"],
+        ),
+        ("rollout/scenarios", ["own.py:Mine"], ["--rollout.scenarios", '["door", "own.py:Mine"]']),
+        (GENERATOR, {"class_path": f"{elsewhere}/own.py:Mine"}, ["--model.generator", "own.py:Mine"]),
+        ("trainer/plugins", {"class_path": "own.Mine"}, ["--trainer.plugins", "own.Mine"]),
+    ):
+        theirs = _at(_whole_config(), place, value)
+        with pytest.raises(UserError, match="behind --resume"):
+            resumable_settings(
+                theirs, file, names_typed(["--resume", "run", "--data.fold", "other.py:Mine:all"])
+            )
+        with pytest.MonkeyPatch.context() as patch:
+            patch.syspath_prepend(elsewhere)
+            assert resumable_settings(theirs, file, names_typed(["--resume", "run", *typed])) == theirs

@@ -339,7 +339,19 @@ def test_the_command_line_trains_resumes_and_loads(
     assert "nan" not in logged
     state = torch.load(run / "checkpoints" / "last.ckpt", weights_only=True)
     assert int(state["state_dict"]["iteration"]) == 4
-    policy = load_robot_policy(str(run / "checkpoints" / "last.ckpt"))
+    last = run / "checkpoints" / "last.ckpt"
+    width = {"state_dict": state["state_dict"] | {"mean.log_std": torch.zeros(3)}}
+    for damage in (width, {"loops": None}, {"optimizer_states": [{}]}, {"pedzoo": 3}, None):
+        torch.save(state | damage, last) if damage else last.write_bytes(last.read_bytes()[:5000])
+        capsys.readouterr()
+        assert main(["fit", "--resume", str(run), "--trainer.max_epochs=3", "--model.lr=0.0005"]) == 2
+        out, said = capsys.readouterr()
+        assert "checkpoint" in said and said.count("\n") == 1
+        assert (
+            damage in ({"pedzoo": 3}, None) or "note: goes on with --model.lr 0.0005, it was 0.001\n" in out
+        )
+    torch.save(state, last)
+    policy = load_robot_policy(str(last))
     assert isinstance(policy, Attention) and policy.config["width"] == 16
     assert policy.action(scene(robot)).shape == (6, 1, 2)
     for command in ("forecast", "fit --weights"):

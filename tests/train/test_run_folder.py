@@ -123,11 +123,55 @@ def test_a_run_goes_on_with_the_data_that_it_began_with(capsys: pytest.CaptureFi
     lines = [line for line in settings.splitlines() if not line.startswith("  hold_out:")]
     (RUN / "config.yaml").write_text("\n".join(lines))  # of a version without this setting
     assert main(["fit", "--resume", str(RUN), "--data.hold_out", "zara2"]) == 2
-    assert (
-        main(["fit", "--resume", str(RUN), "--trainer.max_epochs", "2", "--data.loading.batch_size", "4"])
-        == 0
-    )
+    others = ["--data.loading.batch_size", "4", "--model.lr", "2e-3"]
+    capsys.readouterr()
+    assert main(["fit", "--resume", str(RUN), "--trainer.max_epochs", "2", *others]) == 0
     assert torch.load(LAST)["epoch"] == 1
+    said = [line for line in capsys.readouterr().out.splitlines() if line.startswith("note: goes on")]
+    assert sorted(said) == [
+        "note: goes on with --data.loading.batch_size 4, it was 8",
+        "note: goes on with --model.lr 0.002, it was 0.001",
+        "note: goes on with --trainer.max_epochs 2, it was 1",
+    ]
+    assert main(["fit", "--resume", str(RUN), "--trainer.max_epochs", "3"]) == 0
+    said = [line for line in capsys.readouterr().out.splitlines() if line.startswith("note: goes on")]
+    assert said == ["note: goes on with --trainer.max_epochs 3, it was 2"]
+
+
+def test_a_checkpoint_that_is_damaged_is_refused_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(FIT) == 0
+    whole, config = torch.load(LAST, weights_only=True), (RUN / "config.yaml").read_bytes()
+    state = dict(whole["state_dict"])
+    weight = next(key for key, value in state.items() if value.ndim == 2)
+    for damage in (
+        {"optimizer_states": None},
+        {"optimizer_states": []},
+        {"optimizer_states": [{}] * 2},
+        {"loops": {}},
+        {"loops": None},
+        {"epoch": "one", "loops": {"fit_loop": 3}},
+        {"state_dict": state | {weight: state[weight][:1]}},
+        {"state_dict": {key: value for key, value in state.items() if key != weight}},
+        {"state_dict": state | {weight: 3}},
+        {"callbacks": {"ValidatesLast": 3, "ModelCheckpoint": []}, "pytorch-lightning_version": 3},
+    ):
+        left = {key: value for key, value in (whole | damage).items() if value is not None}
+        torch.save(left, LAST)
+        capsys.readouterr()
+        assert resume(2) == 2, damage
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1 and ("checkpoint" in said or str(LAST) in said), damage
+        assert (RUN / "config.yaml").read_bytes() == config
+
+
+def test_an_absent_logger_leaves_no_folder(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("pedzoo.core.errors.find_spec", lambda name: None)
+    for wandb in ("offline", "online"):
+        assert main([*FIT, "--wandb", wandb]) == 2
+        assert "--wandb needs wandb, not installed here" in capsys.readouterr().err
+        assert not Path("runs").exists()
 
 
 def test_options_with_which_a_run_cannot_go_on_are_not_kept(capsys: pytest.CaptureFixture[str]) -> None:

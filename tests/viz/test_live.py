@@ -6,6 +6,7 @@ import json
 import threading
 import urllib.error
 import urllib.request
+from http.client import HTTPConnection
 
 import numpy as np
 import pytest
@@ -33,6 +34,41 @@ def test_the_page_and_what_happens_are_served() -> None:
         assert "connect-src &#x27;self&#x27;" in text and '"live":"/live"' in text
         with pytest.raises(urllib.error.HTTPError, match="404"):
             urllib.request.urlopen(f"{address}/../etc/passwd")
+        for name, status in (
+            *(
+                (f"127.0.0.1:{port}", 200),
+                (f"LocalHost:{port}", 200),
+                ("localhost:9000", 200),
+                ("[::1]", 200),
+            ),
+            *(
+                (f"evil.example:{port}", 403),
+                ("", 403),
+                ("localhost.evil.example", 403),
+                ("127.0.0.1.nip.io", 403),
+            ),
+            *(
+                ("evil.example#localhost", 403),
+                ("localhost@evil.example", 403),
+                ("0.0.0.0", 403),
+                ("[::1", 403),
+            ),
+        ):
+            for path in ("/", "/live"):
+                asked = HTTPConnection(HOST, int(port))
+                asked.request("GET", path, headers={"Host": name})
+                answer = asked.getresponse()
+                assert answer.status == status, name
+                assert (b"episode" in answer.read()) == (status == 200)
+                asked.close()
+        for names in ([], ["localhost", "evil.example"]):
+            asked = HTTPConnection(HOST, int(port))
+            asked.putrequest("GET", "/live", skip_host=True)
+            for name in names:
+                asked.putheader("Host", name)
+            asked.endheaders()
+            assert asked.getresponse().status == 403
+            asked.close()
         with pytest.raises(UserError, match="cannot serve on port"):
             live.server(int(port))
     finally:

@@ -1,5 +1,6 @@
 """Do settings and tensors of a file fit a model? Asked before the model is built, which takes memory."""
 
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,9 @@ from torch import Tensor, nn
 from pedzoo.core.errors import UserError
 from pedzoo.core.spec import setting_types
 from pedzoo.models.zoo.typed_fields import check
+
+LARGEST = 1e3
+"""Of a weight. Those that ship are below 20; steps from layers of ten times as large ones are no numbers."""
 
 
 def check_settings(cls: type, init: Mapping[str, Any]) -> None:
@@ -24,15 +28,16 @@ def check_settings(cls: type, init: Mapping[str, Any]) -> None:
         check(init[key], types[key], key)
 
 
-def check_tensors(state: Mapping[str, Any], source: str) -> None:
+def check_tensors(state: Mapping[str, Any], source: str, own: bool = False) -> None:
     """Check that a state is one of weights: tensors of finite real numbers by name.
 
     Args:
         state: What was read.
         source: From where, for the message.
+        own: Whether it is for a user's class, which may keep other numbers than weights.
 
     Raises:
-        UserError: It holds something else.
+        UserError: It holds something else, or a weight above `LARGEST`.
     """
     for key, value in state.items():
         if not isinstance(value, Tensor) or value.layout != torch.strided:
@@ -43,6 +48,12 @@ def check_tensors(state: Mapping[str, Any], source: str) -> None:
             )
         if not torch.isfinite(value).all():
             raise UserError(f"{source!r}: {key:.80} has NaN or infinite values: its training failed")
+        largest = float(value.abs().max()) if value.numel() and value.is_floating_point() else 0.0
+        if largest > (math.inf if own else LARGEST):
+            raise UserError(
+                f"{source!r}: {key:.80} has a weight of {largest:.3g}, at most {LARGEST:g} are read: its "
+                "training diverged"
+            )
 
 
 def check_shapes(model: Callable[[], nn.Module], state: Mapping[str, Tensor]) -> None:

@@ -110,16 +110,16 @@ def untrained(name: str, goal: GoalProtocol | None = None, **settings: Any) -> F
         UserError: No such model, or it has no such setting or takes another kind of value.
     """
     init: dict[str, Any] = {}
-    if entry := find(name):
+    from_config = name not in MODELS.names() and name in config_names()  # one in a folder is no path
+    if not from_config and (entry := find(name)):
         name, init = entry.card.config["architecture"], entry.card.config["init"]
-    elif name not in MODELS.names() and name in config_names():
-        generator = load_config(name)["model"]["init_args"]["generator"]
+    elif from_config:
+        generator = load_config(name)["model"]["init_args"].get("generator")
+        if generator is None:
+            raise UserError(f"{name!r} trains robots, and no model of people: pedzoo fit --config {name}")
         name, init = generator["class_path"].rpartition(".")[0].rpartition(".")[2], generator["init_args"]
-        init = dict(
-            item
-            for key, part in init.items()
-            for item in (part.items() if isinstance(part, dict) else [(key, part)])
-        )
+        parts = [part if isinstance(part, dict) else {key: part} for key, part in init.items()]
+        init = {key: value for part in parts for key, value in part.items()}
     elif name not in MODELS.names() and not names_code(name):
         raise no_model(name, [*MODELS.names(), *config_names()])
     model, settings = MODELS.get(name, Forecaster), {key: plain(value) for key, value in settings.items()}
@@ -266,7 +266,7 @@ def _filled(
     config: dict[str, Any], state: dict[str, torch.Tensor], own: type[Forecaster] | None, source: str
 ) -> Forecaster:
     """Return the model of a config with its weights, built only if they fit."""
-    check_tensors(state, source)
+    check_tensors(state, source, names_code(config["architecture"]))
     try:
         if own is None:  # a class of one's own may need real tensors to be built
             check_shapes(lambda: build(config, source=source), state)

@@ -7,7 +7,7 @@ from pedzoo.core.spec import parse, unquoted
 from pedzoo.models.zoo.address import is_address
 from pedzoo.models.zoo.file_header import read_config
 from pedzoo.models.zoo.loading import read_checkpoint
-from pedzoo.models.zoo.store import find, no_model, weights_of
+from pedzoo.models.zoo.store import check_scheme, find, no_model, weights_of
 
 
 def saved_config(name: str) -> dict[str, Any]:
@@ -16,6 +16,7 @@ def saved_config(name: str) -> dict[str, Any]:
     Nothing is said of a model that was not trained: a baseline, or a class in a file. Names and errors as of
     `load`.
     """
+    check_scheme(name)
     if names_code(name):
         name = unquoted(parse(name).settings.get("weights", ""))
         return saved_config(name) if name else {}

@@ -5,10 +5,12 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
 from typing import NamedTuple
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
 
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError, unknown
-from pedzoo.core.fetch import sha256_of
+from pedzoo.core.fetch import fetch, sha256_of
 from pedzoo.core.paths import CARD, expanded, shipped
 from pedzoo.core.registry import MODELS, names_code
 from pedzoo.models.zoo.address import ModelAddress, download, is_address, kept_models, place
@@ -49,6 +51,7 @@ def find(name: str) -> ZooEntry | None:
     Raises:
         UserError: There is no model at that place, several have the name, or its card is refused.
     """
+    check_scheme(name)
     try:
         return _found(name)
     except OSError as error:  # longer than names of files may be, a folder that others may not read
@@ -75,7 +78,19 @@ def _found(name: str) -> ZooEntry | None:
 
 def is_file(name: str) -> bool:
     """Return whether a name is that of a file: weights, a checkpoint, or a class in a file of one's own."""
+    check_scheme(name)
     return not is_address(name) and (names_code(name) or name.endswith((".ckpt", ".safetensors")))
+
+
+def check_scheme(name: str) -> None:
+    """Refuse the address of a file of this machine, in the place of its path.
+
+    Raises:
+        UserError: It is one.
+    """
+    if name.startswith("file:"):
+        path = url2pathname(urlsplit(name).path) or "FOLDER/ARCH.TAG"
+        raise UserError(f"{name!r}: expected a path for what is on this machine: {path}")
 
 
 def weights_of(entry: ZooEntry) -> Path:
@@ -86,11 +101,13 @@ def weights_of(entry: ZooEntry) -> Path:
     """
     card, path = entry.card, weights_beside(entry.path, entry.card)
     if entry.place:
-        urls = [card.url] if card.url else entry.place.weights(card)
+        # an address that a card names gets no token of the user's
+        urls, bring = ([card.url], fetch) if card.url else (entry.place.weights(card), download)
         again = f"; if the model has changed there, remove {entry.path}"
-        return download(urls, f"{entry.place.folder}/{card.name}.safetensors", card.sha256, card.size, again)
+        name = f"{entry.place.folder}/{card.name}.safetensors"
+        return bring(urls, filename=name, sha256=card.sha256, size=card.size, hint=again)
     if not path.is_file() and card.url:
-        return download([card.url], f"weights/{card.sha256}/{card.file}", card.sha256, card.size)
+        return fetch(card.url, card.sha256, f"weights/{card.sha256}/{card.file}", size=card.size)
     if not path.is_file():
         raise UserError(f"model {card.name!r} has no weights: its card expects {str(path)!r}")
     if (result := sha256_of(path)) != card.sha256:

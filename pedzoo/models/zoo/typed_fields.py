@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import is_dataclass
 from functools import cache, partial
 from types import NoneType, UnionType
@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, NotRequired, Union, get_args, get_or
 from typing_extensions import is_typeddict
 
 from pedzoo.core.errors import UserError, unknown
-from pedzoo.core.registry import names_code
+from pedzoo.core.registry import names_code, whole_name
 
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 
@@ -122,7 +122,7 @@ def _plain_number(value: Any) -> bool:
     return isinstance(value, float) and math.isfinite(value)
 
 
-def refuse_code(value: Any, what: str, remedy: str) -> None:
+def refuse_code(value: Any, what: str, remedy: str, typed: Set[str] = frozenset()) -> None:
     """Check that nothing in a value, key or value at any depth, names a file of code.
 
     Only a person names code: in a command, or in a config of their own.
@@ -131,14 +131,15 @@ def refuse_code(value: Any, what: str, remedy: str) -> None:
         value: What was read from a file.
         what: What it is, for the message.
         remedy: What a person can do who wants that code to run.
+        typed: What that person has named, as of `whole_name`.
 
     Raises:
-        UserError: It names one.
+        UserError: It names another one.
     """
     waiting = [value]
     while waiting:
         one = waiting.pop()
-        if isinstance(one, str) and names_code(one):
+        if isinstance(one, str) and names_code(one) and whole_name(one) not in typed:
             raise UserError(
                 f"{what}: {one!r:.200} is in a file of code, and no other file ever makes code run: {remedy}"
             )

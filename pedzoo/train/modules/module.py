@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 import lightning as L
 import torch
 from tensordict import TensorDict
-from torch import Tensor
+from torch import Tensor, nn
 from torch.optim import Optimizer
 
 from pedzoo.core import renamed
@@ -16,7 +16,7 @@ from pedzoo.core.spec import setting_groups, setting_types
 from pedzoo.metrics.forecast import ForecastScore
 from pedzoo.models.base import Forecaster
 from pedzoo.models.blocks.recurrent import DisplacementEncoder
-from pedzoo.models.zoo.loading import architecture_in, config_of
+from pedzoo.models.zoo.loading import architecture_in, config_of, read_checkpoint
 from pedzoo.train.modules.contract import check_model, is_own
 
 
@@ -198,16 +198,37 @@ class ForecastModule(L.LightningModule):
             raise UserError(
                 f"the checkpoint is of another architecture ({'; '.join(changed)}); use its own --config"
             )
-        shapes, own = (
-            {key: tuple(value.shape) for key, value in state.items()}
-            for state in (checkpoint["state_dict"], self.state_dict())
+        check_state(self, checkpoint)
+
+
+def check_state(module: nn.Module, checkpoint: Mapping[str, Any]) -> None:
+    """Check that a checkpoint has the tensors of a training.
+
+    Raises:
+        UserError: It has others, or of other shapes.
+    """
+    shapes, own = (
+        {key: tuple(getattr(value, "shape", "?")) for key, value in state.items()}
+        for state in (checkpoint["state_dict"], module.state_dict())
+    )
+    if different := sorted(key for key in shapes | own if shapes.get(key) != own.get(key)):
+        more = f" and {len(different) - 3} more" if len(different) > 3 else ""
+        raise UserError(
+            f"the checkpoint is of another training than {type(module).__name__} as configured: "
+            f"{', '.join(different[:3])}{more} differ; use its own --config"
         )
-        if different := sorted(key for key in shapes | own if shapes.get(key) != own.get(key)):
-            more = f" and {len(different) - 3} more" if len(different) > 3 else ""
-            raise UserError(
-                f"the checkpoint is of another training than {type(self).__name__} as configured: "
-                f"{', '.join(different[:3])}{more} differ; use its own --config"
-            )
+
+
+def read_progress(file: str) -> dict[str, Any]:
+    """Return a checkpoint with which a training can go on.
+
+    Raises:
+        UserError: It cannot be read, or has weights alone.
+    """
+    checkpoint = read_checkpoint(file)
+    if lacks := [key for key in ("loops", "optimizer_states") if not checkpoint.get(key)]:
+        raise UserError(f"checkpoint {file!r} has no {lacks[0]} to go on with: is it damaged?")
+    return checkpoint
 
 
 def copied_keys(checkpoint: Mapping[str, Any]) -> set[str]:
