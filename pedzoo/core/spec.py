@@ -20,6 +20,9 @@ from pedzoo.core.size_limits import check_yaml
 _ADDRESS = re.compile(r"(hf|https?|file)://[^/:]*(:\d+(?=/))?[^:]*")
 """An address on the net: the colons of its scheme and its port are its own."""
 
+_SHORT = 200
+"""Letters of a setting that cannot be too much YAML, unless it has references."""
+
 _QUOTES = "'\""
 _BEGINS = ("", *"=[,:+")
 
@@ -126,7 +129,8 @@ def build(registry: Registry, what: str | Spec | SpecText, base: type, **given: 
 def make(cls: type, kind: str, spec: Spec | SpecText, **given: Any) -> Any:
     """Return ``cls`` built from the settings of ``spec`` and from ``given`` values; errors as in `build`."""
     name, settings = spec
-    check_yaml(dict(settings))
+    if any("*" in (text := str(value)) or len(text) > _SHORT for value in settings.values()):
+        check_yaml(dict(settings))
     types = setting_types(cls)
     written = isinstance(spec, SpecText)
     arguments = {key: value for key, value in given.items() if key in types}

@@ -196,7 +196,7 @@ BOMBS = {
     ),
     "a merge in itself": "a: &a {<<: *a}",
     "levels": "a: " + "[" * 100_000,
-    "levels of mappings": "a: " + "{a: " * 30 + "}" * 30,
+    "levels of mappings": "a: " + "{a: " * 60 + "}" * 60,
 }
 
 
