@@ -102,7 +102,7 @@ class Team(nn.Module):
         blank = velocity.unsqueeze(2).expand(-1, -1, self.every, -1)
         plans = self._memory.recall(PlannedVelocities.none(key, now, person, blank), person)
         since = now - plans.decided
-        turn = (since < _ROUNDING) | (since > self.every * dt - _ROUNDING)
+        turn = (since < _ROUNDING) | (since > (self.every - 0.5) * dt)  # a caller's clock may jitter
         known = (plans.person == person) & (now.unsqueeze(1) - plans.begun > _ROUNDING)
         decides = mine & (turn.unsqueeze(1) | ~known)
         rows = decides.any(1)
@@ -121,7 +121,7 @@ class Team(nn.Module):
             )
         plans = plans._replace(person=torch.where(mine, person, -1))
         self._memory.keep(plans)
-        place = ((now.unsqueeze(1) - plans.begun + _ROUNDING) / dt).clamp(0, self.every - 1).long()
+        place = ((now.unsqueeze(1) - plans.begun) / dt).round().clamp(0, self.every - 1).long()
         return plans.velocity.gather(2, place[..., None, None].expand(*place.shape, 1, 2))[:, :, 0]
 
     def _blended(self, agents: TensorDictBase, command: Tensor, dt: float) -> Tensor:

@@ -286,9 +286,10 @@ def test_goals_that_no_person_has_any_more_are_forgotten():
             {"stays": (1.0, 3.0), "turns": (2.0, 2.0)}, {"stays": (4.0, 3.0), "turns": goal}
         )
         np.testing.assert_allclose(velocity["stays"], (1.3, 0), atol=1e-5)
-        way = goal - (2.0, 2.0)
+        way, seen = goal - (2.0, 2.0), agents_of(policy.seen[-1])["desired_velocity"][0]
         if np.linalg.norm(way) > GOAL_RADIUS:
-            np.testing.assert_allclose(velocity["turns"], 1.3 * way / np.linalg.norm(way), atol=1e-5)
+            wanted = torch.from_numpy(1.3 * way / np.linalg.norm(way)).float()
+            torch.testing.assert_close(seen[controller._agents.row["turns"]], wanted, atol=1e-5, rtol=0)
     assert controller._online_goals.planner.goals < 80
 
 
@@ -318,15 +319,13 @@ def test_a_goal_inside_a_wall_is_refused():
         Controller(Straight(), plan).step({"anna": (1, 1)}, {"anna": (3, 0.9)})
 
 
-@pytest.mark.parametrize("dt", [0.3, 0.8, 0.0, -0.1, float("nan"), float("inf")])
-def test_steps_that_do_not_divide_the_clock_are_refused(dt: float):
-    with pytest.raises(UserError, match=f"dt {dt}: .* every 0.4 s"):
+@pytest.mark.parametrize("dt", [0.41, 0.8, 100, 1e8, 0.0, -0.1, float("nan"), float("inf")])
+def test_steps_that_are_no_steps_of_a_simulator_are_refused(dt: float):
+    unit = r"; 100 milliseconds are 0\.1$" if dt == 100 else "$"
+    with pytest.raises(
+        UserError, match=rf"dt {dt}: expected seconds between two .* at most 0\.4 s{unit}".replace("+", r"\+")
+    ):
         Controller(Straight(), dt=dt)
-
-
-def test_a_policy_that_decides_more_often_than_it_is_called_is_refused():
-    with pytest.raises(UserError, match=r"dt 0\.4: the policy decides every 0\.1 s"):
-        Controller(load_policy("orca"))
 
 
 def test_settings_out_of_range_are_refused(model, tmp_path: Path):
@@ -412,7 +411,7 @@ def test_a_goal_counts_as_reached_between_two_calls_and_once():
     assert agents["desired_velocity"][0, a].tolist() == [0, 0]
     assert controller.step({"a": (-3.0, 0.0), "b": (0.0, 9.0)})["a"].tolist() == [0, 0]  # carried away
     result = controller.step({"a": (-3.0, 0.0), "b": (0.0, 9.0)}, {"a": (1.0, 0.3)})["a"]
-    assert result[0] > 1.2
+    assert result[0] > 0.9
     assert controller.step({"a": (-3.0, 0.0), "b": (0.0, 9.0)}, {"a": None})["a"].tolist() == [0, 0]
 
 

@@ -51,6 +51,9 @@ def number_of(one: Hashable) -> int:
     return int.from_bytes(blake2b(repr(one).encode(), digest_size=8).digest()) % 2**63
 
 
+WIDEST, FASTEST, SWIFTEST, JUMP = 10.0, 10.0, 100.0, 1e3
+"""Most of radii (m), preferred speeds and given velocities (m/s), and moves between two calls (m)."""
+
 FARTHEST = 1e4
 """Metres from the scene's origin: float32 tells millimetres apart up to here."""
 
@@ -99,6 +102,11 @@ def by_id(given: Any, what: str) -> Mapping[Any, Any]:
     if not isinstance(given, Mapping):
         raise UserError(f"{what} {given!r:.100}: expected a mapping by id, {what}={{'anna': ...}}")
     return given
+
+
+def of_present(present: Mapping[Any, Any], given: Mapping[Any, Any]) -> dict[Any, Any]:
+    """Return the entries of people who are present."""
+    return {one: value for one, value in given.items() if one in present}
 
 
 def check_radius_ids(
@@ -151,7 +159,9 @@ def as_discs(others: Mapping[Any, Any]) -> dict[DiscKey, Any]:
     return discs
 
 
-def as_points(given: Mapping[Any, Any], what: str, origin: NDArray[np.float64] = ZERO) -> Tensor:
+def as_points(
+    given: Mapping[Any, Any], what: str, origin: NDArray[np.float64] = ZERO, farthest: float = FARTHEST
+) -> Tensor:
     """Return the values of a dictionary, each two numbers, less an origin (2,), as (n, 2) float64.
 
     Messages call the values ``what``.
@@ -170,8 +180,8 @@ def as_points(given: Mapping[Any, Any], what: str, origin: NDArray[np.float64] =
         one = list(given)[int((~np.isfinite(points).all(1)).argmax())]
         raise UserError(f"{what} {given[one]!r} of {one!r}: expected finite numbers, (x, y)")
     points = points - origin
-    if (np.abs(points) > FARTHEST).any():
-        one = list(given)[int((np.abs(points) > FARTHEST).any(1).argmax())]
+    if (np.abs(points) > farthest).any():
+        one = list(given)[int((np.abs(points) > farthest).any(1).argmax())]
         raise UserError(
             f"{what} {given[one]!r} of {one!r} is more than {FARTHEST:g} m from the scene's origin, the "
             "floor plan's or the first agent's place: are all in one frame, and in metres?"
@@ -198,11 +208,14 @@ def metres_of(one: Hashable, radius: Any) -> float:
     """Return the radius of an agent's body, metres.
 
     Raises:
-        UserError: It is not above 0.
+        UserError: It is not above 0, or above 10 m.
     """
-    metres = number(radius, "radius", "metres, above 0", one)
-    if not 0 < metres < float("inf"):
-        raise UserError(f"radius {radius!r} of {one!r}: expected metres, above 0")
+    expected = f"metres, above 0 and at most {WIDEST:g}"
+    metres = number(radius, "radius", expected, one)
+    if not 0 < metres <= WIDEST:
+        unit = "millimetres" if metres > 100 * WIDEST else "centimetres"
+        asks = f": are these {unit}? A larger body is several discs" if WIDEST < metres < np.inf else ""
+        raise UserError(f"radius {radius!r} of {one!r}: expected {expected}{asks}")
     return metres
 
 
@@ -210,12 +223,30 @@ def speed_of(one: Hashable, pref_speed: float | Mapping[Any, float]) -> float:
     """Return the speed that an agent likes, m/s: `PREF_SPEED` for others.
 
     Raises:
-        UserError: It is not above 0.
+        UserError: It is not above 0, or above 10 m/s.
     """
     if isinstance(one, DiscKey):
         return PREF_SPEED
     given = pref_speed.get(one, PREF_SPEED) if isinstance(pref_speed, Mapping) else pref_speed
-    speed = number(given, "pref_speed", "metres per second, above 0", one)
-    if not 0 < speed < float("inf"):
-        raise UserError(f"pref_speed {speed} of {one!r}: expected metres per second, above 0")
+    expected = f"metres per second, above 0 and at most {FASTEST:g}"
+    speed = number(given, "pref_speed", expected, one)
+    if not 0 < speed <= FASTEST:
+        asks = ": is this in kilometres per hour?" if FASTEST < speed < np.inf else ""
+        raise UserError(f"pref_speed {speed} of {one!r}: expected {expected}{asks}")
     return speed
+
+
+def as_velocities(given: Mapping[Any, Any]) -> Tensor:
+    """Return given velocities, as `as_points` does.
+
+    Raises:
+        UserError: One is none, or faster than 100 m/s.
+    """
+    result = as_points(given, "velocity", farthest=np.inf)
+    if (result.norm(dim=1) > SWIFTEST).any():
+        one = list(given)[int(result.norm(dim=1).argmax())]
+        raise UserError(
+            f"velocity {given[one]!r} of {one!r}: expected metres per second, at most {SWIFTEST:g}: is this "
+            "in another unit?"
+        )
+    return result

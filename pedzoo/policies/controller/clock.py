@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.types import OBS_LEN, STEP_SECONDS
+from pedzoo.core.types import OBS_LEN, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.policies.controller.arguments import number
 
 _OBSERVED = (OBS_LEN - 1) * STEP_SECONDS
@@ -18,8 +18,14 @@ _OBSERVED = (OBS_LEN - 1) * STEP_SECONDS
 _ROUNDING = 1e-9
 """Seconds."""
 
-SHORTEST = 1e-3
-"""Least seconds between two calls: positions of all calls of 2.8 s are kept."""
+SHORTEST, LONGEST = 1e-3, STEP_SECONDS
+"""Seconds between two calls: positions of all calls of 2.8 s are kept, and histories have one every 0.4 s."""
+
+_LATEST = 1e11
+"""Seconds: no clock that counts from 1970, or from a later moment, is there yet."""
+
+_PAUSE, _CALLS = 30.0, 500.0
+"""Seconds, and times ``dt``: longer gaps are no late calls but another unit, if they are as long again."""
 
 
 class CallerClock(NamedTuple):
@@ -28,30 +34,42 @@ class CallerClock(NamedTuple):
     Attributes:
         dt: Nominal seconds between two calls.
         decision_dt: Seconds between two decisions.
+        times: When the kept positions were (L,) float64, seconds since the first call.
         calls: How many there were.
         start: The caller's time at the first call; None where calls are counted instead.
-        times: When the kept positions were (L,) float64, seconds since ``start``.
-        due: When the next decision is, seconds since ``start``.
+        due: When the next decision is, seconds since the first call.
         decided: When the last one was.
     """
 
     dt: float
     decision_dt: float
+    times: Tensor
     calls: int = 0
     start: float | None = None
-    times: Tensor = torch.zeros(0, dtype=torch.float64)
     due: float = 0.0
     decided: float = 0.0
 
-    @property
-    def length(self) -> int:
-        """How many positions are kept of calls that are counted, and before the first call."""
-        return round(_OBSERVED / self.dt) + 1
+    @classmethod
+    def of(cls, dt: float, decision_dt: float) -> CallerClock:
+        """Return a clock before its first call, with positions on the way to it.
+
+        Raises:
+            UserError: ``dt`` is too short or too long.
+        """
+        seconds = number(dt, "dt", "seconds, a number")
+        if not SHORTEST - _ROUNDING <= seconds <= LONGEST + 1e-6:
+            unit = f"; {dt:g} milliseconds are {dt / 1000:g}" if 1 <= seconds <= 1000 * LONGEST else ""
+            raise UserError(
+                f"dt {dt}: expected seconds between two calls, of at least {SHORTEST:g} s and at most "
+                f"{LONGEST:g} s{unit}"
+            )
+        kept = math.ceil(_OBSERVED / seconds - _ROUNDING) + 1
+        return cls(seconds, decision_dt, torch.arange(-kept, 0, dtype=torch.float64) * seconds)
 
     @property
     def now(self) -> float:
         """Seconds since the first call."""
-        return (self.calls - 1) * self.dt if self.start is None else float(self.times[-1])
+        return float(self.times[-1])
 
     @property
     def decides(self) -> bool:
@@ -62,30 +80,44 @@ class CallerClock(NamedTuple):
         """Return the clock at the next call, at ``time`` or counted, and how many oldest positions to drop.
 
         Raises:
-            UserError: The time is not finite, does not go forward, or is given at some calls only.
+            UserError: The time is not finite, does not go forward, has another unit, or is given at some
+                calls only.
         """
         if self.calls and (time is None) != (self.start is None):
             raise UserError(
                 f"time {time}: expected at every call or at none; reset() starts anew with another clock"
             )
-        clock = self._replace(calls=self.calls + 1)
         if time is None:
-            every = round(self.decision_dt / self.dt)
-            return (clock._replace(decided=clock.now) if self.calls % every == 0 else clock), 1
-        if not math.isfinite(number(time, "time", "seconds, a finite number")):
+            return self._replace(calls=self.calls + 1).at(self.calls * self.dt)
+        seconds = number(time, "time", "seconds, a finite number")
+        if not math.isfinite(seconds):
             raise UserError(f"time {time}: expected seconds, a finite number")
-        if self.start is None:
-            ago = torch.arange(self.length - 1, -1, -1, dtype=torch.float64) * self.dt
-            return clock._replace(start=float(time), times=-ago, due=self.decision_dt), 1
-        now = float(time) - self.start
+        if abs(seconds) > _LATEST:
+            raise UserError(f"time {time}: expected seconds: are these {_unit_of(abs(seconds) / 1e9)}?")
+        start = seconds if self.start is None else self.start
+        now = seconds - start
+        if self.calls:
+            self._check_gap(time, now)
+        return self._replace(calls=self.calls + 1, start=start).at(now)
+
+    def _check_gap(self, time: float, now: float) -> None:
         if now <= self.now:
             raise UserError(
-                f"time {time}: expected later than at the call before, {self.start + self.now:g}; "
+                f"time {time}: expected later than at the call before, {(self.start or 0.0) + self.now:g}; "
                 "reset() starts anew"
             )
+        gap, before = now - self.now, float(self.times[-1] - self.times[-2])
+        if gap > _CALLS * self.dt and (gap > _PAUSE or before > _CALLS * self.dt):
+            raise UserError(
+                f"time {time}: {gap:g} s after the call before, with dt {self.dt:g}: expected seconds: are "
+                f"these {_unit_of(gap / self.dt)}? After a pause reset() starts anew"
+            )
+
+    def at(self, now: float) -> tuple[CallerClock, int]:
+        """Return the clock ``now`` seconds after the first call, and how many oldest positions to drop."""
         times = torch.cat((self.times, self.times.new_tensor([now])))
-        dropped = int((times[1:] <= now - _OBSERVED).sum())
-        clock = clock._replace(times=times[dropped:])
+        dropped = int((times[1:] <= now - _OBSERVED + _ROUNDING).sum())
+        clock = self._replace(times=times[dropped:])
         if now < self.due - self.dt / 2 - _ROUNDING:
             return clock, dropped
         # a late call starts the count anew, a jittering one keeps it
@@ -93,23 +125,22 @@ class CallerClock(NamedTuple):
         due = (now if late else self.due) + self.decision_dt
         return clock._replace(decided=now, due=due), dropped
 
-    def ago(self, length: int) -> Tensor:
-        """Return how long ago the kept positions were (L,), seconds."""
-        if self.start is None:
-            return torch.arange(length - 1, -1, -1, dtype=torch.float32) * self.dt
-        return (self.times[-1] - self.times).float()
+    @property
+    def ago(self) -> Tensor:
+        """How long ago the kept positions were (L,), seconds."""
+        return (self.now - self.times).float()
 
     def history(self, past: Tensor) -> Tensor:
         """Return positions (N, 8, 2) every 0.4 s, oldest first, from those that are kept (N, L, 2)."""
-        if self.start is None:
-            return past[:, :: round(STEP_SECONDS / self.dt)]
-        return self._at(past, STEP_SECONDS * torch.arange(OBS_LEN - 1, -1, -1, dtype=torch.float64))
+        return self._before(past, STEP_SECONDS * torch.arange(OBS_LEN - 1, -1, -1, dtype=torch.float64))
 
     def velocity(self, past: Tensor) -> Tensor:
-        """Return the velocities (N, 2) of the last ``dt`` seconds, m/s."""
-        if self.start is None:
-            return (past[:, -1] - past[:, -2]) / self.dt
-        return (past[:, -1] - self._at(past, past.new_tensor([self.dt]))[:, 0]) / self.dt
+        """Return the velocities (N, 2) of the last ``dt`` seconds, at least of 0.1 s, m/s.
+
+        In less time millimetres of a simulator's noise are much.
+        """
+        seconds = max(self.dt, TRACE_SECONDS)
+        return (past[:, -1] - self._before(past, self.times.new_tensor([seconds]))[:, 0]) / seconds
 
     def parts(self, ticks: int) -> Tensor:
         """Return the share (S,) of every trace step of a decision in the next ``dt`` seconds."""
@@ -121,26 +152,15 @@ class CallerClock(NamedTuple):
         low, high = edges[:-1].clamp_min(begin), edges[1:].clamp_max(begin + self.dt)
         return ((high - low).clamp_min(0) / self.dt).float()
 
-    def _at(self, past: Tensor, ago: Tensor) -> Tensor:
+    def _before(self, past: Tensor, ago: Tensor) -> Tensor:
         """Return positions (N, K, 2) so many seconds ago (K,), on straight lines between the kept ones."""
         when = self.times[-1] - ago
-        after = torch.searchsorted(self.times, when).clamp(1, len(self.times) - 1)
+        after = torch.searchsorted(self.times, when - _ROUNDING).clamp(1, len(self.times) - 1)
         begin, end = self.times[after - 1], self.times[after]
         share = ((when - begin) / (end - begin)).to(past.dtype).unsqueeze(1)
-        return past[:, after - 1] + share * (past[:, after] - past[:, after - 1])
+        return past[:, after - 1].lerp(past[:, after], share)
 
 
-def times(whole: float, dt: float, what: str) -> int:
-    """Return how many steps of ``dt`` are ``whole`` seconds.
-
-    Raises:
-        UserError: Not a whole number.
-    """
-    dt = number(dt, "dt", "seconds, a number")
-    result = round(whole / dt) if SHORTEST <= dt < math.inf else 0
-    if result < 1 or abs(result * dt - whole) > 1e-6:
-        raise UserError(
-            f"dt {dt}: {what} every {whole:g} s, expected a whole part of that, such as {whole / 4:g}, of at "
-            f"least {SHORTEST:g} s"
-        )
-    return result
+def _unit_of(ratio: float) -> str:
+    """Return which unit times are in that are so many times too large."""
+    return "milliseconds" if ratio < 3e4 else "microseconds" if ratio < 3e7 else "nanoseconds"

@@ -28,13 +28,15 @@ from pedzoo.policies.controller.arguments import (
     ZERO,
     as_discs,
     as_places,
-    as_points,
+    as_velocities,
     by_id,
     check_radius_ids,
+    of_present,
     origin_of,
     plan_of,
 )
-from pedzoo.policies.controller.clock import CallerClock, times
+from pedzoo.policies.controller.clock import CallerClock
+from pedzoo.policies.controller.ease import eased, expected, setting_out
 from pedzoo.policies.controller.online_goals import OnlineGoals
 from pedzoo.policies.controller.roster import Roster
 
@@ -63,21 +65,23 @@ class Forgetful(Protocol):
 class Controller:
     """Moves the people of another simulator: call `step` with the positions of all agents.
 
-    At every call positions are recorded. Every ``policy.decision_dt`` the policy decides, from the same
-    scene batch that the environment makes: the last 8 positions 0.4 s apart, the planner's carrot and
-    desired velocity, radii and kinds. In between, velocities blend as in the environment: half-way in the
-    first 0.1 s, and the decision ends where the decided velocity alone would lead. The caller moves people:
-    walls do not stop agents here, and positions may differ from where the velocities lead.
+    At every call positions are recorded. At the calls nearest to every ``policy.decision_dt`` the policy
+    decides, from the same scene batch that the environment makes: the last 8 positions 0.4 s apart, the
+    planner's carrot and desired velocity, radii and kinds. Velocities are those of the last ``dt``, at least
+    of 0.1 s, by the positions. In between, velocities blend as in the environment: half-way in the first
+    0.1 s, and the decision ends where the decided velocity alone would lead. The caller moves people: walls
+    do not stop agents here, and positions may differ from where the velocities lead.
 
     People come and go: a person not named in a call is forgotten, and is new afterwards. For new people the
     policy decides at once, and later together with all others. Their history is a straight walk to here at
     their present velocity: models would take a history on the spot for a standing person. That velocity is
     the one given to `step`, else their preferred speed along the planner's path.
 
-    A person with the goal None, or within 0.3 m of the goal, stands: the velocity is 0, and the others
-    walk around. A goal is reached once. A person stands until `step` gets another goal. Of one nearer to a
-    wall than ``clearance`` you are warned once: the person walks to the nearest free place, until that and
-    the goal are within 0.3 m, or that is within 0.15 m.
+    A goal is reached within 0.3 m of it, once. The person comes to rest on it, or beside a person who stands
+    there. With the goal None a person stops at once. Both stand until `step` gets another goal, and the
+    others walk around. They brake and set out by at most 2.5 m/s^2: see `pedzoo.policies.controller.ease`.
+    Of a goal nearer to a wall than ``clearance`` you are warned once: the person walks to the nearest free
+    place, until that and the goal are within 0.3 m, or that is within 0.15 m.
 
     Other agents (robots, people of another simulator) are moved by the caller alone. All people see them,
     with their histories and radii, as agents of kind `pedzoo.core.batch.ROBOT` that the policy does not
@@ -115,8 +119,7 @@ class Controller:
         Raises:
             UserError: There is no such floor plan, or a setting is out of range.
         """
-        calls = times(policy.decision_dt, dt, "the policy decides")
-        times(STEP_SECONDS, dt, "histories have a position")
+        clock = CallerClock.of(dt, policy.decision_dt)
         if getattr(policy, "execute_steps", 1) != 1:
             raise UserError(
                 f"execute_steps {getattr(policy, 'execute_steps', 1)}: a controller decides anew for people "
@@ -127,11 +130,13 @@ class Controller:
         if grid is not None:
             origin, grid = origin_of(grid.origin[:2]), replace(grid, origin=(0.0, 0.0, grid.origin[2]))
         bank = MapBank([] if grid is None else [grid], unknown)
-        self.policy, self.dt, self.pref_speed, self.deterministic = policy, dt, pref_speed, deterministic
+        self.policy, self.dt = policy, clock.dt
+        self.pref_speed, self.deterministic = pref_speed, deterministic
         self._online_goals = OnlineGoals(OnlinePlanner(bank, clearance, origin), origin, set())
         self._warned = False
         # with one call per decision there is nothing to blend
-        self._ticks = 1 if calls == 1 else max(1, round(policy.decision_dt / TRACE_SECONDS))
+        blends = policy.decision_dt > 1.5 * clock.dt
+        self._ticks = max(1, blends * round(policy.decision_dt / TRACE_SECONDS))
         self.reset(seed)
 
     def __repr__(self) -> str:
@@ -143,8 +148,8 @@ class Controller:
         """Forget all agents and start anew with the noise of ``seed``; ways that are known stay known."""
         self.policy = self.policy.fresh() if isinstance(self.policy, Forgetful) else self.policy
         self._key = Draws.for_episodes(seed, torch.zeros(1, dtype=torch.long)).key
-        self._clock = CallerClock(self.dt, self.policy.decision_dt)
-        self._agents = Roster.empty(self._clock.length, self._ticks)
+        self._clock = CallerClock.of(self.dt, self.policy.decision_dt)
+        self._agents = Roster.empty(len(self._clock.times), self._ticks)
         self._sized: set[Hashable] = set()
 
     @torch.inference_mode()  # a sixth less time than `torch.no_grad`
@@ -181,14 +186,13 @@ class Controller:
             groups: Which people walk in company, by id: any name, the same for all of a company, or None
                 for alone. Once given they stay until they change; people are alone else.
             time: Now, seconds by the caller's clock, at every call or at none. Calls may then come early or
-                late: positions are resampled in time, and the policy decides at the call that is nearest
-                to its interval. None: calls are ``dt`` apart.
+                late. None: calls are ``dt`` apart.
 
         Raises:
             UserError: A value is not two finite numbers, or an id is in people and in others. A radius is
-                not above 0, or of nobody who is or was here. The time does not go forward. A person has no
-                goal, or one in a wall, outside the floor plan or out of reach. The policy's answer is not
-                finite.
+                not above 0, or of nobody who is or was here. A radius, a speed, a time or a move since the
+                last call seems to be in another unit. The time does not go forward. A person has no goal, or
+                one in a wall, outside the floor plan or out of reach. The policy's answer is not finite.
         """
         people, others, radius = by_id(people, "people"), by_id(others, "others"), by_id(radius, "radius")
         discs, velocities = as_discs(others), by_id(velocities, "velocities")
@@ -198,49 +202,50 @@ class Controller:
         clock, dropped = self._clock.called(time)
         present = {**people, **discs}
         agents = self._agents.now(present, self.pref_speed).with_radius(radius)
-        agents = agents.with_groups(_of(people, by_id(groups, "groups")))
+        agents = agents.with_groups(of_present(people, by_id(groups, "groups")))
         online_goals = self._online_goals
         if present and not (self._agents.row or online_goals.planner.bank.grids):
             online_goals = online_goals._replace(origin=origin_of(present[agents.ids[0]]))
         position = agents.past.new_empty(len(present), 2)
         position[agents.rows(present)] = as_places(present, "position", online_goals.origin).float()
+        agents.check_moves(position)
         # on the way since the last call, or at once for a new goal
-        agents = agents.arrived(agents.past[:, -1], position)
-        asked, new = _of(people, by_id(goals, "goals")), agents.is_new
+        agents = before = agents.arrived(agents.past[:, -1], position)
+        asked, new = of_present(people, by_id(goals, "goals")), agents.is_new
         comes = bool(new.any())
         if asked or comes:
             online_goals, with_goals = online_goals.with_goals(agents, position, asked, clock.now)
-            agents = agents if with_goals is agents else with_goals.arrived(position, position)
+            if with_goals is not agents:
+                agents = setting_out(with_goals.arrived(position, position), before, position, self.dt)
         if comes and not self._warned and (misplaced := online_goals.misplaced(agents, position)):
             warnings.warn(misplaced, stacklevel=3)  # beyond the wrapper of torch
             self._warned = True
-
         past = torch.cat((agents.past[:, dropped:], position.unsqueeze(1)), dim=1)
         trace = torch.where(agents.walks[:, None, None], agents.trace, 0.0)
+        trace[before.stands & agents.walks] = torch.nan  # until the next decision: a goal counts from then on
         agents = agents._replace(past=past, trace=trace)
         decides = (new | clock.decides) & agents.walks
-        decide = bool(decides.any())
-        if comes or decide:
+        if comes or decides.any():
             guidance = online_goals.guide(agents, position)
             if comes or velocities:
-                given = _of(people, velocities)
+                given = of_present(people, velocities)
                 given |= {disc: velocities.get(disc.of, (0.0, 0.0)) for disc in discs}
-                moving = guidance.desired_velocity.index_put(
-                    (agents.rows(given),), as_points(given, "velocity").float()
-                )
-                agents = agents.begun(position, moving, clock.ago(past.shape[1]), new)
+                rows, known = agents.rows(given), as_velocities(given).float()
+                moving = guidance.desired_velocity.index_put((rows,), known)
+                agents = agents.begun(position, moving, clock.ago, new, rows)
             velocity = clock.velocity(agents.past)
             agents = agents._replace(heading=heading_of(velocity, agents.heading, TURNS_FROM))
-            if decide:
+            if decides.any():
                 batch = self._batch(agents, velocity, guidance, clock)
-                agents = self._decided(agents, batch, decides, new)
+                agents = self._decided(agents, batch, decides, new | agents.eases)
+        wish = (agents.trace * clock.parts(self._ticks).view(-1, 1)).sum(1)
+        answer, agents = eased(agents, wish, position, clock, online_goals.planner.bank)
         self._online_goals, self._agents, self._clock = online_goals, agents, clock
         self._sized |= set(radius)
-        answer = (agents.trace * clock.parts(self._ticks).view(-1, 1)).sum(1).double().numpy()
         return {one: answer[agents.row[one]] for one in people}
 
-    def _decided(self, agents: Roster, batch: TensorDict, decides: Tensor, new: Tensor) -> Roster:
-        """Return the roster in which some agents (N,) have a new decision; ``new`` ones do not blend."""
+    def _decided(self, agents: Roster, batch: TensorDict, decides: Tensor, begin: Tensor) -> Roster:
+        """Return the roster in which some agents (N,) have a new decision; ``begin``: without blending."""
         before, device = cast("Tensor", batch["agents", "velocity"])[0], agents.past.device
         if isinstance(self.policy, nn.Module):
             device = next(self.policy.parameters(), agents.past).device
@@ -255,7 +260,7 @@ class Controller:
             )
         top_speed = TOP_SPEED_RATIO * agents.pref_speed
         command = limit_speed(action, top_speed)
-        before = torch.where(new.unsqueeze(1), command, before)
+        before = torch.where(begin.unsqueeze(1), command, limit_speed(before, top_speed))
         trace = blended(before.T, command.T, self._ticks).permute(2, 1, 0)
         if self._ticks > 1:
             trace = limit_speed(trace, top_speed.unsqueeze(1))
@@ -268,6 +273,7 @@ class Controller:
         # the caller's way with others is not known: they go on as they do
         other = agents.other.unsqueeze(1)
         ahead = agents.past[:, -1] + AHEAD_SECONDS * velocity
+        velocity, top_speed = expected(agents, agents.past[:, -1], velocity, clock)
         return scene_batch(
             maps=self._online_goals.planner.bank,
             map_id=torch.tensor([[self._online_goals.map_id]]),
@@ -278,6 +284,7 @@ class Controller:
             velocity=velocity.unsqueeze(0),
             heading=agents.heading.view(*size, 1),
             pref_speed=agents.pref_speed.view(*size, 1),
+            top_speed=top_speed.view(*size, 1),
             radius=agents.radius.view(*size, 1),
             kind=torch.where(agents.other, ROBOT, PERSON).unsqueeze(0),
             group=agents.group.unsqueeze(0),
@@ -290,8 +297,3 @@ class Controller:
             key=self._key.unsqueeze(1),
             time=torch.tensor([[clock.now]]),
         )
-
-
-def _of(present: Mapping[Any, Any], given: Mapping[Any, Any]) -> dict[Any, Any]:
-    """Return the entries of people who are present."""
-    return {one: value for one, value in given.items() if one in present}

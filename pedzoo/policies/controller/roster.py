@@ -8,9 +8,17 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import heading_of, passes
 from pedzoo.core.types import BODY_RADIUS
-from pedzoo.policies.controller.arguments import OTHER_RADIUS, DiscKey, metres_of, number_of, speed_of
+from pedzoo.policies.controller.arguments import (
+    JUMP,
+    OTHER_RADIUS,
+    DiscKey,
+    metres_of,
+    number_of,
+    speed_of,
+)
 
 _THERE = 0.15
 """Metres: so near to where the planner has put a goal it is reached in any case."""
@@ -30,12 +38,14 @@ class Roster(NamedTuple):
         group: Number of the company that they walk in (N,) long, -1 for alone.
         other: Which agents are others, moved by the caller (N,) bool.
         goal: Their goals as they were asked for (N, 2) float64; NaN where none was.
-        goal_point: Where the planner has put these (N, 2), metres; NaN where none was.
+        goal_point: Where the planner has put these (N, 2), metres; NaN where none was, or they are at rest.
         goal_id: The planner's numbers of these (N,) long, -1 for none.
         goal_since: When they were given these (N,), seconds since the first call; -inf where none was.
         stands: Which people have no goal, or have reached theirs (N,) bool.
         heading: Directions of the bodies (N,), radians; NaN for agents that have just come.
         trace: Velocities of the trace steps of their last decision (N, S, 2), m/s; NaN before the first.
+        told: What was answered last (N, 2) float64, m/s: new people's present velocity.
+        eases: Which people set out, and have not yet walked as fast as they like (N,) bool.
     """
 
     row: dict[Hashable, int]
@@ -52,6 +62,8 @@ class Roster(NamedTuple):
     stands: Tensor
     heading: Tensor
     trace: Tensor
+    told: Tensor
+    eases: Tensor
 
     @classmethod
     def empty(cls, length: int, ticks: int) -> Roster:
@@ -71,6 +83,8 @@ class Roster(NamedTuple):
             stands=torch.zeros(0, dtype=torch.bool),
             heading=torch.zeros(0),
             trace=torch.zeros(0, ticks, 2),
+            told=torch.zeros(0, 2, dtype=torch.float64),
+            eases=torch.zeros(0, dtype=torch.bool),
         )
 
     @property
@@ -144,7 +158,23 @@ class Roster(NamedTuple):
             stands=merged(self.stands, flags([False] * len(new))),
             heading=merged(self.heading, nothing(self.heading)),
             trace=merged(self.trace, nothing(self.trace)),
+            told=merged(self.told, nothing(self.told)),
+            eases=merged(self.eases, flags([False] * len(new))),
         )
+
+    def check_moves(self, position: Tensor) -> None:
+        """Check that agents have come to ``position`` (N, 2), metres, since the last call.
+
+        Raises:
+            UserError: One was more than a kilometre away.
+        """
+        moved = (position - self.past[:, -1]).norm(dim=1)
+        if (moved > JUMP).any():
+            one = self.ids[int(moved.nan_to_num().argmax())]
+            raise UserError(
+                f"position of {one!r}: {moved.nan_to_num().max():.0f} m from that at the call before: "
+                "expected metres in one frame; leave people whom you place anew out of one call"
+            )
 
     def with_radius(self, radius: Mapping[Any, Any]) -> Roster:
         """Return the roster with bodies of ``radius``, metres by id; other agents keep theirs.
@@ -171,14 +201,18 @@ class Roster(NamedTuple):
         group[self.rows(groups)] = torch.tensor(numbers)
         return self._replace(group=group)
 
-    def begun(self, position: Tensor, velocity: Tensor, ago: Tensor, new: Tensor) -> Roster:
+    def begun(self, position: Tensor, velocity: Tensor, ago: Tensor, new: Tensor, known: Tensor) -> Roster:
         """Return the roster in which ``new`` agents (N,) have come straight to ``position`` (N, 2), metres.
 
-        They moved at ``velocity`` (N, 2), m/s; stored positions are ``ago`` (L,), seconds before now.
+        They moved at ``velocity`` (N, 2), m/s; stored positions are ``ago`` (L,), seconds before now. People
+        in the rows ``known`` (n,) set out from that velocity.
         """
         straight = position.unsqueeze(1) - velocity.unsqueeze(1) * ago.view(-1, 1)
         past = torch.where(new.view(-1, 1, 1), straight, self.past)
-        return self._replace(past=past, heading=torch.where(new, heading_of(velocity), self.heading))
+        heading = torch.where(new, heading_of(velocity), self.heading)
+        told = torch.where(new.unsqueeze(1), velocity.double(), self.told)
+        eases = self.eases | (new & torch.zeros_like(new).index_fill(0, known, True) & ~self.other)
+        return self._replace(past=past, heading=heading, told=told, eases=eases)
 
     def arrived(self, begin: Tensor, end: Tensor) -> Roster:
         """Return the roster in which people stand whose goal is within 0.3 m of their last move.

@@ -1,0 +1,206 @@
+"""How people start and stop in a controller: what no policy decides."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from pedzoo.core.geometry import identity_pose
+from pedzoo.core.types import GOAL_RADIUS, STEP_SECONDS, TOP_SPEED_RATIO
+from pedzoo.maps.bank import MapBank
+from pedzoo.policies.controller.clock import CallerClock
+from pedzoo.policies.controller.roster import Roster
+
+BRAKES, HARDEST = 2.0, 2.4
+"""m/s^2: how people come to rest at a goal, and the most by which they start and stop."""
+
+_SOFT = 0.3
+"""Seconds: the last part of a way takes this long for each e-fold, in fewer than two calls nothing does."""
+
+_GAP = 0.03
+"""Metres kept from other bodies on the way to rest."""
+
+_STILL, _AT_SPEED = 0.06, 0.8
+"""m/s below which people at their goal stand, and share of their speed from which on they have set out."""
+
+Array = NDArray[np.float64]
+
+
+def eased(
+    agents: Roster, wish: Tensor, position: Tensor, clock: CallerClock, bank: MapBank
+) -> tuple[Array, Roster]:
+    """Return the velocities of agents until the next call (N, 2), m/s, and the roster that knows them.
+
+    Policies say how people walk. Here those who near their goal brake, and those who have reached it come to
+    rest on it, or beside whoever stands there. Others who stand brake where they are. People who set out
+    start as softly. What a policy slows down stays slow, and nothing here leads into a contact.
+
+    Args:
+        agents: All that are here.
+        wish: The velocities that policies have chosen (N, 2), m/s; 0 for people who stand.
+        position: Where they are (N, 2), metres.
+        clock: Now.
+        bank: Holds the floor plan, or nothing.
+    """
+    told, stands = agents.told.numpy(), (agents.stands & ~agents.other).numpy()
+    # those who wait for the policy to decide about a new goal go on as they do
+    undecided = wish.isnan().any(1)
+    wish = torch.where(undecided.unsqueeze(1), agents.told, wish.double())
+    asked, away = wish.numpy(), (agents.goal_point - position).double().numpy()
+    distance, walks = np.hypot(*away.T), agents.walks.numpy()
+    eases, liked = agents.eases.numpy() & walks, agents.pref_speed.numpy()
+    near = distance < _way_to_rest(TOP_SPEED_RATIO * liked, clock.dt) + 2 * GOAL_RADIUS
+    acts = near | eases | (stands & told.any(1))
+    if not acts.any():
+        return asked, agents._replace(told=wish)
+    most = HARDEST * clock.dt
+    seen: Array = clock.velocity(agents.past).double().numpy()
+    # where the caller lets people not move, the next command begins from there
+    blocked = _length(seen) < 0.25 * _length(told) - 0.05
+    last = np.where(blocked[:, None], seen, told)
+    taken, left = _places_taken(agents, position, seen, distance, near & (walks | stands))
+    stands |= taken & (left < GOAL_RADIUS)
+    walks &= ~stands
+    lost = stands & (distance > 2 * GOAL_RADIUS + _way_to_rest(_length(last), clock.dt))
+    limit = np.where(np.isnan(left) | lost, np.where(stands, 0.0, np.inf), _speed_at(left, clock.dt))
+    cap = np.maximum(limit, _length(last) - most)
+    to_goal = away * (limit / np.maximum(distance, 1e-9))[:, None]
+    aim = np.where(stands[:, None], np.where(limit[:, None] > 0, to_goal, 0.0), _shortened(asked, cap))
+    soon = _way_to_rest(_length(last), clock.dt) + clock.decision_dt * _length(last)
+    soft = stands | eases | (walks & (left < soon))
+    result = np.where(soft[:, None], last + _shortened(aim - last, most), aim)
+    at_rest = stands & (lost | (limit <= min(_STILL, most))) & (_length(last) <= most)
+    at_rest &= _length(seen) <= 3 * _STILL  # a caller may be late
+    result[at_rest | agents.other.numpy()] = 0.0
+    moves = (soft | walks) & result.any(1) & ((result != asked).any(1) | undecided.numpy())
+    if moves.any():
+        # first those whom a policy moves, who go on as it says; then those may stop who are to stop anyway
+        stops = stands | undecided.numpy() | (left < soon)
+        looks = (walks & ~undecided.numpy(), asked, STEP_SECONDS), (stops, 0.0 * asked, clock.dt)
+        for which, instead, seconds in looks:
+            others = np.where(agents.other.numpy()[:, None], seen, result)
+            ahead = np.full(len(told), max(seconds, clock.dt))
+            room, more = (
+                _room(agents, position, own, others, ahead, clock.dt, bank) for own in (result, instead)
+            )
+            near_to = moves & which & (room < np.minimum(_GAP, more))
+            result = np.where(near_to[:, None], instead, result)
+    # plans are walked as they are again when people have caught up with them
+    caught_up = (_length(asked - result) < 1e-6) & (_length(seen) >= 0.99 * _length(asked))
+    caught_up &= (_length(asked) >= _AT_SPEED * liked) & ~undecided.numpy()
+    goal_point = torch.where(torch.from_numpy(at_rest | lost).unsqueeze(1), torch.nan, agents.goal_point)
+    return result, agents._replace(
+        told=torch.from_numpy(result),
+        eases=torch.from_numpy(eases & ~caught_up),
+        stands=agents.stands | torch.from_numpy(stands),
+        goal_point=goal_point,
+    )
+
+
+def expected(agents: Roster, position: Tensor, velocity: Tensor, clock: CallerClock) -> tuple[Tensor, Tensor]:
+    """Return what policies are to expect of agents until their next decision: others keep clear of that.
+
+    Args:
+        agents: All that are here.
+        position: Where they are (N, 2), metres.
+        velocity: Their velocities (N, 2), m/s.
+        clock: Now.
+
+    Returns:
+        Velocities (N, 2), m/s: those of people who stand are as they come to rest; and top speeds (N,).
+    """
+    top_speed = TOP_SPEED_RATIO * agents.pref_speed
+    away: Array = (agents.goal_point - position).double().numpy()
+    distance, stands = np.hypot(*away.T), (agents.stands & ~agents.other).numpy()
+    told: Array = agents.told.numpy()
+    near = distance < _way_to_rest(top_speed.double().numpy(), clock.dt) + 2 * GOAL_RADIUS
+    eases, rests = (agents.eases & agents.walks).numpy(), stands & told.any(1)
+    if not (near | eases | rests).any():
+        return velocity, top_speed
+    calls = max(1, min(4, round(clock.decision_dt / clock.dt)))
+    step = clock.decision_dt / calls
+    speed, left, gone = _length(told), distance.copy(), np.zeros_like(distance)
+    for _ in range(calls):
+        limit = np.where(np.isnan(left), 0.0, _speed_at(np.maximum(left, 0.0), clock.dt))
+        faster = np.where(eases | stands, speed + HARDEST * step, np.inf)
+        speed = np.minimum(np.maximum(limit, speed - HARDEST * step), faster)
+        left, gone = left - speed * step, gone + speed * step
+    mean = gone / clock.decision_dt
+    ahead = np.where(np.isnan(distance)[:, None], told, away)
+    ahead = ahead * (mean / np.maximum(_length(ahead), 1e-9))[:, None]
+    velocity = torch.where(torch.from_numpy(rests).unsqueeze(1), torch.from_numpy(ahead).float(), velocity)
+    return velocity, top_speed.minimum(torch.from_numpy(np.where(eases | near, mean, np.inf)).float())
+
+
+def setting_out(agents: Roster, before: Roster, position: Tensor, dt: float) -> Roster:
+    """Return the roster in which those set out who stood, set out or braked ``before`` they had this goal."""
+    told = _length(before.told.numpy())
+    apart = _length((before.goal_point - position).double().numpy())
+    slow = (told < _AT_SPEED * before.pref_speed.numpy()) | (apart < _way_to_rest(told, dt) + GOAL_RADIUS)
+    other_goal = (agents.goal != before.goal).any(1) & agents.walks
+    eases = agents.eases | (other_goal & (before.stands | torch.from_numpy(slow)))
+    return agents._replace(eases=eases)
+
+
+def _speed_at(distance: Array, dt: float) -> Array:
+    """Return the speeds from which people come to rest in so many metres (N,), m/s."""
+    soft = max(_SOFT, 2 * dt)
+    constant = np.sqrt(2 * BRAKES * np.maximum(distance - BRAKES * soft**2 / 2, 0.0))
+    return np.where(distance < BRAKES * soft**2, distance / soft, constant)
+
+
+def _way_to_rest(speed: Array, dt: float) -> Array:
+    """Return in how many metres people of a speed (N,) come to rest: the inverse of `_speed_at`."""
+    soft = max(_SOFT, 2 * dt)
+    return np.where(speed < BRAKES * soft, speed * soft, speed**2 / (2 * BRAKES) + BRAKES * soft**2 / 2)
+
+
+def _places_taken(
+    agents: Roster, position: Tensor, seen: Array, distance: Array, which: NDArray[np.bool_]
+) -> tuple[NDArray[np.bool_], Array]:
+    """Return at whose goals (N,) another stands, and how far they may go (N,), metres."""
+    rows = which.nonzero()[0]
+    taken, left = np.zeros(len(which), dtype=bool), distance.copy()
+    place, radius = position.double().numpy(), agents.radius.double().numpy()
+    goal = agents.goal_point.double().numpy()[rows]
+    room = radius[rows, None] + radius + _GAP
+    there = (_length(goal[:, None] - place) < room) & (_length(seen) < 0.1)
+    there[np.arange(len(rows)), rows] = False
+    apart = np.where(there, _length(place[rows, None] - place) - room, np.inf).min(1)
+    taken[rows] = there.any(1)
+    left[rows] = np.minimum(left[rows], np.maximum(apart, 0.0))
+    return taken, left
+
+
+def _room(
+    agents: Roster, position: Tensor, own: Array, others: Array, seconds: Array, dt: float, bank: MapBank
+) -> Array:
+    """Return how near agents (N,) get to others, if they go on at ``own`` and these at ``others``.
+
+    Velocities (N, 2) are in m/s, the result in metres: infinite for who comes no nearer to any. Others are
+    looked at for some ``seconds`` (N,), and walls until the next call; a wall that is touched is 0 away.
+    """
+    place, radius = position.double().numpy(), agents.radius.double().numpy()
+    away, move = place[:, None] - place, own[:, None] - others
+    when = -(away * move).sum(-1) / np.maximum((move**2).sum(-1), 1e-9)
+    np.fill_diagonal(when, -1.0)
+    nearest = _length(away + np.clip(when, 0.0, seconds[:, None])[..., None] * move)
+    result = np.where(when > 0, nearest - radius[:, None] - radius, np.inf).min(1)
+    if bank.grids:
+        ways = torch.from_numpy(np.stack((place, place + dt * own))).float().unsqueeze(0)
+        now, then = bank.closest_wall(ways, torch.tensor([bank.grids[0].map_id]), identity_pose(1))[0][
+            0
+        ].numpy()
+        result[(then < radius) & (then < now)] = 0.0
+    return result
+
+
+def _length(vectors: Array) -> Array:
+    return np.hypot(vectors[..., 0], vectors[..., 1])
+
+
+def _shortened(vectors: Array, length: Array | float) -> Array:
+    """Return vectors (N, 2) that are no longer than ``length`` (N,)."""
+    return vectors * np.minimum(1.0, length / np.maximum(_length(vectors), 1e-12))[:, None]
