@@ -1,11 +1,16 @@
 """The interface of policies."""
 
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
+import torch
 from tensordict import TensorDictBase
+from torch import Tensor
+from torch.nn.functional import normalize
 
+from pedzoo.core import randomness
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import direction_of, rotate
 from pedzoo.policies.base import NamedPolicy
 from pedzoo.policies.learned.walker import Walker
 
@@ -41,6 +46,20 @@ class Policy(NamedPolicy):
         if "action" not in agents_of(result).keys():
             raise UserError(f'{who} wrote no velocities: set tensordict["agents", "action"] (B, A, 2)')
         return result
+
+
+def drawn_vectors(scenes: TensorDictBase, key: Tensor) -> Tensor:
+    """Return standard normal vectors (B, A, 2), drawn by ``key`` (B, A) long.
+
+    They lie in the floor plan's frame, and without one in that of each agent's way: a turned scene is walked
+    alike.
+    """
+    x, y = randomness.normal(randomness.join(key.unsqueeze(-1), torch.arange(2, device=key.device))).unbind(
+        -1
+    )
+    pose, way = scenes["scene_pose"], normalize(cast("Tensor", agents_of(scenes)["desired_velocity"]), dim=-1)
+    frame = torch.where(scenes["map_id"].unsqueeze(-1) < 0, way, direction_of(pose[:, :1]))
+    return rotate(torch.stack((x, y * pose[:, 1:2]), -1), frame)
 
 
 def walkers(policy: Policy | Walker) -> list[Walker]:

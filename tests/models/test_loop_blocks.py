@@ -72,9 +72,9 @@ def test_who_goes_away_is_closest_now() -> None:
 
 
 def test_what_lies_far_ahead_in_time_is_taken_after_four_seconds() -> None:
-    """100 m ahead and 10 m/s: after 4 s there are 60 m left."""
-    result = seen_by_the_first((100.0, 0.0), (-9.0, 0.0))
-    assert result[4] == pytest.approx(2 / 102 * 60 / 2, rel=1e-3)
+    """20 m ahead and 3 m/s: after 4 s there are 8 m left."""
+    result = seen_by_the_first((20.0, 0.0), (-2.0, 0.0))
+    assert result[4] == pytest.approx(2 / 22 * 8 / 2, rel=1e-3)
 
 
 def test_turning_and_shifting_the_scene_changes_nothing() -> None:

@@ -145,7 +145,7 @@ class SocialWalker(Forecaster):
             -1,
         )
         if a.hidden_dim:
-            pooled = self.near(others.features).masked_fill(others.absent.unsqueeze(-1), 0.0)
+            pooled = self.near(others.features) * others.share.unsqueeze(-1)
             seen = [past.flatten(2), own, style, crowd, z, pooled.sum(2), pooled.amax(2), *with_me, company]
             if a.walls:
                 seen.append(now.walls)

@@ -125,11 +125,17 @@ def check_radius_ids(
         raise unknown("id in radius", name(one), map(name, (*people, *others)))
 
 
-def origin_of(point: Any) -> NDArray[np.float64]:
-    """Return the origin (2,) of a scene about a point: a scene is walked alike wherever it lies.
+def origin_of(places: Mapping[Any, Any]) -> NDArray[np.float64]:
+    """Return the origin (2,) of a scene amid most of the places of its agents, by id.
 
-    What is no point is refused by `as_points`.
+    A scene is walked alike wherever it lies, and whoever is far away from it.
     """
+    middle: NDArray[np.float64] = np.sort([point_of(place) for place in places.values()], axis=0)
+    return middle[(len(middle) - 1) // 2]
+
+
+def point_of(point: Any) -> NDArray[np.float64]:
+    """Return a point (2,); zeros for what is none, which `as_points` refuses."""
     if not _is_pair(point):
         return ZERO
     plain = point.detach().cpu().numpy() if isinstance(point, Tensor) else point

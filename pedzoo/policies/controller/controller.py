@@ -34,6 +34,7 @@ from pedzoo.policies.controller.arguments import (
     of_present,
     origin_of,
     plan_of,
+    point_of,
 )
 from pedzoo.policies.controller.clock import CallerClock
 from pedzoo.policies.controller.ease import eased, expected, setting_out
@@ -128,7 +129,7 @@ class Controller:
         grid = plan_of(map)
         origin = ZERO
         if grid is not None:
-            origin, grid = origin_of(grid.origin[:2]), replace(grid, origin=(0.0, 0.0, grid.origin[2]))
+            origin, grid = point_of(grid.origin[:2]), replace(grid, origin=(0.0, 0.0, grid.origin[2]))
         bank = MapBank([] if grid is None else [grid], unknown)
         self.policy, self.dt = policy, clock.dt
         self.pref_speed, self.deterministic = pref_speed, deterministic
@@ -205,7 +206,7 @@ class Controller:
         agents = agents.with_groups(of_present(people, by_id(groups, "groups")))
         online_goals = self._online_goals
         if present and not (self._agents.row or online_goals.planner.bank.grids):
-            online_goals = online_goals._replace(origin=origin_of(present[agents.ids[0]]))
+            online_goals = online_goals._replace(origin=origin_of(people or present))
         position = agents.past.new_empty(len(present), 2)
         position[agents.rows(present)] = as_places(present, "position", online_goals.origin).float()
         agents.check_moves(position)

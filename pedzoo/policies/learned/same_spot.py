@@ -6,34 +6,40 @@ from typing import cast
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
-from torch.nn import functional
+from torch.nn.functional import normalize
 
-from pedzoo.core import randomness
 from pedzoo.core.batch import agents_of, ids_of
-from pedzoo.policies.safety_layer.layer import scene_keys
+from pedzoo.core.geometry import direction_of, rotate
+from pedzoo.policies.nearest_agents import nearest
 
-PUSH = 0.05
-"""Metres that such people are led apart in a step, each in a direction of their own."""
+SPOT, ROOM = 0.02, 0.02
+"""Metres: agents who are nearer to each other share a spot, and the room that they get between bodies."""
 
 
 @torch.no_grad()
 def led_apart(batch: TensorDictBase) -> Tensor:
     """Return what is added to next steps (B, A, 2), metres: 0 for people with a spot of their own.
 
-    Args:
-        batch: The scenes; directions are drawn by their keys and the agents' numbers.
+    Those who share one leave it in as many directions, by the order of their numbers, counted from the way
+    of each. One step leads them apart.
     """
     agents = agents_of(batch)
     here, mask = cast("Tensor", agents["history"])[:, :, -1], cast("Tensor", agents["mask"])
-    # one whole number for each spot, 0 and -0 being the same; absent agents have numbers that no spot has
-    bits = (here.float() + 0.0).flatten().view(torch.int64).view(mask.shape)
-    absent = torch.iinfo(torch.int64).min + torch.arange(mask.shape[1], device=mask.device)
-    spot, order = torch.where(mask, bits, absent).sort(dim=1)
-    pairs = spot[:, 1:] == spot[:, :-1]
-    if pairs.device.type == "cpu" and not bool(pairs.any()):
+    along_x = torch.where(mask, here[..., 0], torch.inf).sort(dim=1)[0]
+    if mask.device.type == "cpu" and not bool((along_x.diff(dim=1) < SPOT).any()):
         return torch.zeros_like(here)
-    shared = functional.pad(pairs, (1, 0)) | functional.pad(pairs, (0, 1))
-    shared = torch.zeros_like(mask).scatter(1, order, shared) & cast("Tensor", agents["controlled"])
-    angle = 2 * math.pi * randomness.uniform(randomness.join(scene_keys(batch), "same spot", ids_of(batch)))
-    away = PUSH * torch.stack((angle.cos(), angle.sin()), -1).to(here)
-    return torch.where(shared.unsqueeze(-1), away, 0.0)
+    other, near = nearest(here, mask, SPOT, None)
+    near = torch.ones_like(other, dtype=torch.bool) if near is None else near
+    number, radius, moves = (
+        cast("Tensor", values).flatten() for values in (ids_of(batch), agents["radius"], agents["controlled"])
+    )
+    count = 1 + near.sum(0)
+    angle = 2 * math.pi * ((near & (number[other] < number)).sum(0) + 0.5) / count
+    widest = torch.where(near, radius[other], 0.0).sum(0) / (count - 1).clamp_min(1)
+    away = 0.5 * (radius + widest + ROOM) / (math.pi / count).sin()
+    away = torch.where((near & ~moves[other]).any(0), 2 * away, away)  # others who stay make no room
+    away = torch.where(moves & (count > 1), away, 0.0).unsqueeze(-1) * direction_of(angle)
+    way = normalize(cast("Tensor", agents["desired_velocity"]), dim=-1) if "goal" in agents.keys() else None
+    return rotate(away.view_as(here), direction_of(agents["heading"][..., 0]) if way is None else way).to(
+        here
+    )

@@ -10,9 +10,13 @@ from pedzoo.core.batch import ROBOT, ids_of, maps_of
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.maps.walls.segments import FASTEST, WallSegments
 from pedzoo.policies.base import deterministic
+from pedzoo.policies.learned.same_spot import led_apart
 from pedzoo.policies.orca.settings import OrcaSettings
 from pedzoo.policies.orca.velocity import orca_velocity
-from pedzoo.policies.policy import Policy
+from pedzoo.policies.policy import Policy, drawn_vectors
+
+OFF_SPOT = 0.05
+"""Of the way by which people leave the spot of others: so far off it they are seen."""
 
 
 class Orca(Policy):
@@ -22,7 +26,7 @@ class Orca(Policy):
     move, count with their own radius.
 
     Mirror-image people with the same preferred velocity stop for ever. A small ``jitter`` of the preferred
-    velocity, usual with RVO2, frees most of them. Deterministic policies have none.
+    velocity, usual with RVO2, frees most of them. Deterministic policies draw it once for each person.
     """
 
     def __init__(self, settings: OrcaSettings = OrcaSettings()) -> None:
@@ -33,15 +37,17 @@ class Orca(Policy):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the velocities of all agents."""
         agents: Any = tensordict["agents"]
-        position, mask = agents["history"][:, :, -1], agents["mask"]
+        mask = agents["mask"]
+        position = agents["history"][:, :, -1] + OFF_SPOT * led_apart(tensordict)
         scenes, slots = mask.shape
         top_speed = agents["pref_speed"][..., 0] * self.settings.top_speed_ratio
         wanted = agents["desired_velocity"]
-        if self.settings.jitter and not deterministic():
-            step = (tensordict["time"] / TRACE_SECONDS).round().long()
-            key = randomness.join(tensordict["scene_key"], "orca", step, ids_of(tensordict))
-            key = randomness.join(key.unsqueeze(-1), torch.arange(2, device=key.device))
-            wanted = wanted + self.settings.jitter * randomness.normal(key)
+        if self.settings.jitter:
+            scene, step = tensordict["scene_key"], (tensordict["time"] / TRACE_SECONDS).round().long()
+            if deterministic():  # what is drawn for people once, whatever the scene
+                scene, step = torch.zeros_like(scene), torch.zeros_like(step)
+            key = randomness.join(scene, "orca", step, ids_of(tensordict))
+            wanted = wanted + self.settings.jitter * drawn_vectors(tensordict, key)
         walls = None
         body, controlled = agents["radius"][..., 0], agents["controlled"]
         radius = self.settings.radii(body, agents["kind"] == ROBOT, controlled)

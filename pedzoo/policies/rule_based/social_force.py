@@ -12,7 +12,7 @@ from pedzoo.core.batch import ROBOT, agents_of, ids_of, maps_of, usual_body
 from pedzoo.core.geometry import move_to_map, turn_to_scene
 from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
 from pedzoo.policies.base import deterministic
-from pedzoo.policies.policy import Policy
+from pedzoo.policies.policy import Policy, drawn_vectors
 from pedzoo.policies.social_force.borders import wall_points
 from pedzoo.policies.social_force.forces import closer, wall_force
 from pedzoo.policies.social_force.settings import SocialForceSettings
@@ -41,11 +41,8 @@ class SocialForce(Policy):
         fluctuation = None
         if self.settings.fluctuation and not deterministic():
             step = (tensordict["time"] / TRACE_SECONDS).round().long()
-            key = randomness.join(identity, step).unsqueeze(-1)
-            key = randomness.join(key, torch.arange(2, device=key.device))
-            # in the floor plan's frame: a turned and mirrored scene is walked alike
-            noise = self.settings.fluctuation * randomness.normal(key)
-            fluctuation = turn_to_scene(noise, cast("Tensor", tensordict["scene_pose"]))
+            noise = drawn_vectors(tensordict, randomness.join(identity, step))
+            fluctuation = self.settings.fluctuation * noise
         tensordict["agents", "action"] = social_force_velocity(
             agents["history"][:, :, -1],
             agents["velocity"],

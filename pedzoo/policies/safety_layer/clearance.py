@@ -43,6 +43,9 @@ FIRST = 0.125
 BEYOND = 1.125
 """Part of a step that is to be clear: a body that turns off afterwards still goes on for half of 0.1 s."""
 
+HEAD_ON = 1e-3
+"""Metres: two who would pass each other nearer than this have no side of their own."""
+
 ROUNDING = 1e-5
 """Metres: a pair that lacks less room asks for no correction."""
 
@@ -164,7 +167,8 @@ class PairConstraints(NamedTuple):
         rooms = [wanted] if steps.velocity is None else [wanted, bodies, bodies, bodies]
         room = torch.where(both, torch.minimum(apart, torch.stack(rooms)), -1.0)
         if steps.velocity is not None:
-            rest = torch.where(both & wait & (order != 0), bodies + SPREAD, room[3])
+            rest = torch.where(both & (apart < least), bodies, room[3])  # those who touch part
+            rest = torch.where(both & wait & (order != 0), bodies + SPREAD, rest)
             room = torch.cat((room[:3], rest.unsqueeze(0)))
         return cls(away, apart, room, torch.where(both, mine, 0.0), least, steps.first, stands)
 
@@ -180,11 +184,14 @@ class PairConstraints(NamedTuple):
         weight = torch.stack(weights).gather(0, worst)[0]
         at = at.gather(1, worst.expand(2, *lack.shape))[:, 0]
         gap, lack = gap.gather(0, worst)[0], lack[0]
-        active = lack > ROUNDING
-        # to the side, at the closest approach, or back, along the line between the two: what is less;
-        # an exact head-on meeting has no side
-        aside = torch.where(gap > 1e-3, lack / weight.clamp_min(1e-3), torch.inf)
         line = self.away / self.apart
+        # two who meet exactly head-on keep to the right
+        tie = gap < HEAD_ON
+        at = torch.where(tie, HEAD_ON * torch.stack((-line[1], line[0])), at)
+        lack, gap = torch.where(tie, lack + gap - HEAD_ON, lack), gap.clamp_min(HEAD_ON)
+        active = lack > ROUNDING
+        # to the side, at the closest approach, or back, along the line between the two: what is less
+        aside = lack / weight.clamp_min(1e-3)
         full = (line * move[2]).sum(0)
         back = self.room[0] - self.apart - full
         if len(part) > 1:

@@ -77,6 +77,9 @@ def closest(x, y, mine, theirs, room, firm, rest, blends, first, beyond):
         near = length(near_x, near_y)
         if rest - near > lack:
             lack, part, along, at_x, at_y, gap = rest - near, 3, 1.0, near_x, near_y, near
+    if gap < 1e-3:  # exactly head-on: both keep to the right
+        apart = length(x, y)
+        lack, at_x, at_y, gap = lack + gap - 1e-3, -1e-3 * y / apart, 1e-3 * x / apart, 1e-3
     return lack, part, along, at_x, at_y, gap
 
 
@@ -166,7 +169,7 @@ def correction(x, y, apart, room, firm, rest, mine, theirs, blends, first, beyon
         return False, 0.0, 0.0
     line_x, line_y = x / apart, y / apart
     back, _ = way_back(line_x, line_y, apart, room, firm, rest, mine, theirs, blends, first, beyond)
-    aside = lack / max(weight_of(part, along, first, beyond), 1e-3) if gap > 1e-3 else np.inf
+    aside = lack / max(weight_of(part, along, first, beyond), 1e-3)
     if aside < back:
         share = min(aside, 1e3) / gap
         return True, share * at_x, share * at_y
@@ -216,7 +219,7 @@ def meetings(
             gives, other_gives = yields or (moved[a] and not other), other or (moved[o] and not yields)
             share = 0.5 if gives and other_gives else 1.0
             share, other_share, room = share * gives, share * other_gives, shoulders
-            rest = min(distance, bodies + margin)
+            rest = min(distance, bodies + margin) if distance >= bodies else bodies + margin
             if yields and other:
                 first = precedence(
                     x, y, step[a], step[o], velocity[a], velocity[o], wait, rank[a] - rank[o], order

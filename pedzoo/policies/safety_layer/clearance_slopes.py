@@ -88,7 +88,7 @@ def correction_slope(x, y, apart, room, firm, rest, mine, theirs, blends, first,
     line_x, line_y = x / apart, y / apart
     back, demand = way_back(line_x, line_y, apart, room, firm, rest, mine, theirs, blends, first, beyond)
     weight = max(weight_of(part, along, first, beyond), 1e-3)
-    aside, of_apart = lack / weight if gap > 1e-3 else np.inf, 0.0
+    aside, of_apart = lack / weight, 0.0
     if aside < back:
         share, unit = min(aside, 1e3) / gap, (of_x * at_x + of_y * at_y) / gap
         of_lack = unit / weight if aside < 1e3 else 0.0

@@ -42,7 +42,9 @@ def kept_clear(steps: ProposedSteps, walls: LocalWalls | None = None, shoulders:
 
     Two people share a correction, by who goes first: see `precedence`. Agents that the policy does not move
     take no part in it, and robots leave it to people: the other one makes all of it. Agents that touch
-    already come no closer. Neither turning a scene nor the order of its people changes anything.
+    already part, if velocities blend, else they come no closer. Neither turning a scene nor the order of its
+    people changes anything. Two who meet exactly head-on keep to the right.
+
     Differentiable. Walls are those of `MapBank.walls_around`; ``shoulders`` is the room in narrow places,
     metres: 0 for bodies alone.
     """

@@ -8,10 +8,13 @@ import math
 
 from torch import Tensor
 
-from pedzoo.policies.orca.vectors import dot
+from pedzoo.policies.orca.vectors import cross, dot, right
 
 CLOSEST = 0.01
 """Metres: people are never closer than this to the centre of a potential, where its gradient is infinite."""
+
+EXACT, OFF_LINE = 1e-5, 0.02
+"""Shares of the distance: others so little off the line ahead are on it, and count as so much off it."""
 
 
 def length(vector: Tensor, least: float) -> Tensor:
@@ -28,6 +31,16 @@ def closer(offset: Tensor, by: Tensor) -> Tensor:
     """Return offsets (2, ...) that are shorter ``by`` (...) metres, but not shorter than a hundredth."""
     share = (by / length(offset, CLOSEST)).clamp_max(0.99)
     return offset * (1 - share)
+
+
+def off_line(offset: Tensor, heading: Tensor) -> Tensor:
+    """Return offsets from others (2, K, N); those exactly ahead count as a little to the left.
+
+    Else two who meet head-on make way to no side. ``heading`` (2, N) are the desired directions.
+    """
+    ahead = -dot(offset, heading.unsqueeze(1))
+    tie = (cross(heading.unsqueeze(1).expand_as(offset), offset).abs() < EXACT * ahead).to(offset.dtype)
+    return offset + tie * OFF_LINE * ahead * right(heading).unsqueeze(1)
 
 
 def driving_force(velocity: Tensor, desired_velocity: Tensor, tau: float) -> Tensor:

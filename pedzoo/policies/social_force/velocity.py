@@ -15,6 +15,7 @@ from pedzoo.policies.social_force.forces import (
     direction,
     driving_force,
     length,
+    off_line,
     repulsion,
     smooth_weight,
     view_weight,
@@ -112,6 +113,7 @@ def _people(
     together = together if near is None else together & near
     if bool(together.any()):
         offset = offset + _apart(together, index, rows, identity, offset.dtype)
+    offset = off_line(offset, heading)
     more = wider.index_select(0, index.flatten()).view(index.shape) + _of(wider[None], rows)
     offset = closer(offset, more)
     force, away = repulsion(offset, theirs[2:], settings.strength, settings.sigma)

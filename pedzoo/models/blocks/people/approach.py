@@ -9,7 +9,7 @@ from pedzoo.core.types import STEP_SECONDS
 from pedzoo.models.blocks.people.crowd import Crowd
 
 REACH = 2.0
-"""Metres: the scale of distances. Far people are not cut off, but all look alike."""
+"""Metres: the scale of distances. Farther people look more and more alike."""
 
 HORIZON = 4.0
 """Seconds: closest approaches farther ahead count as so far ahead."""
@@ -53,7 +53,7 @@ class ApproachPooling(nn.Module):
             inner = functional.relu(self.pair(pair) + other[them])
             return functional.relu(self.output(inner))
 
-        return crowd.most_of_others(seen, position.new_zeros(position.shape[0], self.dim))
+        return crowd.most_of_others(seen, position, position.new_zeros(position.shape[0], self.dim))
 
 
 def _features(away: Tensor, moved: Tensor, heading: Tensor) -> Tensor:

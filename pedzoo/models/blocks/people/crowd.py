@@ -12,6 +12,15 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+REACH, FADES = 30.0, 25.0
+"""Metres: nobody sees others beyond the first, and those beyond the second count less."""
+
+
+@torch.no_grad()
+def share_seen(away: Tensor) -> Tensor:
+    """Return how much others count (...), 0 to 1, by where they are from a person (..., 2), metres."""
+    return ((REACH - away.norm(dim=-1)) / (REACH - FADES)).clamp(0, 1)
+
 
 class Crowd:
     """The packed order of a batch's people; its parts are computed when first asked for.
@@ -82,19 +91,22 @@ class Crowd:
         padded = packed.new_zeros(*self.shape, *packed.shape[1:])
         return padded.index_put(self._there, packed)
 
-    def most_of_others(self, seen: Callable[[Tensor, Tensor], Tensor], pooled: Tensor) -> Tensor:
-        """Return the maxima (P, D), over all others in the scene, of a person's features of another.
+    def most_of_others(
+        self, seen: Callable[[Tensor, Tensor], Tensor], position: Tensor, pooled: Tensor
+    ) -> Tensor:
+        """Return the maxima (P, D), over all others within reach, of a person's features of another.
 
         ``seen`` takes observers (G, 1, n) and observed people (G, n, 1), long, of the G scenes of each size
-        n, and returns features (G, n, n, D), never negative. ``pooled`` (P, D): zeros, the result for people
-        alone.
+        n, and returns features (G, n, n, D), never negative. ``position`` (P, 2), metres. ``pooled`` (P, D):
+        zeros, the result for people alone.
         """
         for group in self.groups:
             me, them = group.unsqueeze(1), group.unsqueeze(2)  # torch is slow at a maximum over the other one
             excluded = me == them
             if self.absent is not None:
                 excluded = excluded | self.absent.unsqueeze(2)
-            most = (seen(me, them) * ~excluded.unsqueeze(-1)).amax(1)
+            share = share_seen(position[them] - position[me]) * ~excluded
+            most = (seen(me, them) * share.unsqueeze(-1)).amax(1)
             pooled = pooled.index_copy(0, group.flatten(), most.flatten(0, 1))
         return pooled
 

@@ -6,6 +6,9 @@ from torch.nn import functional
 
 from pedzoo.core import geometry
 
+_NOTHING = 1e-4
+"""Metres: only shorter vectors are bent to the world's x, so that turned scenes are walked alike."""
+
 
 def heading(moved: Tensor, goal: Tensor | None) -> Tensor:
     """Return each person's direction (P, 2), a unit vector that changes smoothly with its arguments.
@@ -16,8 +19,7 @@ def heading(moved: Tensor, goal: Tensor | None) -> Tensor:
     towards = moved[:, -1] + 0.1 * moved.sum(1)
     if goal is not None:
         towards = towards + 0.05 * functional.normalize(goal, dim=-1)
-    towards = towards + torch.tensor([1e-4, 0.0], device=moved.device, dtype=moved.dtype)
-    return functional.normalize(towards, dim=-1)
+    return _direction(towards)
 
 
 def way(moved: Tensor, goal: Tensor) -> Tensor:
@@ -26,8 +28,14 @@ def way(moved: Tensor, goal: Tensor) -> Tensor:
     It is that of the goal, and a little of the last displacement. In `heading` the displacement decides:
     people who hardly move may turn by any angle in a step, which makes simulations chaotic.
     """
-    nowhere = torch.tensor([1e-4, 0.0], device=moved.device, dtype=moved.dtype)
-    return functional.normalize(functional.normalize(goal, dim=-1) + moved[:, -1] + nowhere, dim=-1)
+    return _direction(functional.normalize(goal, dim=-1) + moved[:, -1])
+
+
+def _direction(towards: Tensor) -> Tensor:
+    """Return unit vectors along ``towards`` (P, 2), metres; the world's x where it is nothing."""
+    nothing = (1 - towards.square().sum(-1, keepdim=True) / _NOTHING**2).clamp_min(0)
+    along_x = torch.tensor([_NOTHING, 0.0], device=towards.device, dtype=towards.dtype)
+    return functional.normalize(towards + nothing * along_x, dim=-1)
 
 
 def into(frame: Tensor | None, vectors: Tensor) -> Tensor:

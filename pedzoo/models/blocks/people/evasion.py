@@ -26,7 +26,7 @@ def evasion(others: Neighbours, side: Tensor) -> tuple[Tensor, Tensor]:
     """
     closest, (soon, miss) = 2 * others.features[..., 6:8], others.features[..., 10:12].unbind(-1)
     comes_closer = (soon < 1) & ~others.absent
-    urgent = torch.where(comes_closer, soon * miss, 0.0).unsqueeze(-1)
+    urgent = torch.where(comes_closer, soon * miss * others.share, 0.0).unsqueeze(-1)
     closest = closest + torch.stack((torch.zeros_like(side), MIDDLE * side.sign()), -1).unsqueeze(2)
     away = -closest / smooth_norm(closest).unsqueeze(-1).clamp_min(_AT_ONCE)
     return (urgent * away).sum(2), urgent.amax(2)

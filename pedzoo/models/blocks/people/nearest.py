@@ -7,6 +7,7 @@ from torch import Tensor
 
 from pedzoo.core.geometry import unrotate
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
+from pedzoo.models.blocks.people.crowd import REACH, share_seen
 
 NEAREST = 6
 """Nearest others of a person that a network sees."""
@@ -14,7 +15,7 @@ NEAREST = 6
 FEATURES = 12
 """Numbers of each of them."""
 
-_FAR = 1e4
+_FAR = REACH**2
 """Square metres: farther agents are not there."""
 
 _SOON = 5.0
@@ -33,6 +34,7 @@ class Neighbours(NamedTuple):
     Attributes:
         features: Relative place and velocity, and those of the closest approach (B, A, k, 12).
         absent: Where there are fewer than k (B, A, k) bool.
+        share: How much each counts (B, A, k), see `share_seen`; 0 where absent.
         other: Their slots (B, A, k) long.
         place: Mean place of companions (B, A, 2), metres from the person; 0 without any.
         velocity: Their mean velocity (B, A, 2) against the person's, m/s.
@@ -43,6 +45,7 @@ class Neighbours(NamedTuple):
 
     features: Tensor
     absent: Tensor
+    share: Tensor
     other: Tensor
     place: Tensor
     velocity: Tensor
@@ -112,14 +115,15 @@ def nearest(
             squared, mate = apart.masked_fill(~companions, _FAR).topk(
                 min(_COMPANIONS, people), 2, largest=False
             )
-            weight = (squared < _FAR).to(place.dtype)
         turned, moving = (unrotate(of_others(values, mate), frame) for values in (here, velocity))
+        weight = share_seen(turned).masked_fill(squared >= _FAR, 0.0)
         length = (turned.square().sum(-1, keepdim=True) + 1e-6).sqrt()
         turned = turned * (_REACH / length.clamp_min(_REACH))
     weight = weight.unsqueeze(-1)
     company = weight.sum(2)
-    share = weight / company.unsqueeze(2).clamp_min(0.1)
-    return Neighbours(features, absent, other, (share * turned).sum(2), (share * moving).sum(2), company)
+    part = weight / company.unsqueeze(2).clamp_min(0.1)
+    seen = features, absent, share_seen(place).masked_fill(absent, 0.0), other
+    return Neighbours(*seen, (part * turned).sum(2), (part * moving).sum(2), company)
 
 
 def of_slots(values: Tensor, other: Tensor) -> Tensor:

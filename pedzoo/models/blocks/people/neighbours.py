@@ -7,7 +7,7 @@ from pedzoo.core import geometry
 from pedzoo.models.blocks.people.crowd import Crowd
 
 REACH = 4.0
-"""Metres: the scale of distances. Far people are not cut off, but all look alike."""
+"""Metres: the scale of distances. Farther people look more and more alike."""
 
 
 class RelativePooling(nn.Module):
@@ -35,4 +35,4 @@ class RelativePooling(nn.Module):
             near = REACH / (REACH + distance)
             return self.net(torch.cat((near * away / REACH, relative, near), -1))
 
-        return crowd.most_of_others(seen, position.new_zeros(position.shape[0], self.dim))
+        return crowd.most_of_others(seen, position, position.new_zeros(position.shape[0], self.dim))

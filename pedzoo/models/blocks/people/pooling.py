@@ -4,6 +4,8 @@ For person i, every j of the same scene (i too) gives an embedded relative posit
 
     pool_i = max_j ReLU(W_2 ReLU(W_1 [W_e (p_j - p_i) + b_e; h_j] + b_1) + b_2).
 
+People beyond `pedzoo.models.blocks.people.crowd.REACH` are left out.
+
 No activation stands between W_e and W_1, so the inner vector is u_j - v_i with one u and one v per person.
 Then ReLU(u_j - v_i) = max(u_j, v_i) - v_i, which leaves one maximum and one product with W_2 per pair.
 Backwards, only the winning pair of each person and channel has a gradient.
@@ -17,7 +19,7 @@ from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
 from pedzoo.models.blocks.mlp import mlp
-from pedzoo.models.blocks.people.crowd import Crowd
+from pedzoo.models.blocks.people.crowd import Crowd, share_seen
 
 _CPU_FLOATS = 2**20
 """Size of the buffer of pairs on a CPU: 4 MB of float32, near enough to the cache (measured)."""
@@ -81,14 +83,14 @@ class SocialPooling(nn.Module):
         u = functional.linear(torch.cat((away, hidden), 1), fused.w_u, fused.b_u)
         v = functional.linear(away, fused.w_v)
         if crowd.absent is not None:
-            best = _max_over_slots(u, v, fused.w_2, crowd.absent)
+            best = _max_over_slots(u, v, fused.w_2, crowd.absent, away)
             return functional.linear(v, fused.minus_w_2, fused.b_2).add_(best).relu_()
         if torch.is_grad_enabled():
-            return torch.relu(_MaxOverPairs.apply(u, v, fused.w_2, crowd.groups, crowd.first) + fused.b_2)
+            return torch.relu(_MaxOverPairs.apply(u, v, fused.w_2, crowd, away) + fused.b_2)
         if crowd.full and u.numel() * crowd.shape[1] <= _AT_ONCE:
-            best = _max_over_few_pairs(u, v, fused.w_2, crowd.shape[1])
+            best = _max_over_few_pairs(u, v, fused.w_2, away.view(*crowd.shape, 2))
         else:
-            best = _max_over_pairs(u, v, fused.w_2, crowd.groups)[0]
+            best = _max_over_pairs(u, v, fused.w_2, crowd.groups, away)[0]
         return functional.linear(v, fused.minus_w_2, fused.b_2).add_(best).relu_()
 
     def fuse(self) -> PoolingWeights:
@@ -105,12 +107,10 @@ class _MaxOverPairs(torch.autograd.Function):
     """max_j W ReLU(u_j - v_i) with a gradient that visits the winning pairs only."""
 
     @staticmethod
-    def forward(
-        ctx: Any, u: Tensor, v: Tensor, weight: Tensor, groups: tuple[Tensor, ...], first: Tensor
-    ) -> Tensor:
-        """Return the maxima (P, C); ``first`` (P,) is the first person of each person's scene."""
-        best, winner = _max_over_pairs(u, v, weight, groups)
-        ctx.save_for_backward(u, v, weight, winner.add_(first.unsqueeze(1)))
+    def forward(ctx: Any, u: Tensor, v: Tensor, weight: Tensor, crowd: Crowd, place: Tensor) -> Tensor:
+        """Return the maxima (P, C) of a crowd at places (P, 2), metres."""
+        best, winner = _max_over_pairs(u, v, weight, crowd.groups, place)
+        ctx.save_for_backward(u, v, weight, winner.add_(crowd.first.unsqueeze(1)))
         return best - v @ weight.t()
 
     @staticmethod
@@ -140,11 +140,12 @@ class _MaxOverPairs(torch.autograd.Function):
 
 
 def _max_over_pairs(
-    u: Tensor, v: Tensor, weight: Tensor, groups: tuple[Tensor, ...]
+    u: Tensor, v: Tensor, weight: Tensor, groups: tuple[Tensor, ...], place: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Return max_j W max(u_j, v_i) over the scene of i (P, C), and which of its people won (P, C) long.
 
-    ``groups`` are the people (G, n) of the scenes of each size n; u and v are (P, D), and W is (C, D).
+    ``groups`` are the people (G, n) of the scenes of each size n; u and v are (P, D), and W is (C, D). People
+    are at places (P, 2), metres; those beyond reach take no part.
     """
     if not groups:
         return v.new_zeros(0, len(weight)), torch.zeros(0, len(weight), dtype=torch.long, device=v.device)
@@ -154,7 +155,9 @@ def _max_over_pairs(
     result = []
     for group, (scenes, rows, n) in zip(groups, pieces, strict=True):
         # A single group is all people, in order.
-        seen, looking = (x.view(-1, n, width) if len(groups) == 1 else x[group] for x in (u, v))
+        seen, looking, at = (
+            x.view(-1, n, x.shape[1]) if len(groups) == 1 else x[group] for x in (u, v, place)
+        )
         for i in range(0, len(group), scenes):
             for k in range(0, n, rows):
                 some = looking[i : i + scenes, k : k + rows].unsqueeze(2)
@@ -162,7 +165,9 @@ def _max_over_pairs(
                 cells = buffer[: shape[0] * shape[1] * n]
                 torch.maximum(seen[i : i + scenes].unsqueeze(1), some, out=cells.view(*shape, width))
                 # With the few channels first this product is four times as fast: (C, G', rows, n).
-                best, winner = (weight @ cells.t()).view(-1, *shape).max(3)
+                value = (weight @ cells.t()).view(-1, *shape)
+                value -= _loss_of_far(at[i : i + scenes, k : k + rows], at[i : i + scenes])
+                best, winner = value.max(3)
                 result.append((best.flatten(1), winner.flatten(1)))
     best, winner = result[0] if len(result) == 1 else (torch.cat(x, 1) for x in zip(*result, strict=True))
     best, winner = best.t(), winner.t()
@@ -172,16 +177,24 @@ def _max_over_pairs(
     return best, winner
 
 
-def _max_over_few_pairs(u: Tensor, v: Tensor, weight: Tensor, n: int) -> Tensor:
-    """Return the maxima of `_max_over_pairs` for scenes of ``n`` people each, in as few calls as possible."""
+def _loss_of_far(here: Tensor, there: Tensor) -> Tensor:
+    """Return what is taken off people ``there`` (G, n, 2) as those ``here`` (G, m, 2) see them (G, m, n)."""
+    return 1 / share_seen(there.unsqueeze(1) - here.unsqueeze(2)) - 1
+
+
+def _max_over_few_pairs(u: Tensor, v: Tensor, weight: Tensor, place: Tensor) -> Tensor:
+    """Return the maxima of `_max_over_pairs` in as few calls as possible; ``place`` is (B, A, 2)."""
+    n = place.shape[1]
     pairs = torch.maximum(u.view(-1, 1, n, u.shape[1]), v.view(-1, n, 1, u.shape[1])).view(-1, u.shape[1])
-    return functional.linear(weight, pairs).view(-1, len(u), n).amax(2).t()
+    value = functional.linear(weight, pairs).view(-1, *place.shape[:2], n) - _loss_of_far(place, place)
+    return value.amax(3).flatten(1).t()
 
 
-def _max_over_slots(u: Tensor, v: Tensor, weight: Tensor, absent: Tensor) -> Tensor:
+def _max_over_slots(u: Tensor, v: Tensor, weight: Tensor, absent: Tensor, place: Tensor) -> Tensor:
     """Return the maxima of `_max_over_pairs` over agents that are not ``absent`` (B, A), for B * A slots."""
     mine, others = v.view(*absent.shape, 1, -1), u.view(absent.shape[0], 1, absent.shape[1], -1)
-    pairs = functional.linear(torch.maximum(others, mine), weight)
+    place = place.view(*absent.shape, 2)
+    pairs = functional.linear(torch.maximum(others, mine), weight) - _loss_of_far(place, place).unsqueeze(3)
     return pairs.masked_fill(absent[:, None, :, None], -torch.inf).amax(2).flatten(0, 1)
 
 

@@ -10,6 +10,7 @@ from torch.nn import functional
 from pedzoo.core.batch import agents_of, companions_of, goals_of, goes_on, maps_of
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.models.blocks.floor_plan.map_encoder import distances_at, rings
+from pedzoo.models.blocks.people.crowd import share_seen
 from pedzoo.models.blocks.people.style import kinks_of, style_of, unless_even
 
 WALLS, RAYS = (0.4, 0.9), 8
@@ -35,9 +36,9 @@ class Situation(NamedTuple):
         pressing: For how many steps, one after the other, they were asked to walk and stood (B, A).
         stood: In which share of the steps that are seen first they stood (B, A).
         style: Their styles (B, A, 6), and ...
-        crowd_style: ... the mean over the agents of the scene (B, 1, 6).
-        crowd_change: Mean second difference of those who walk in the steps seen first (B, 1, 1), metres;
-            infinite where none does.
+        crowd_style: ... the mean over the agents within reach of each (B, A, 6).
+        crowd_change: Mean second difference of those of them who walk in the steps seen first (B, A, 1),
+            metres; infinite where none does.
         radius: Radii of their bodies (B, A), metres.
         walls: Distances to walls around them (B, A, 17), metres, in the frame of ``ahead``; anything where
             the network sees none.
@@ -89,11 +90,10 @@ class Situation(NamedTuple):
         style = style_of(first)
         stood = (first.diff(dim=2).square().sum(-1) < (0.1 * STEP_SECONDS) ** 2).to(style.dtype).mean(2)
         known = (there & agents["valid"].all(-1)).unsqueeze(-1)
-        crowd = torch.where(known, style, 0.0).sum(1, keepdim=True) / known.sum(1, keepdim=True).clamp_min(1)
+        crowd, _ = _mean_around(history[:, :, -1], style, known)
         walks = known & (stood < 0.5).unsqueeze(-1)
-        change = torch.where(walks, kinks_of(style).unsqueeze(-1), 0.0).sum(1, keepdim=True)
-        walking = walks.sum(1, keepdim=True)
-        change = torch.where(walking > 0, change / walking, torch.inf)
+        change, walking = _mean_around(history[:, :, -1], kinks_of(style).unsqueeze(-1), walks)
+        change = torch.where(walking > 0, change, torch.inf)
         around = _walls(batch, history[:, :, -1], ahead) if walls else late.unsqueeze(-1)
         late = torch.where(there, late, 0.0)
         remaining = torch.where(there & remaining.isfinite(), remaining, 0.0)
@@ -140,6 +140,13 @@ class Situation(NamedTuple):
             hindered=torch.zeros_like(self.hindered),
             pressing=torch.zeros_like(self.pressing),
         )
+
+
+def _mean_around(here: Tensor, values: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
+    """Return means (B, A, C) of what is ``known`` (B, A, 1) bool of agents within reach, and their number."""
+    share = share_seen(here.unsqueeze(1) - here.unsqueeze(2)).unsqueeze(-1) * known.unsqueeze(1)
+    count = share.sum(2)
+    return (share * torch.where(known, values, 0.0).unsqueeze(1)).sum(2) / count.clamp_min(1e-6), count
 
 
 def _walls(batch: TensorDict, position: Tensor, ahead: Tensor) -> Tensor:
