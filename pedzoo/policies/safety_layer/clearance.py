@@ -187,11 +187,12 @@ class PairConstraints(NamedTuple):
         line = self.away / self.apart
         # two who meet exactly head-on keep to the right
         tie = gap < HEAD_ON
-        at = torch.where(tie, HEAD_ON * torch.stack((-line[1], line[0])), at)
+        at = torch.where(tie, HEAD_ON * torch.stack((-line[1], line[0])).detach(), at)
         lack, gap = torch.where(tie, lack + gap - HEAD_ON, lack), gap.clamp_min(HEAD_ON)
         active = lack > ROUNDING
         # to the side, at the closest approach, or back, along the line between the two: what is less
         aside = lack / weight.clamp_min(1e-3)
+        aside = torch.where(tie, aside.detach(), aside)
         full = (line * move[2]).sum(0)
         back = self.room[0] - self.apart - full
         if len(part) > 1:

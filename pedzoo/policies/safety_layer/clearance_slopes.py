@@ -89,6 +89,8 @@ def correction_slope(x, y, apart, room, firm, rest, mine, theirs, blends, first,
     back, demand = way_back(line_x, line_y, apart, room, firm, rest, mine, theirs, blends, first, beyond)
     weight = max(weight_of(part, along, first, beyond), 1e-3)
     aside, of_apart = lack / weight, 0.0
+    if aside < back and gap == 1e-3:
+        return  # exactly head-on: constants
     if aside < back:
         share, unit = min(aside, 1e3) / gap, (of_x * at_x + of_y * at_y) / gap
         of_lack = unit / weight if aside < 1e3 else 0.0
