@@ -510,5 +510,5 @@ def test_a_unit_of_a_mixed_crowd_knows_its_weights(monkeypatch: pytest.MonkeyPat
     ]
     before = [digest(unit) for unit in units]
     assert len(set(before)) == 3 and before == [digest(unit) for unit in units]
-    monkeypatch.setattr("pedzoo.eval.work_units.sha256_of", lambda path: "another file")
+    monkeypatch.setattr("pedzoo.eval.work_units.code_sum", lambda content: "other code")
     assert digest(units[0]) == before[0] and digest(units[1]) != before[1]

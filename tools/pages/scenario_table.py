@@ -177,7 +177,7 @@ def page(options: argparse.Namespace, result: dict[TableRow, RowResult], conclus
         f", commit {made.get('commit', 'unknown')}: the first episodes of seed 0, physics"
         f" `{options.physics}`, speeds N(1.3, 0.2) m/s, decisions every {TRACE_SECONDS} s, body radius"
         " 0.15 m, warm start with ORCA (radius 0.2). In brackets 95 % intervals: Wilson's over episodes for"
-        " shares, bootstrapped over episodes otherwise.\n",
+        " shares, Student's t over episodes otherwise.\n",
         markdown_table(names, rows),
         LEGEND,
         conclusions,

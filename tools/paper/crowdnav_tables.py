@@ -131,7 +131,7 @@ LEGEND = {
 NOTES = (
     "`robot_ppo.circle` and `robot_ppo.crowd` have learned, in other crowds of CrowdNav and CrowdNav++; the"
     " others have not. `sampling` has settings that were chosen on other cases, seeds 0 to 499 of CrowdNav's"
-    " validation. In brackets 95 % intervals over n cases: Wilson's for shares, bootstrapped otherwise",
+    " validation. In brackets 95 % intervals over n cases: Wilson's for shares, Student's t otherwise",
     "`dwa` is a differential drive (1 m/s, 1 m/s^2, 1.5 rad/s); the others go in any direction at once",
     "CrowdNav: cases, rules and clock are its own. Of 500 cases with `crowdnav_orca` 499 end as with RVO2 at"
     " the same time; one collides a step earlier. The test is tests/sim/test_crowdnav.py",

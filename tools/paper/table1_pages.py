@@ -71,9 +71,9 @@ def notes(missing: Mapping[str, str]) -> list[str]:
         "8 observed steps of 0.4 s, Social GAN's windows (people seen throughout, at least two), every"
         " annotated step taken as 0.4 s; metres; test scenes that the weights were not trained on. Behind"
         " the folds the number of people, each counted in every window; the mean counts each fold the same",
-        "in a cell ADE and below it FDE, in brackets their 95 % intervals by a bootstrap over blocks of time"
+        "in a cell ADE and below it FDE, in brackets their 95 % intervals by Student's t over blocks of time"
         f" as long as a window, since windows overlap. ~ marks those of fewer than {FEW} blocks (eth is"
-        " short), rough and too narrow. Intervals say nothing about other scenes nor other trainings: for"
+        " short), rough. Intervals say nothing about other scenes nor other trainings: for"
         " these see the spread over training seeds",
         "most likely: the model's one best guess (for SGAN: noise zero). One random sample: what a single"
         " draw costs on average. Best of 20 looks at the answer: per scene one sample for all people of a"

@@ -18,7 +18,7 @@ STEPS = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 """The eight neighbours of a cell: rows and columns away."""
 
 
-_SAME = 0.01
+_SAME = 0.05
 """Metres: who is moved by less is not moved."""
 
 POCKET = 0.5
