@@ -10,7 +10,7 @@ from torch.nn.functional import normalize
 
 from pedzoo.core.batch import agents_of, ids_of
 from pedzoo.core.geometry import direction_of, rotate
-from pedzoo.policies.nearest_agents import nearest
+from pedzoo.policies.nearest_agents import ALL_PAIRS, nearest
 
 SPOT, ROOM = 0.02, 0.02
 """Metres: agents who are nearer to each other share a spot, and the room that they get between bodies."""
@@ -25,9 +25,12 @@ def led_apart(batch: TensorDictBase) -> Tensor:
     """
     agents = agents_of(batch)
     here, mask = cast("Tensor", agents["history"])[:, :, -1], cast("Tensor", agents["mask"])
-    along_x = torch.where(mask, here[..., 0], torch.inf).sort(dim=1)[0]
-    if mask.device.type == "cpu" and not bool((along_x.diff(dim=1) < SPOT).any()):
-        return torch.zeros_like(here)
+    if mask.device.type == "cpu" and mask.shape[1] <= ALL_PAIRS:
+        x, y = torch.where(mask.unsqueeze(-1), here, torch.nan).unbind(-1)
+        squared = (x.unsqueeze(1) - x.unsqueeze(2)).square() + (y.unsqueeze(1) - y.unsqueeze(2)).square()
+        close = squared < SPOT**2
+        if int(close.sum()) <= int(mask.sum()):  # each is close to nobody but themselves
+            return torch.zeros_like(here)
     other, near = nearest(here, mask, SPOT, None)
     near = torch.ones_like(other, dtype=torch.bool) if near is None else near
     number, radius, moves = (
