@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.core.errors import UserError
@@ -43,7 +45,7 @@ class CallerClock(NamedTuple):
 
     dt: float
     decision_dt: float
-    times: Tensor
+    times: NDArray[np.float64]
     calls: int = 0
     start: float | None = None
     due: float = 0.0
@@ -64,7 +66,7 @@ class CallerClock(NamedTuple):
                 f"{LONGEST:g} s{unit}"
             )
         kept = math.ceil(_OBSERVED / seconds - _ROUNDING) + 1
-        return cls(seconds, decision_dt, torch.arange(-kept, 0, dtype=torch.float64) * seconds)
+        return cls(seconds, decision_dt, seconds * np.arange(-kept, 0))
 
     @property
     def now(self) -> float:
@@ -115,8 +117,8 @@ class CallerClock(NamedTuple):
 
     def at(self, now: float) -> tuple[CallerClock, int]:
         """Return the clock ``now`` seconds after the first call, and how many oldest positions to drop."""
-        times = torch.cat((self.times, self.times.new_tensor([now])))
-        dropped = int((times[1:] <= now - _OBSERVED + _ROUNDING).sum())
+        times = np.append(self.times, now)
+        dropped = int(times[1:].searchsorted(now - _OBSERVED + _ROUNDING, "right"))
         clock = self._replace(times=times[dropped:])
         if now < self.due - self.dt / 2 - _ROUNDING:
             return clock, dropped
@@ -128,11 +130,11 @@ class CallerClock(NamedTuple):
     @property
     def ago(self) -> Tensor:
         """How long ago the kept positions were (L,), seconds."""
-        return (self.now - self.times).float()
+        return torch.from_numpy(self.now - self.times).float()
 
     def history(self, past: Tensor) -> Tensor:
         """Return positions (N, 8, 2) every 0.4 s, oldest first, from those that are kept (N, L, 2)."""
-        return self._before(past, STEP_SECONDS * torch.arange(OBS_LEN - 1, -1, -1, dtype=torch.float64))
+        return self._before(past, STEP_SECONDS * np.arange(OBS_LEN - 1, -1, -1))
 
     def velocity(self, past: Tensor) -> Tensor:
         """Return the velocities (N, 2) of the last ``dt`` seconds, at least of 0.1 s, m/s.
@@ -140,7 +142,7 @@ class CallerClock(NamedTuple):
         In less time millimetres of a simulator's noise are much.
         """
         seconds = max(self.dt, TRACE_SECONDS)
-        return (past[:, -1] - self._before(past, self.times.new_tensor([seconds]))[:, 0]) / seconds
+        return (past[:, -1] - self._before(past, np.array([seconds]))[:, 0]) / seconds
 
     def parts(self, ticks: int) -> Tensor:
         """Return the share (S,) of every trace step of a decision in the next ``dt`` seconds."""
@@ -152,12 +154,12 @@ class CallerClock(NamedTuple):
         low, high = edges[:-1].clamp_min(begin), edges[1:].clamp_max(begin + self.dt)
         return ((high - low).clamp_min(0) / self.dt).float()
 
-    def _before(self, past: Tensor, ago: Tensor) -> Tensor:
+    def _before(self, past: Tensor, ago: NDArray[np.float64]) -> Tensor:
         """Return positions (N, K, 2) so many seconds ago (K,), on straight lines between the kept ones."""
         when = self.times[-1] - ago
-        after = torch.searchsorted(self.times, when - _ROUNDING).clamp(1, len(self.times) - 1)
+        after = self.times.searchsorted(when - _ROUNDING).clip(1, len(self.times) - 1)
         begin, end = self.times[after - 1], self.times[after]
-        share = ((when - begin) / (end - begin)).to(past.dtype).unsqueeze(1)
+        share = torch.from_numpy((when - begin) / (end - begin)).to(past.dtype).unsqueeze(1)
         return past[:, after - 1].lerp(past[:, after], share)
 
 

@@ -44,17 +44,18 @@ def eased(
         clock: Now.
         bank: Holds the floor plan, or nothing.
     """
-    told, stands = agents.told.numpy(), (agents.stands & ~agents.other).numpy()
+    told, asked = agents.told.numpy(), wish.numpy().astype(np.float64)
     # those who wait for the policy to decide about a new goal go on as they do
-    undecided = wish.isnan().any(1)
-    wish = torch.where(undecided.unsqueeze(1), agents.told, wish.double())
-    asked, away = wish.numpy(), (agents.goal_point - position).double().numpy()
-    distance, walks = np.hypot(*away.T), agents.walks.numpy()
-    eases, liked = agents.eases.numpy() & walks, agents.pref_speed.numpy()
+    undecided = np.isnan(asked[:, 0])
+    asked = np.where(undecided[:, None], told, asked)
+    away = (agents.goal_point.numpy() - position.numpy()).astype(np.float64)
+    distance, liked = np.hypot(*away.T), agents.pref_speed.numpy()
+    others, stands, eases = agents.other.numpy(), agents.stands.numpy(), agents.eases.numpy()
+    stands, walks = stands & ~others, ~(stands | others)
     near = distance < _way_to_rest(TOP_SPEED_RATIO * liked, clock.dt) + 2 * GOAL_RADIUS
-    acts = near | eases | (stands & told.any(1))
-    if not acts.any():
-        return asked, agents._replace(told=wish)
+    if not (near | eases | (stands & told.any(1))).any():
+        return asked, agents._replace(told=torch.from_numpy(asked))
+    eases = eases & walks
     most = HARDEST * clock.dt
     seen: Array = clock.velocity(agents.past).double().numpy()
     # where the caller lets people not move, the next command begins from there
@@ -73,23 +74,23 @@ def eased(
     result = np.where(soft[:, None], last + _shortened(aim - last, most), aim)
     at_rest = stands & (lost | (limit <= min(_STILL, most))) & (_length(last) <= most)
     at_rest &= _length(seen) <= 3 * _STILL  # a caller may be late
-    result[at_rest | agents.other.numpy()] = 0.0
-    moves = (soft | walks) & result.any(1) & ((result != asked).any(1) | undecided.numpy())
+    result[at_rest | others] = 0.0
+    moves = (soft | walks) & result.any(1) & ((result != asked).any(1) | undecided)
     if moves.any():
         # first those whom a policy moves, who go on as it says; then those may stop who are to stop anyway
-        stops = stands | undecided.numpy() | (left < soon)
-        looks = (walks & ~undecided.numpy(), asked, STEP_SECONDS), (stops, 0.0 * asked, clock.dt)
+        stops = stands | undecided | (left < soon)
+        looks = (walks & ~undecided, asked, STEP_SECONDS), (stops, 0.0 * asked, clock.dt)
         for which, instead, seconds in looks:
-            others = np.where(agents.other.numpy()[:, None], seen, result)
+            theirs = np.where(others[:, None], seen, result)
             ahead = np.full(len(told), max(seconds, clock.dt))
             room, more = (
-                _room(agents, position, own, others, ahead, clock.dt, bank) for own in (result, instead)
+                _room(agents, position, own, theirs, ahead, clock.dt, bank) for own in (result, instead)
             )
             near_to = moves & which & (room < np.minimum(_GAP, more))
             result = np.where(near_to[:, None], instead, result)
     # plans are walked as they are again when people have caught up with them
     caught_up = (_length(asked - result) < 1e-6) & (_length(seen) >= 0.99 * _length(asked))
-    caught_up &= (_length(asked) >= _AT_SPEED * liked) & ~undecided.numpy()
+    caught_up &= (_length(asked) >= _AT_SPEED * liked) & ~undecided
     goal_point = torch.where(torch.from_numpy(at_rest | lost).unsqueeze(1), torch.nan, agents.goal_point)
     return result, agents._replace(
         told=torch.from_numpy(result),

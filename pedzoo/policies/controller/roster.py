@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -168,12 +169,12 @@ class Roster(NamedTuple):
         Raises:
             UserError: One was more than a kilometre away.
         """
-        moved = (position - self.past[:, -1]).norm(dim=1)
+        moved = (position - self.past[:, -1]).abs().numpy()
         if (moved > JUMP).any():
-            one = self.ids[int(moved.nan_to_num().argmax())]
+            row, column = np.unravel_index(np.nan_to_num(moved).argmax(), moved.shape)
             raise UserError(
-                f"position of {one!r}: {moved.nan_to_num().max():.0f} m from that at the call before: "
-                "expected metres in one frame; leave people whom you place anew out of one call"
+                f"position of {self.ids[int(row)]!r}: {moved[row, column]:.0f} m from that at the call "
+                "before: expected metres in one frame; leave people whom you place anew out of one call"
             )
 
     def with_radius(self, radius: Mapping[Any, Any]) -> Roster:
