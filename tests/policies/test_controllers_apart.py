@@ -126,7 +126,11 @@ def test_people_who_walk_alone_arrive(name: str, plan: Any, people: int) -> None
     controllers = [Controller(policy, plan, dt=dt) for _ in range(count)]
     graph = controllers[0]._online_goals.planner.graph(0)
     main = np.flatnonzero(graph.component == np.bincount(graph.component).argmax())
-    start, goal = (graph.xy[rng.choice(main, people)] for _ in range(2))
+    start, goal = graph.xy[rng.choice(main, people)], np.zeros((0, 2))
+    for place in graph.xy[rng.permutation(main)]:  # where others stand nobody else comes to rest
+        if len(goal) < people and (np.linalg.norm(goal - place, axis=1) > 0.65).all():
+            goal = np.vstack((goal, place))
+    assert len(goal) == people
 
     def given(places: np.ndarray[Any, Any]) -> list[dict[Any, Any]]:
         return [dict(enumerate(some)) for some in np.split(places, count)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -45,7 +45,7 @@ class CallerClock(NamedTuple):
 
     dt: float
     decision_dt: float
-    times: NDArray[np.float64]
+    times: NDArray[Any]
     calls: int = 0
     start: float | None = None
     due: float = 0.0
@@ -154,7 +154,7 @@ class CallerClock(NamedTuple):
         low, high = edges[:-1].clamp_min(begin), edges[1:].clamp_max(begin + self.dt)
         return ((high - low).clamp_min(0) / self.dt).float()
 
-    def _before(self, past: Tensor, ago: NDArray[np.float64]) -> Tensor:
+    def _before(self, past: Tensor, ago: NDArray[Any]) -> Tensor:
         """Return positions (N, K, 2) so many seconds ago (K,), on straight lines between the kept ones."""
         when = self.times[-1] - ago
         after = self.times.searchsorted(when - _ROUNDING).clip(1, len(self.times) - 1)

@@ -78,7 +78,7 @@ def eased(
     moves = (soft | walks) & result.any(1) & ((result != asked).any(1) | undecided)
     if moves.any():
         # first those whom a policy moves, who go on as it says; then those may stop who are to stop anyway
-        stops = stands | undecided | (left < soon)
+        stops = stands | undecided
         looks = (walks & ~undecided, asked, STEP_SECONDS), (stops, 0.0 * asked, clock.dt)
         for which, instead, seconds in looks:
             theirs = np.where(others[:, None], seen, result)

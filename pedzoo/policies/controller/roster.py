@@ -221,6 +221,8 @@ class Roster(NamedTuple):
         That holds for the goal as it was asked for and for where the planner has put it, which is on their
         side of the wall. Where the one is too far from the other, people go on to the latter.
         """
-        asked, near = passes(begin, end, self.goal.float()), passes(begin, end, self.goal_point)
-        there = passes(begin, end, self.goal_point, _THERE)
+        near = passes(begin, end, self.goal_point)
+        if not near.any():
+            return self
+        asked, there = passes(begin, end, self.goal.float()), passes(begin, end, self.goal_point, _THERE)
         return self._replace(stands=self.stands | near & asked | there)
