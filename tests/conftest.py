@@ -28,6 +28,12 @@ def empty_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
+@pytest.fixture(autouse=True)
+def seeded() -> None:
+    """Make what a test draws independent of the tests before it."""
+    torch.manual_seed(0)
+
+
 @pytest.fixture(scope="session")
 def shared() -> Path:
     """Folder with recordings, maps and weights: beside the checkout, or the variable ``PEDZOO_SHARED``."""

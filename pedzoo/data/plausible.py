@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import sys
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import STEP_SECONDS
-
-if TYPE_CHECKING:
-    from pedzoo.data.tracks import Tracks
 
 FASTEST = 4.0
 """m/s: people of whom half of all steps are faster are no pedestrians."""
@@ -39,13 +37,39 @@ _RATES = (60, 50, 30, 25, 15, 12.5, 10, 5, 2.5, 1.25)
 _UNITS = {"centimetres": ("cm", 0.01), "millimetres": ("mm", 0.001), "feet": ("ft", 0.3048)}
 
 
-def rows_apart(tracks: Tracks) -> float:
+class Rows(Protocol):
+    """What is read here of `pedzoo.data.tracks.Tracks`: N rows, by agent and then by frame."""
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        ...
+
+    @property
+    def agent(self) -> NDArray[np.int64]:
+        """Numbers of agents (N,)."""
+        ...
+
+    @property
+    def frame(self) -> NDArray[np.int64]:
+        """Frame numbers (N,)."""
+        ...
+
+    @property
+    def xy(self) -> NDArray[np.float64]:
+        """Places (N, 2), metres."""
+        ...
+
+    def __len__(self) -> int: ...
+
+
+def rows_apart(tracks: Rows) -> float:
     """Return the usual frame numbers between two rows of a person; NaN where nobody has two."""
     gap = np.diff(tracks.frame)[np.diff(tracks.agent) == 0]
     return float(np.median(gap)) if len(gap) else np.nan
 
 
-def check_walks(tracks: Tracks, seconds: float, option: str = "dt") -> None:
+def check_walks(tracks: Rows, seconds: float, option: str = "dt") -> None:
     """Refuse tracks of which nobody walks as people do.
 
     Args:
@@ -83,7 +107,7 @@ def check_walks(tracks: Tracks, seconds: float, option: str = "dt") -> None:
     _check_extent(tracks, what)
 
 
-def _check_extent(tracks: Tracks, what: str) -> None:
+def _check_extent(tracks: Rows, what: str) -> None:
     extent = float(np.ptp(tracks.xy, axis=0).max()) if len(tracks) else 0.0
     if not 0 < extent < _NARROW:
         return
@@ -95,7 +119,7 @@ def _check_extent(tracks: Tracks, what: str) -> None:
         )
 
 
-def doubts(tracks: Tracks, seconds: float, option: str) -> list[str]:
+def doubts(tracks: Rows, seconds: float, option: str) -> list[str]:
     """Return what is unusual of tracks that `check_walks` takes: usual speeds, and single fast steps."""
     moved = _speeds(tracks, seconds)
     if not (moved > 0).any():
@@ -125,7 +149,7 @@ def say(line: str) -> None:
     print(f"pedzoo: {line}", file=sys.stderr)
 
 
-def _swapped(tracks: Tracks) -> bool:
+def _swapped(tracks: Rows) -> bool:
     """Return whether frames and agents look as if they had changed places."""
     order = np.lexsort((tracks.agent, tracks.frame))
     same = np.diff(tracks.frame[order]) == 0
@@ -136,7 +160,7 @@ def _swapped(tracks: Tracks) -> bool:
     return bool(len(own) and np.median(swapped) < 0.5 * np.median(own))
 
 
-def brisk(tracks: Tracks, seconds: float) -> float:
+def brisk(tracks: Rows, seconds: float) -> float:
     """Return the speed that a tenth of all steps exceed, 0 where nobody has two rows."""
     moved = _speeds(tracks, seconds)
     return float(np.percentile(moved, 90)) if len(moved) else 0.0
@@ -147,14 +171,14 @@ def _usual(moved: np.ndarray) -> float:
     return float(np.median(moved[moved > STANDS])) if (moved > STANDS).any() else 0.0
 
 
-def distance(tracks: Tracks) -> float:
+def distance(tracks: Rows) -> float:
     """Return how far half of all people get at least, from their first to their last place."""
     first = np.flatnonzero(np.diff(tracks.agent, prepend=tracks.agent[0] - 1))
     last = np.concatenate((first[1:], [len(tracks)])) - 1
     return float(np.median(np.linalg.norm(tracks.xy[last] - tracks.xy[first], axis=1)))
 
 
-def _speeds(tracks: Tracks, seconds: float) -> np.ndarray:
+def _speeds(tracks: Rows, seconds: float) -> np.ndarray:
     """Return speeds (M,) over rows about 0.4 s apart, so that jitter of single rows does not count."""
     apart = rows_apart(tracks) * seconds
     rows = max(1, round(STEP_SECONDS / apart)) if apart > 0 else 1

@@ -33,10 +33,23 @@ PPO += ["--model.collection.envs=2", "--model.collection.steps=3", "--model.opti
 PPO += ["--model.optimisation.minibatches=2", "--model.scenarios=[hallway]", "--rollout.scenarios=hallway"]
 PPO += ["--monitor=val/ade", "--monitor_mode=min", "--trainer.check_val_every_n_epoch=1"]
 
+LOOP = [*SHORT[:-2], "--rollout.scenarios=[hallway]", "--rollout.episodes=2", "--model.steps=2"]
+LOOP += ["--trainer.check_val_every_n_epoch=1", SHORT[-1]]
+EPOCHS = "--trainer.max_epochs=3"
+CROWD = [*LOOP, "--model.courses=[{scenario: hallway, scenes: 4}]"]
+ROBOT = ["--trainer.enable_progress_bar=false", "--trainer.max_epochs=8", "--trainer.accelerator=cpu"]
+ROBOT += ["--model.envs=4", "--model.steps=8", "--model.updates=2", "--model.episodes=2"]
+ROBOT += ["--model.minibatches=2", "--model.policy.width=16", "--trainer.check_val_every_n_epoch=1"]
+
 TRAININGS: Mapping[str, list[str]] = {
     "sgan": SGAN,
     "sgan in two processes": [*SGAN, *TWO],
+    "anchor_net": ["--config", "anchor_net", *SHORT, "--monitor=val/ade"],
     "PPO in two processes": [*PPO, *TWO],
+    "closed_loop/sgan_goal": ["--config", "closed_loop/sgan_goal", *CROWD],
+    "closed_loop/social_walker": ["--config", "closed_loop/social_walker", *CROWD, EPOCHS],
+    "robot/ppo": ["--config", "robot/ppo", *ROBOT, "--model.scenarios=['crowdnav:crowds=16']"],
+    "robot/rooms": ["--config", "robot/rooms", *ROBOT, "--model.scenarios=['door:people=2']"],
 }
 
 KILLS = 2
@@ -100,8 +113,10 @@ class Training:
 
 
 def outcome(run: Path) -> tuple[dict[str, Any], list[dict[str, str]]]:
-    """Return weights and rows of a run that is done."""
-    return torch.load(run / "checkpoints" / "last.ckpt")["state_dict"], rows_of(run / "metrics.csv")
+    """Return weights and rows of a run that is done, without speeds, which depend on the machine."""
+    rows = rows_of(run / "metrics.csv")
+    rows = [{name: row[name] for name in row if not name.endswith("_per_s")} for row in rows]
+    return torch.load(run / "checkpoints" / "last.ckpt")["state_dict"], rows
 
 
 def runs_in(folder: Path) -> list[Path]:

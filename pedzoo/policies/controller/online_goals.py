@@ -21,7 +21,7 @@ from pedzoo.policies.controller.arguments import as_places
 from pedzoo.policies.controller.roster import Roster
 
 _KEPT = 64
-"""Unused goals are dropped when the planner holds more than this and more than 4 per agent."""
+"""Goals are forgotten when there are more than this and more than 4 per agent."""
 
 
 class OnlineGoals(NamedTuple):
@@ -30,7 +30,7 @@ class OnlineGoals(NamedTuple):
     Attributes:
         planner: Its bank holds the floor plan alone, or nothing.
         origin: Of its frame in the caller's (2,), metres.
-        said: Goals that the planner has moved, and the caller has been warned of.
+        said: Goals that the planner has moved and that were warned of.
     """
 
     planner: OnlinePlanner
@@ -104,6 +104,8 @@ class OnlineGoals(NamedTuple):
     def _warn_of_moved(self, people: Roster, goal_point: Tensor, which: Tensor) -> None:
         """Warn of the goals of some people (N,) that the planner has moved to ``goal_point`` (N, 2)."""
         graph = self.planner.graph(0)
+        if len(self.said) > max(_KEPT, 4 * len(people.ids)):
+            self.said.clear()
         for i in (which & ((people.goal - goal_point).abs().amax(1) > 0)).nonzero()[:, 0].tolist():
             asked, place = people.goal[i].numpy(), goal_point[i].double().numpy()
             text = graph.moved(f"goal of {people.ids[i]!r}:", asked, place, self.origin)

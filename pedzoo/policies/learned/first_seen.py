@@ -92,9 +92,8 @@ class FirstSeenMemory:
         # a scene that is walked a second time has the same key, and its clock went back
         since = time - before.last
         known = (before.person == person) & complete & (since > -1e-3) & (since < _ABSENT)
-        if (
-            "sets_out" in agents.keys()
-        ):  # that they stood for as long as they had no goal is no manner of theirs
+        if "sets_out" in agents.keys():
+            # people who stood without a goal do not walk by that history
             still = ~walks(before.history.diff(dim=2)).any(2)
             known = known & ~(still & cast("Tensor", agents["sets_out"])[..., 0])
         sets_out = moves & ~before.goes_on
