@@ -22,7 +22,13 @@ from pedzoo.models.zoo.store import find
 from pedzoo.policies.crowd_names import parts
 
 _CODE_FILES = (".py", ".csv", ".yaml", ".png")
-_OF_OTHERS = (ROOT / "pedzoo", *(Path(sysconfig.get_path(kind)) for kind in ("stdlib", "purelib", "platlib")))
+_OF_OTHERS = tuple(
+    path.resolve()
+    for path in (
+        ROOT / "pedzoo",
+        *(Path(sysconfig.get_path(kind)) for kind in ("stdlib", "purelib", "platlib")),
+    )
+)
 """Folders whose code is no user's: versions stand for it."""
 
 _HAS_DOCSTRING = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
