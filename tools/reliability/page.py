@@ -107,8 +107,8 @@ What runs found is mended, and in `tests/corpus`: `tests/reliability/test_fuzz.p
 
 `python -m tools.reliability kills`: trainings of 8 epochs (of 3 for `closed_loop/social_walker`), each killed
 up to twice at random moments, as a whole or one process of two. They are resumed, and compared with one that
-was not killed. Lost means: other weights, or another `metrics.csv`, speeds apart. Each class of trainer that a
-config names is here.
+was not killed. Lost means: other weights, or another `metrics.csv`, speeds apart. Each class of trainer that
+a config names is here.
 
 | training | trainings | kills | processes left over | lost |
 |---|---|---|---|---|

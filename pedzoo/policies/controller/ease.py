@@ -48,11 +48,9 @@ def eased(
     # those who wait for the policy to decide about a new goal go on as they do
     undecided = np.isnan(asked[:, 0])
     asked = np.where(undecided[:, None], told, asked)
-    away = (agents.goal_point.numpy() - position.numpy()).astype(np.float64)
-    distance, liked = np.hypot(*away.T), agents.pref_speed.numpy()
-    others, stands, eases = agents.other.numpy(), agents.stands.numpy(), agents.eases.numpy()
-    stands, walks = stands & ~others, ~(stands | others)
-    near = distance < _way_to_rest(TOP_SPEED_RATIO * liked, clock.dt) + 2 * GOAL_RADIUS
+    away, distance, near = _near_goal(agents, position, clock.dt)
+    liked, others, stands = agents.pref_speed.numpy(), agents.other.numpy(), agents.stands.numpy()
+    stands, walks, eases = stands & ~others, ~(stands | others), agents.eases.numpy()
     if not (near | eases | (stands & told.any(1))).any():
         return asked, agents._replace(told=torch.from_numpy(asked))
     eases = eases & walks
@@ -112,11 +110,9 @@ def expected(agents: Roster, position: Tensor, velocity: Tensor, clock: CallerCl
     Returns:
         Velocities (N, 2), m/s: those of people who stand are as they come to rest; and top speeds (N,).
     """
-    top_speed = TOP_SPEED_RATIO * agents.pref_speed
-    away: Array = (agents.goal_point - position).double().numpy()
-    distance, stands = np.hypot(*away.T), (agents.stands & ~agents.other).numpy()
+    top_speed, stands = TOP_SPEED_RATIO * agents.pref_speed, (agents.stands & ~agents.other).numpy()
+    away, distance, near = _near_goal(agents, position, clock.dt)
     told: Array = agents.told.numpy()
-    near = distance < _way_to_rest(top_speed.double().numpy(), clock.dt) + 2 * GOAL_RADIUS
     eases, rests = (agents.eases & agents.walks).numpy(), stands & told.any(1)
     if not (near | eases | rests).any():
         return velocity, top_speed
@@ -133,6 +129,14 @@ def expected(agents: Roster, position: Tensor, velocity: Tensor, clock: CallerCl
     ahead = ahead * (mean / np.maximum(_length(ahead), 1e-9))[:, None]
     velocity = torch.where(torch.from_numpy(rests).unsqueeze(1), torch.from_numpy(ahead).float(), velocity)
     return velocity, top_speed.minimum(torch.from_numpy(np.where(eases | near, mean, np.inf)).float())
+
+
+def _near_goal(agents: Roster, position: Tensor, dt: float) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return the ways to goals (N, 2), their lengths (N,), metres, and who may have to brake by now (N,)."""
+    away: Array = (agents.goal_point - position).double().numpy()
+    distance = np.hypot(*away.T)
+    fastest = TOP_SPEED_RATIO * agents.pref_speed.double().numpy()
+    return away, distance, distance < _way_to_rest(fastest, dt) + 2 * GOAL_RADIUS
 
 
 def setting_out(agents: Roster, before: Roster, position: Tensor, dt: float) -> Roster:

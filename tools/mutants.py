@@ -1,0 +1,214 @@
+"""Mutation tests: small mistakes are made in the code, and tests must see them.
+
+```
+pip install cosmic-ray
+python -m tools.mutants planner --sample 100   # of one module; all by default
+```
+
+Cosmic Ray says what can be mutated. Here a sample is drawn. Each mutant is written into a copy of HEAD, and
+tested in a fork of a process that has imported torch already. Survivors are printed; those of `EQUIVALENT`
+change nothing that a test could see.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import contextlib
+import importlib
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+ROOT = Path(__file__).parents[1]
+
+MODULES: dict[str, tuple[str, str]] = {
+    "metrics": (
+        "pedzoo/metrics/*.py pedzoo/metrics/robots/*.py pedzoo/metrics/statistics/*.py",
+        "tests/metrics",
+    ),
+    "rewards": (
+        "pedzoo/sim/robot_rewards/*.py pedzoo/train/rl/rewards.py",
+        "tests/sim/test_robot_env.py tests/train/test_ppo.py",
+    ),
+    "losses": (
+        "pedzoo/models/blocks/variety.py pedzoo/train/closed_loop/loop_losses.py",
+        "tests/models/test_blocks.py tests/models/test_sgan.py "
+        "tests/train/test_episode_segments.py tests/train/test_imitation.py",
+    ),
+    "planner": ("pedzoo/maps/planning/*.py", "tests/maps/test_planner.py tests/maps/test_online_planner.py"),
+    "orca": ("pedzoo/policies/orca/*.py", "tests/policies/test_orca.py"),
+    "pooling": (
+        "pedzoo/models/blocks/people/pooling.py pedzoo/models/blocks/people/approach.py",
+        "tests/models/test_blocks.py tests/models/test_social_walker.py",
+    ),
+    "score": (
+        "pedzoo/eval/scoring/*.py pedzoo/metrics/realism/*.py",
+        "tests/eval/test_scoring.py tests/metrics/test_realism.py tests/metrics/test_two_sample.py",
+    ),
+}
+"""Files that are mutated, and the tests that must see it."""
+
+OPERATORS = re.compile(
+    r"core/(NumberReplacer|AddNot|ReplaceAndWithOr|ReplaceOrWithAnd|ReplaceTrueWithFalse|ReplaceFalseWithTrue"
+    r"|ReplaceUnaryOperator_(Delete_.*|USub_UAdd)|ReplaceBinaryOperator_(Add_Sub|Sub_Add|Mul_Div|Div_Mul"
+    r"|BitOr_BitAnd|BitAnd_BitOr|FloorDiv_Div|Pow_Mul|Mod_Mul)|ReplaceComparisonOperator_(Lt_(LtE|GtE)"
+    r"|LtE_(Lt|Gt)|Gt_(GtE|LtE)|GtE_(Gt|Lt)|Eq_NotEq|NotEq_Eq))"
+)
+"""Mistakes that people make: a sign, a border, a constant, a condition."""
+
+EQUIVALENT: dict[str, str] = {}
+"""Mutants that nothing can see, as they are printed, and why."""
+
+PATIENCE = 240
+"""Seconds that the tests of a mutant may take; one that never ends is seen, too."""
+
+
+class Mutant(NamedTuple):
+    """A file with one mistake.
+
+    Attributes:
+        file: In the checkout.
+        line: The mistake's.
+        operator: Cosmic Ray's name.
+        occurrence: Which of the operator's places in the file.
+    """
+
+    file: str
+    line: int
+    operator: str
+    occurrence: int
+
+
+def mutants_of(pattern: str) -> list[Mutant]:
+    """Return all mutants of files, annotations and messages apart."""
+    plugins: Any = importlib.import_module("cosmic_ray.plugins")
+    read: Any = importlib.import_module("cosmic_ray.ast")
+    names = [name for name in plugins.operator_names() if OPERATORS.fullmatch(name)]
+    result = []
+    for path in sorted(file for one in pattern.split() for file in ROOT.glob(one)):
+        tree, skipped = read.get_ast(path.read_text()), {*_skipped(ast.parse(path.read_text()))}
+        nodes = [*_nodes(tree)]
+        for name in names:
+            operator, number = plugins.get_operator(name)(), 0
+            for node in nodes:
+                for (line, column), _ in operator.mutation_positions(node):
+                    if (line, column) not in skipped:
+                        result.append(Mutant(str(path.relative_to(ROOT)), line, name, number))
+                    number += 1
+    return result
+
+
+def _nodes(tree: Any) -> Iterator[Any]:
+    yield tree
+    for child in getattr(tree, "children", ()):
+        yield from _nodes(child)
+
+
+def _skipped(tree: ast.AST) -> Iterator[tuple[int, int]]:
+    for node in ast.walk(tree):
+        parts = [getattr(node, name, None) for name in ("annotation", "returns")]
+        for one in [node, *parts] if isinstance(node, ast.JoinedStr) else parts:
+            if one is not None:
+                lines = range(one.lineno, one.end_lineno + 1)
+                yield from (
+                    (line, column) for line in lines for column in range(200) if _within(one, line, column)
+                )
+
+
+def _within(node: Any, line: int, column: int) -> bool:
+    return (node.lineno, node.col_offset) <= (line, column) < (node.end_lineno, node.end_col_offset)
+
+
+def killed(copy: Path, tests: list[str]) -> bool:
+    """Return whether a test fails, in a fork."""
+    child = os.fork()
+    if not child:
+        with contextlib.suppress(BaseException):
+            os.setsid()
+            os.chdir(copy)
+            silent = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(silent, 1)
+            os.dup2(silent, 2)
+            import pytest
+
+            code = pytest.main(["-x", "-q", "-p", "no:cacheprovider", *tests])
+            os._exit(int(code))
+        os._exit(9)
+    late = time.monotonic() + PATIENCE
+    while time.monotonic() < late:
+        done, status = os.waitpid(child, os.WNOHANG)
+        if done:
+            return status != 0
+        time.sleep(0.02)
+    os.killpg(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    return True
+
+
+def survivors(module: str, sample: int, seed: int, copy: Path) -> tuple[int, list[str]]:
+    """Return how many mutants of a module were tried, and those that no test has seen."""
+    mutating: Any = importlib.import_module("cosmic_ray.mutating")
+    plugins: Any = importlib.import_module("cosmic_ray.plugins")
+    pattern, tests = MODULES[module]
+    if killed(copy, tests.split()):
+        raise SystemExit(f"{module}: the tests fail without a mistake")
+    known = mutants_of(pattern)
+    drawn = np.random.default_rng(seed).permutation(len(known))[:sample]
+    result = []
+    for count, mutant in enumerate((known[i] for i in drawn), 1):
+        path = copy / mutant.file
+        before = path.read_text()
+        after = mutating.mutate_code(before, plugins.get_operator(mutant.operator)(), mutant.occurrence)
+        path.write_text(after)
+        line = after.splitlines()[mutant.line - 1].strip()
+        said = f"{mutant.file.removeprefix('pedzoo/')}:{mutant.line} {line}"
+        seen = killed(copy, tests.split())
+        path.write_text(before)
+        print(f"{module} {count}/{len(drawn)} {'killed' if seen else 'SURVIVED'} {said}", flush=True)
+        if not seen:
+            result.append(said)
+    return len(drawn), result
+
+
+def main() -> None:
+    """Try the mutants of modules and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("modules", nargs="*", help=", ".join(MODULES))
+    parser.add_argument("--sample", type=int, default=100, help="mutants of each module")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    os.environ |= {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+    os.environ.setdefault("PEDZOO_SHARED", str(ROOT.parent / "shared"))
+    rows = []
+    with tempfile.TemporaryDirectory() as home:
+        copy = Path(home, "copy")
+        subprocess.run(["git", "-C", ROOT, "worktree", "add", "-q", "--detach", copy, "HEAD"], check=True)
+        try:
+            sys.dont_write_bytecode = True  # a file of the same size and second would be taken for another
+            sys.modules.pop("tools", None)
+            sys.path[:] = [str(copy), *(one for one in sys.path if one not in ("", str(ROOT)))]
+            for name in ("torch", "torchrl", "lightning", "scipy.stats", "hypothesis", "cv2", "numba"):
+                importlib.import_module(name)
+            for module in options.modules or MODULES:
+                tried, alive = survivors(module, options.sample, options.seed, copy)
+                same = sum(one in EQUIVALENT for one in alive)
+                share = (tried - len(alive)) / max(tried - same, 1)
+                rows.append(f"| {module} | {tried} | {tried - len(alive)} | {same} | {share:.3f} |")
+        finally:
+            subprocess.run(["git", "-C", ROOT, "worktree", "remove", "--force", copy], check=False)
+    print("\n| module | mutants | killed | equivalent | share |\n|---|---|---|---|---|")
+    print("\n".join(rows))
+
+
+if __name__ == "__main__":
+    main()
