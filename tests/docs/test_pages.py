@@ -48,6 +48,7 @@ ELSEWHERE += [
         "--data.files a.csv,b.csv --data.dt 0.1 --data.map plan.yaml",
         "rollout runs/closed_loop.sgan_goal_map/a-seed0/checkpoints/best.ckpt --scenario door",
         "fit --config closed_loop/social_walker --data.fold zara1",
+        "fit --config closed_loop/social_walker_styled --data.fold hotel --data.hold_out zara1",
         "fit --config ppo/sgan_goal --weights sgan_goal.eth_ucy",  # tests/train/test_ppo.py
         "fit --config robot/ppo",  # tests/train/test_configs.py
         "fit --config robot/ppo --model.robot diff_drive",

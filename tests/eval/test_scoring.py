@@ -338,7 +338,10 @@ def test_the_suite_replay_walks_own_files(tmp_path: Path) -> None:
         evaluate(["go_to_goal"], ["replay"], folds=["zara1"], own=own)
 
 
-def test_the_command_writes_one_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_one_json(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pedzoo.metrics.realism.boosting.TREES", 5)
     mine = written(tmp_path / "mine.csv", plaza())
     out = tmp_path / "score.json"
     assert main(["score", mine, "--against", "embedded", "--likelihood", "false", "--json", str(out)]) == 0

@@ -71,7 +71,7 @@ def test_there_are_eight() -> None:
     assert set(expected.split()) <= set(ENCOUNTERS)
 
 
-CROWD = 120
+CROWD = 60
 """People who walk: the wall store of a corridor for 300 takes a minute."""
 
 
@@ -103,13 +103,10 @@ def test_how_many_people(name: str) -> None:
 
 
 @EVERY
-@pytest.mark.parametrize("people", [None, 9])
-def test_a_scene_is_the_same_in_every_batch_and_another_with_another_seed(
-    name: str, people: int | None
-) -> None:
-    scenario = made(name if people is None else f"{name}:people={people}")
+def test_a_scene_is_the_same_in_every_batch_and_another_with_another_seed(name: str) -> None:
+    scenario = made(f"{name}:people=9")
     whole = make_env(scenario, num_envs=9, seed=3).reset()
-    for i in (0, 4, 8):
+    for i in (0, 8):
         alone = make_env(scenario, seed=3, first_episode=i).reset()
         for key in ("history", "goal", "desired_velocity", "pref_speed"):
             assert torch.equal(alone["agents", key][0], whole["agents", key][i]), key

@@ -18,7 +18,10 @@ from pedzoo.train.fine_tuning import architecture_options
 
 
 @pytest.mark.parametrize("name", config_names())
-def test_config_trains(name: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+def test_config_trains(
+    name: str, tmp_path: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pedzoo.metrics.realism.boosting.TREES", 5)
     if "alexnet" in name:
         request.getfixturevalue("alexnet")
     options = {"data.fold": "embedded", "runs": str(tmp_path), "trainer.enable_progress_bar": "false"}
