@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import ast
-import contextlib
 import importlib
 import os
 import re
@@ -23,6 +22,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import traceback
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -34,26 +34,26 @@ ROOT = Path(__file__).parents[1]
 MODULES: dict[str, tuple[str, str]] = {
     "metrics": (
         "pedzoo/metrics/*.py pedzoo/metrics/robots/*.py pedzoo/metrics/statistics/*.py",
-        "tests/metrics",
+        "tests/metrics --ignore=tests/metrics/test_own_metrics.py --ignore=tests/metrics/test_realism.py "
+        "--ignore=tests/metrics/test_two_sample.py",
     ),
     "rewards": (
         "pedzoo/sim/robot_rewards/*.py pedzoo/train/rl/rewards.py",
-        "tests/sim/test_robot_env.py tests/train/test_ppo.py",
+        "tests/sim/test_robot_env.py tests/train/test_ppo.py -k rewards_by_hand+reward_adds",
     ),
     "losses": (
         "pedzoo/models/blocks/variety.py pedzoo/train/closed_loop/loop_losses.py",
-        "tests/models/test_blocks.py tests/models/test_sgan.py "
-        "tests/train/test_episode_segments.py tests/train/test_imitation.py",
+        "tests/models/test_sgan.py tests/train/test_episode_segments.py tests/train/test_imitation.py",
     ),
     "planner": ("pedzoo/maps/planning/*.py", "tests/maps/test_planner.py tests/maps/test_online_planner.py"),
     "orca": ("pedzoo/policies/orca/*.py", "tests/policies/test_orca.py"),
     "pooling": (
         "pedzoo/models/blocks/people/pooling.py pedzoo/models/blocks/people/approach.py",
-        "tests/models/test_blocks.py tests/models/test_social_walker.py",
+        "tests/models/test_blocks.py tests/models/test_loop_blocks.py tests/models/test_social_walker.py",
     ),
     "score": (
         "pedzoo/eval/scoring/*.py pedzoo/metrics/realism/*.py",
-        "tests/eval/test_scoring.py tests/metrics/test_realism.py tests/metrics/test_two_sample.py",
+        "tests/metrics/test_realism.py tests/metrics/test_two_sample.py tests/eval/test_scoring.py",
     ),
 }
 """Files that are mutated, and the tests that must see it."""
@@ -129,21 +129,24 @@ def _within(node: Any, line: int, column: int) -> bool:
     return (node.lineno, node.col_offset) <= (line, column) < (node.end_lineno, node.end_col_offset)
 
 
-def killed(copy: Path, tests: list[str]) -> bool:
+def killed(copy: Path, tests: list[str], silent: bool = True) -> bool:
     """Return whether a test fails, in a fork."""
     child = os.fork()
     if not child:
-        with contextlib.suppress(BaseException):
+        try:
             os.setsid()
             os.chdir(copy)
-            silent = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(silent, 1)
-            os.dup2(silent, 2)
+            if silent:
+                nothing = os.open(os.devnull, os.O_WRONLY)
+                os.dup2(nothing, 1)
+                os.dup2(nothing, 2)
             import pytest
 
-            code = pytest.main(["-x", "-q", "-p", "no:cacheprovider", *tests])
+            code = pytest.main(["-x", "-q", "--assert=plain", "-p", "no:cacheprovider", *tests])
             os._exit(int(code))
-        os._exit(9)
+        except BaseException:
+            traceback.print_exc()
+            os._exit(9)
     late = time.monotonic() + PATIENCE
     while time.monotonic() < late:
         done, status = os.waitpid(child, os.WNOHANG)
@@ -155,12 +158,16 @@ def killed(copy: Path, tests: list[str]) -> bool:
     return True
 
 
+def _words(tests: str) -> list[str]:
+    return [word.replace("+", " or ") for word in tests.split()]
+
+
 def survivors(module: str, sample: int, seed: int, copy: Path) -> tuple[int, list[str]]:
     """Return how many mutants of a module were tried, and those that no test has seen."""
     mutating: Any = importlib.import_module("cosmic_ray.mutating")
     plugins: Any = importlib.import_module("cosmic_ray.plugins")
     pattern, tests = MODULES[module]
-    if killed(copy, tests.split()):
+    if killed(copy, _words(tests), silent=False):
         raise SystemExit(f"{module}: the tests fail without a mistake")
     known = mutants_of(pattern)
     drawn = np.random.default_rng(seed).permutation(len(known))[:sample]
@@ -172,7 +179,7 @@ def survivors(module: str, sample: int, seed: int, copy: Path) -> tuple[int, lis
         path.write_text(after)
         line = after.splitlines()[mutant.line - 1].strip()
         said = f"{mutant.file.removeprefix('pedzoo/')}:{mutant.line} {line}"
-        seen = killed(copy, tests.split())
+        seen = killed(copy, _words(tests))
         path.write_text(before)
         print(f"{module} {count}/{len(drawn)} {'killed' if seen else 'SURVIVED'} {said}", flush=True)
         if not seen:
@@ -197,7 +204,7 @@ def main() -> None:
             sys.dont_write_bytecode = True  # a file of the same size and second would be taken for another
             sys.modules.pop("tools", None)
             sys.path[:] = [str(copy), *(one for one in sys.path if one not in ("", str(ROOT)))]
-            for name in ("torch", "torchrl", "lightning", "scipy.stats", "hypothesis", "cv2", "numba"):
+            for name in ("torch", "torchrl", "lightning", "scipy.stats", "cv2", "numba"):
                 importlib.import_module(name)
             for module in options.modules or MODULES:
                 tried, alive = survivors(module, options.sample, options.seed, copy)
