@@ -37,7 +37,7 @@ Episodes = TypeVar("Episodes", Rollout, RobotRollout)
 @renamed.takes_world
 def rollout(
     policy: str,
-    scenario: str | Spec,
+    scenario: str | Spec | PreparedScenario,
     physics: str | None = None,
     episodes: int = 20,
     seed: int = 0,
@@ -51,7 +51,7 @@ def rollout(
 
     Args:
         policy: Its name with settings, or a mixed crowd, as of `pedzoo.policies.load.load_policy`.
-        scenario: Its name with settings.
+        scenario: Its name with settings, or a prepared one.
         physics: ``compiled``, ``torch``, ``bullet`` or ``file.py:Class``; None for bullet, or compiled where
             there is no pybullet.
         episodes: E.

@@ -1,7 +1,8 @@
-"""Scene batches of agents who have come straight to where they are."""
+"""Scene batches of agents who have come straight to where they are, and scenarios that tests share."""
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import torch
@@ -10,6 +11,14 @@ from tensordict import TensorDict
 from pedzoo.core.batch import scene_batch
 from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
+from pedzoo.sim.make import prepare_scenario
+from pedzoo.sim.scenario_parts.scenario import PreparedScenario
+
+
+@lru_cache(maxsize=24)
+def prepared(name: str) -> PreparedScenario:
+    """Return a scenario with its floor plans and ways, which take time to find."""
+    return prepare_scenario(name)
 
 
 def scene(

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 import torch
+from helpers.scenes import prepared
 from torch import Tensor
 
 from pedzoo.core.errors import UserError
@@ -31,7 +32,6 @@ EXACT = "speed_std=0,jitter=0,aside=0,delay=0"
 
 @cache
 def made(spec: str) -> Encounter:
-    """Return a scenario that many environments share, for ways take time to find."""
     scenario = make_scenario(spec)
     assert isinstance(scenario, Encounter)
     return scenario
@@ -39,14 +39,14 @@ def made(spec: str) -> Encounter:
 
 def begun(spec: str, episodes: int = 8, seed: int = 0) -> PedestrianEnv:
     """Return an environment whose episodes have just begun."""
-    env = make_env(made(spec), num_envs=episodes, seed=seed)
+    env = make_env(prepared(spec), num_envs=episodes, seed=seed)
     env.reset()
     return env
 
 
 @cache
 def walked(spec: str, episodes: int = 8, policy: str = "go_to_goal") -> Rollout:
-    walks, env = prepare(policy, made(spec), "compiled", episodes)
+    walks, env = prepare(policy, prepared(spec), "compiled", episodes)
     return joined(list(walk(walks, env, episodes)))
 
 
@@ -104,7 +104,7 @@ def test_how_many_people(name: str) -> None:
 
 @EVERY
 def test_a_scene_is_the_same_in_every_batch_and_another_with_another_seed(name: str) -> None:
-    scenario = made(f"{name}:people=9")
+    scenario = prepared(f"{name}:people=9")
     whole = make_env(scenario, num_envs=9, seed=3).reset()
     for i in (0, 8):
         alone = make_env(scenario, seed=3, first_episode=i).reset()
@@ -139,7 +139,7 @@ def test_who_avoids_no_person_runs_into_a_person(name: str) -> None:
 @pytest.mark.parametrize("name", ["room_exit", "circle"])
 def test_both_worlds_see_the_same(name: str) -> None:
     """With walls and without any."""
-    walks, env = prepare("go_to_goal", made(name), "bullet", 3)
+    walks, env = prepare("go_to_goal", prepared(name), "bullet", 3)
     bullet, grid = joined(list(walk(walks, env, 3))), walked(name, 3)
     env.physics.close()
     assert torch.equal(bullet.trace, grid.trace)

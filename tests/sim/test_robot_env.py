@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -24,13 +25,27 @@ from pedzoo.sim.robot_parts.outcome import Outcome
 from pedzoo.sim.robot_parts.reward import RobotReward
 from pedzoo.sim.robot_parts.scenes import with_robots
 from pedzoo.sim.robot_parts.sensor import Sensor
+from pedzoo.sim.scenario_parts.scenario import PreparedScenario
 
 OPEN = "circle:people=4"
 CROWDED = "perpendicular:people=15"
 FLAT = "goals:map=apartment.7,people=3"
 
 
+@lru_cache(maxsize=24)
+def shared_scenes(scenario: str, robot: Any) -> PreparedScenario:
+    return pedzoo.make_robot_env(scenario, robot).prepared
+
+
 def made(scenario: Any = FLAT, **settings: Any) -> RobotEnv:
+    if isinstance(scenario, str) and not settings.keys() & {
+        "clearance",
+        "body_radius",
+        "present",
+        "robot_goals",
+    }:
+        robot = settings.pop("robot", "disc")
+        scenario = shared_scenes(scenario, tuple(robot) if isinstance(robot, list) else robot)
     return pedzoo.make_robot_env(scenario, **{"people": "go_to_goal", "num_envs": 4} | settings)
 
 

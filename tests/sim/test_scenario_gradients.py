@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import pytest
 import torch
+from helpers.scenes import prepared
 from torch import Tensor, nn
 from torchrl.envs import step_mdp
 
@@ -53,7 +54,7 @@ class Slopes(NamedTuple):
 def slopes(name: str) -> Slopes:
     """Return the gradients of one piece of four episodes."""
     torch.manual_seed(0)
-    env = make_env(name, num_envs=4)
+    env = make_env(prepared(name), num_envs=4)
     now: Any = env.reset()
     net = Crowd()
     given = torch.zeros(STEPS, *now["agents", "mask"].shape, 2, requires_grad=True)

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import pytest
 import torch
+from helpers.scenes import prepared
 from torchrl.envs import check_env_specs
 
 from pedzoo.core.errors import UserError
@@ -36,7 +37,7 @@ EVERY_POLICY = pytest.mark.parametrize("name", [*POLICIES.names(), *baselines(),
 
 @EVERY_SCENARIO
 def test_scenes_are_sound(name: str) -> None:
-    env = make_env(name, num_envs=24)
+    env = make_env(prepared(name), num_envs=24)
     check_env_specs(env)
     env.set_seed(0)
     env.reset()
@@ -92,7 +93,7 @@ def test_a_scenario_that_returns_nothing_prepared(tmp_path: Path) -> None:
 @EVERY_SCENARIO
 def test_no_person_starts_on_a_goal(name: str) -> None:
     """Over 300 scenes, but for people who wait. Recorded people may: those who stay are not controlled."""
-    env = make_env(name, num_envs=300, seed=1)
+    env = make_env(prepared(name), num_envs=300, seed=1)
     env.reset()
     if env.prepared.script is None:
         walks = env.state.mask & ~env.state.holds
@@ -130,7 +131,7 @@ def test_a_scenario_without_other_goals_keeps_its_first_ones(tmp_path: Path) -> 
 
 @EVERY_SCENARIO
 def test_goals_can_be_reached_in_time(name: str) -> None:
-    result, env = rollout("go_to_goal", name, "compiled", 16)
+    result, env = rollout("go_to_goal", prepared(name), "compiled", 16)
     if env.prepared.script is None:
         assert row("go_to_goal", result)["metrics"]["success"] > 0.95
     else:  # people come and go
