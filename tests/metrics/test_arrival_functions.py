@@ -16,6 +16,7 @@ from pedzoo.metrics.arrival_functions import (
     finish_seconds,
     most_goals,
     planned_metres,
+    seconds_per_goal,
     stuck,
     walked_metres,
     weighted,
@@ -97,6 +98,12 @@ def test_success_is_weighted_by_what_it_took() -> None:
     done = torch.tensor([[True, True, False, True]])
     least, taken = torch.tensor([[4.0, 4.0, 4.0, 0.0]]), torch.tensor([[5.0, 3.0, 4.0, 0.0]])
     assert weighted(done, least, taken)[0].tolist() == pytest.approx([0.8, 1.0, 0.0, 1.0])
+
+
+def test_an_episode_that_is_not_finished_has_no_seconds_per_goal() -> None:
+    reached, mask = torch.tensor([[[2], [3]], [[2], [9]]]), torch.tensor([[True, True], [True, False]])
+    seconds, goals = seconds_per_goal(torch.tensor([INF, 4.0]), reached, mask)
+    assert (seconds.tolist(), goals.tolist()) == ([0.0, 4.0], [0, 2])
 
 
 def test_fewest_and_most_goals_are_of_people_who_took_part() -> None:

@@ -80,6 +80,8 @@ def test_time_to_collision_of_simple_encounters() -> None:
     assert seconds((3.0, 4.0), (-0.6, -0.8)) == pytest.approx(4.7)
     assert seconds((4.0, 0.18), (-1.0, 0.0)) == pytest.approx(4.0 - 0.24)  # 0.18, 0.24, 0.3
     assert seconds((4.0, 0.31), (-1.0, 0.0)) == 10.0  # passes
+    pairs = (torch.tensor([value]) for value in (4.0, 3.0, -1.0, 0.0, 3.0))
+    assert contact_functions.collision_seconds(*pairs).item() == 4.0  # grazes
     assert seconds((4.0, 0.0), (1.0, 0.0)) == 10.0  # walks away
     assert seconds((40.0, 0.0), (-1.0, 0.0)) == 10.0  # later
     assert seconds((4.0, 0.0), (0.0, 0.0)) == 10.0  # as far for ever

@@ -261,6 +261,15 @@ def test_calibration_by_hand() -> None:
     assert error((30.0, 30.0)) == pytest.approx(behind)
     assert error((-5.0, -5.0)) == pytest.approx(behind)
     assert error((30.0, 30.0), turn=1.0) == pytest.approx(behind)
+    # people walk to where they are last seen, whatever they did before
+    hook = torch.stack((torch.zeros(8), torch.arange(8.0)), -1)
+    hook[1], hook[6] = torch.tensor([9.0, 0.0]), torch.tensor([-9.0, 0.0])
+    here = torch.tensor([1.0, 2.0]).view(1, 1, 1, 2)
+    turned, same = CalibrationError(), CalibrationError()
+    turned.update(here - torch.tensor([5.0, 1.0]), hook.view(1, 1, 8, 2), here, known)
+    assert turned.counts[:, :-1].nonzero().tolist() == [[0, 19], [1, 0]]
+    same.update(here, history, here, known)  # half are ahead, and half are to the side
+    assert same.counts[:, :-1].nonzero().tolist() == [[0, 9], [0, 10], [1, 9], [1, 10]]
     # one truth between each pair of neighbours is as calibrated as can be
     assert error(*((k + 0.5, k + 0.5) for k in range(-1, 20))) < 0.03
     # a single guess: half are ahead, half behind

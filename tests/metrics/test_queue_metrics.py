@@ -39,6 +39,25 @@ def test_who_slides_along_the_wall_while_waiting_drifts() -> None:
     assert waits.tolist() == [[True, False]] and metres[0].tolist() == pytest.approx([0.3, 0.0])
 
 
+@pytest.mark.parametrize(("before", "waits"), [(1.4, True), (1.6, False), (-0.2, False)])
+def test_people_wait_within_a_metre_and_a_half_before_the_door(before: float, waits: bool) -> None:
+    """Who has begun on this side, and stands beyond the wall later, does not wait there."""
+    stands = torch.tensor([-before, 0.1], dtype=torch.float64).expand(1, 1, 11, 2).clone()
+    stands[..., 0, 0] = -2.0
+    stands[..., 1:, 1] += 0.05 * torch.arange(10)
+    metres, there = wall_drift(stands, scored(stands), GATE, torch.tensor([[9.0]]))
+    assert there.item() == waits and metres.item() == pytest.approx(0.45 * waits)
+    assert not wall_drift(stands, ~scored(stands), GATE, torch.tensor([[9.0]]))[1].any()
+
+
+@pytest.mark.parametrize(("off", "turns"), [(2.5, 4), (4.0, 0)])
+def test_turns_count_within_three_metres_of_the_door(off: float, turns: int) -> None:
+    east, north = torch.tensor([0.1, 0.0]).double(), torch.tensor([0.0, 0.1]).double()
+    steps = torch.stack((*[east] * 4, *[north] * 4)).cumsum(0) + torch.tensor([-off, 0.0])
+    path = steps.view(1, 1, 8, 2)
+    assert int(sharp(path, scored(path), GATE)[0].sum()) == max(0, turns - 1) * (turns > 0)
+
+
 def test_a_right_angle_at_speed_is_a_sharp_turn() -> None:
     """Moments 0.4 s apart on both sides of the corner count; a person who slows down for it turns none."""
     east, north = torch.tensor([0.1, 0.0]).double(), torch.tensor([0.0, 0.1]).double()

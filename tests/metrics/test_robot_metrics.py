@@ -159,9 +159,9 @@ def test_social_force_by_hand_and_the_same_on_both() -> None:
 def test_who_moves_faster_towards_the_other_drives_into_it(robot: float, person: float, drives: bool) -> None:
     paths = [straight((0.6, 0), (person, 0), 10), straight((0, 0), (robot, 0), 10)]
     touch = torch.zeros(1, 1, 10).bool()
-    touch[..., 2] = True
-    result = values_of(robots_of(rollout_of(paths), person_contact=touch))
-    assert result["collision_person"] == 1
+    touch[..., 2:4] = True
+    result = values_of(robots_of(rollout_of(paths), person_contact=touch, wall_contact=touch))
+    assert (result["collision_person"], result["collision_wall"], result["collision_robot"]) == (1, 1, 0)
     assert (result["robot_on_person"], result["person_on_robot"]) == (float(drives), float(not drives))
 
 
@@ -245,6 +245,40 @@ def test_who_changes_more_until_the_closest_approach_yields() -> None:
     assert "person_yields" not in alone and alone["encounters_per_min"] == pytest.approx(10.0)
     apart = values_of(robots_of(rollout_of([straight((4, 2), (-1, 0), 60), robot])))
     assert apart["encounters_per_min"] == 0
+
+
+def test_a_robot_that_sets_out_does_not_yield() -> None:
+    """It goes from 0.5 to 1 m/s within the first second, and the person turns aside a second later."""
+    person, robot = straight((4, 0), (-1, 0), 60), straight((-1, 0), (0.5, 0), 60)
+    paths = [bent(person, 20, (-0.95, 0.3)), bent(robot, 9, (1, 0))]
+    assert values_of(robots_of(rollout_of(paths)))["person_yields"] == 1
+
+
+def test_people_who_fail_are_not_delayed() -> None:
+    walked = rollout_of([straight((0, 0), (1, 0), 30), straight((0, 5), (1, 0), 30)])
+    failed = replace(walked, failed=torch.ones(1).bool())
+    sums, counts = robot_metrics(robots_of(failed, progress_alone=torch.full((1, 2), 3.0)))["delay_total_s"][
+        :2
+    ]
+    assert sums.tolist() == [0.0] and counts.tolist() == [0.0]
+
+
+def test_each_robot_is_as_far_from_people_as_its_own_body() -> None:
+    distance = torch.tensor([[[[1.0]], [[1.0]]]])  # 0.9 m and 0.4 m from the bodies
+    assert proximity.in_space(distance, torch.tensor([[0.1, 0.6]]), "intimate").flatten().tolist() == [
+        False,
+        True,
+    ]
+
+
+@pytest.mark.parametrize("ahead", [0.5, -0.5])
+def test_who_drives_into_whom_is_asked_pair_by_pair(ahead: float) -> None:
+    apart = torch.tensor([[[1.0, 0.0]], [[0.0, 2.0]]])
+    robot, person = (
+        torch.tensor([[[ahead, 9.0]], [[-9.0, 0.2]]]),
+        torch.tensor([[[-0.3, 9.0]], [[9.0, -0.1]]]),
+    )
+    assert proximity.drives_into(apart, robot, person)[:, 0].tolist() == [ahead > 0, True]
 
 
 def test_what_happens_after_the_episode_does_not_count() -> None:
