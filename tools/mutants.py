@@ -45,7 +45,10 @@ MODULES: dict[str, tuple[str, str]] = {
         "pedzoo/models/blocks/variety.py pedzoo/train/closed_loop/loop_losses.py",
         "tests/models/test_sgan.py tests/train/test_episode_segments.py tests/train/test_imitation.py",
     ),
-    "planner": ("pedzoo/maps/planning/*.py", "tests/maps/test_planner.py tests/maps/test_online_planner.py"),
+    "planner": (
+        "pedzoo/maps/planning/*.py",
+        "tests/maps/test_planner.py tests/maps/test_online_planner.py tests/sim/test_kernel.py",
+    ),
     "orca": ("pedzoo/policies/orca/*.py", "tests/policies/test_orca.py"),
     "pooling": (
         "pedzoo/models/blocks/people/pooling.py pedzoo/models/blocks/people/approach.py",

@@ -90,6 +90,61 @@ def random_plan(seed: int, size: int = 14, walls: float = 0.3) -> OccupancyGrid:
     return OccupancyGrid(np.where(free, 0, OCCUPIED).astype(np.uint8), 1.0)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_numpy_sees_what_compiled_loops_see(seed: int) -> None:
+    graph = cells_planner(random_plan(seed, size=18, walls=0.15)).graph(0)
+    here, there = (np.tile(graph.place, (len(graph), 1)), graph.place.repeat(len(graph), 0))
+    expected = graph.sight.clear(here, there)
+    assert 0.05 < expected.mean() < 0.95
+    assert np.array_equal(
+        graph.sight._clear_in_numpy(here.astype(np.int64), there.astype(np.int64)), expected
+    )
+
+
+@pytest.mark.parametrize("mirror", [1.0, -1.0])
+def test_torch_guides_as_compiled_loops_do(mirror: float) -> None:
+    """Over free places of two rooms, for fast and slow people who look far and near; on goals, too."""
+    bank, _ = flat()
+    planner, slow = Planner(bank), Planner(bank)
+    slow.compiled = False
+    generator = torch.Generator().manual_seed(4)
+    graph = planner.graph(0)
+    cell = torch.randint(len(graph), (40,), generator=generator)
+    there = torch.from_numpy(graph.xy)[cell].float() + 0.02 * torch.rand(40, 2, generator=generator)
+    ends = torch.from_numpy(graph.xy)[torch.randint(len(graph), (5,), generator=generator)].numpy()
+    pose = torch.tensor([[0.7, mirror, 3.0, -2.0]])
+    points = move_to_scene(there.view(1, 40, 2), pose)
+    speed = 0.3 + 1.5 * torch.rand(1, 40, generator=generator)
+    for ahead in (0.4, 3.2):
+        results = []
+        for one in (planner, slow):
+            ids = one.add_goals(0, ends)[torch.arange(40) % 5].view(1, 40)
+            ids[:, 7] = -1
+            results.append(one.guidance(points, ids, torch.tensor([0]), pose, speed, ahead, 1.8))
+        for name, mine, theirs in zip(Guidance._fields, *results, strict=True):
+            torch.testing.assert_close(mine, theirs, rtol=1e-4, atol=1e-4, msg=name)
+
+
+def test_places_outside_a_long_plan_are_those_of_its_nearest_cells() -> None:
+    graph = cells_planner(drawn("........", "........", "........")).graph(0)
+    cell, inside = graph.locate(np.array([[20.0, 1.5], [7.5, 9.0], [-3.0, -3.0], [5.5, 2.5]]))
+    assert cell.tolist() == [15, 23, 0, 21] and inside.tolist() == [False, False, False, True]
+
+
+def test_without_a_floor_plan_a_path_is_straight() -> None:
+    assert Planner(MapBank([])).path((0.0, 1.0), (3.0, 4.0), -1).tolist() == [[3.0, 4.0]]
+
+
+def test_small_pockets_are_left_out() -> None:
+    """One of 0.25 square metres is; where nothing is larger, the largest stays."""
+    cells = np.full((20, 20), OCCUPIED, np.uint8)
+    cells[2:7, 2:7] = 0  # 0.25 square metres
+    small = OccupancyGrid(cells.copy(), 0.1)
+    assert len(Planner(MapBank([small]), 0.01).graph(0)) == 25
+    cells[10:18, 10:18] = 0  # 0.64 square metres
+    assert len(Planner(MapBank([OccupancyGrid(cells, 0.1)]), 0.01).graph(0)) == 64
+
+
 def test_ways_by_hand() -> None:
     planner = cells_planner(TWO_ROOMS)
     way = planner.path((0.5, 0.5), (6.5, 0.5), 0)

@@ -26,15 +26,15 @@ def straight(start: tuple[float, float], velocity: tuple[float, float], points: 
     return torch.tensor(start) + ticks * torch.tensor(velocity)
 
 
-def rollout_of(paths: list[Tensor], **changed: Any) -> Rollout:
-    """Return one episode of agents who walk as given; the last one is a robot of 0.3 m."""
+def rollout_of(paths: list[Tensor], robots: int = 1, **changed: Any) -> Rollout:
+    """Return one episode of agents who walk as given; the last ones are robots of 0.3 m."""
     path = torch.stack(paths).unsqueeze(0)
     agents, points = path.shape[1], path.shape[2] - 1
     always, never = torch.ones(1, agents, points).bool(), torch.zeros(1, agents, points).bool()
     radius = torch.full((1, agents), 0.15)
-    radius[:, -1] = 0.3
+    radius[:, -robots:] = 0.3
     kind = torch.zeros(1, agents, dtype=torch.long)
-    kind[:, -1] = ROBOT
+    kind[:, -robots:] = ROBOT
     values: dict[str, Any] = {
         "trace": path[:, :, 1:],
         "goal": torch.tensor([10.0, 0.0]).expand(1, agents, points, 2),
@@ -61,19 +61,19 @@ def rollout_of(paths: list[Tensor], **changed: Any) -> Rollout:
 
 
 def robots_of(walked: Rollout, alone: Rollout | None = None, **changed: Any) -> RobotRollout:
-    points = walked.trace.shape[2]
-    never, no = torch.zeros(1, 1, points).bool(), torch.zeros(1, 1).bool()
+    points, robots = walked.trace.shape[2], int((walked.kind == ROBOT).sum())
+    never, no = torch.zeros(1, robots, points).bool(), torch.zeros(1, robots).bool()
     values: dict[str, Any] = {
         "walked": walked,
         "alone": walked if alone is None else alone,
-        "heading": torch.zeros(1, 1, points + 1),
+        "heading": torch.zeros(1, robots, points + 1),
         "success": no,
         "timeout": no,
         "failed": no,
         "progress": torch.zeros_like(walked.pref_speed),
         "progress_alone": torch.zeros_like(walked.pref_speed),
         "goals": 1,
-        "bodies": Fleet.of([RobotBody()]),
+        "bodies": Fleet.of([RobotBody()] * robots),
     }
     values |= dict.fromkeys(("person_contact", "robot_contact", "wall_contact"), never)
     return RobotRollout(**values | changed)
@@ -261,6 +261,46 @@ def test_people_who_fail_are_not_delayed() -> None:
         :2
     ]
     assert sums.tolist() == [0.0] and counts.tolist() == [0.0]
+
+
+@pytest.mark.parametrize("together", ["robots", "episodes"])
+def test_numbers_of_two_are_means_of_those_of_each(together: str) -> None:
+    """Of two robots among the same three people, and of two episodes; each touches somebody else."""
+    people = [
+        straight((2, 0.4), (-1, 0.2), 40),
+        straight((1, 2), (0.2, -1), 40),
+        straight((0, 4), (0, 0), 40),
+    ]
+    robots = [straight((0, 0), (1, 0.1), 40), straight((0, 5), (0.3, -0.9), 40)]
+    touches = torch.zeros(2, 1, 1, 40).bool()
+    touches[0, ..., 9:12] = touches[1, ..., 11] = True
+    each = [
+        robots_of(rollout_of([*people, one]), person_contact=touch)
+        for one, touch in zip(robots, touches, strict=True)
+    ]
+    if together == "robots":
+        both = robots_of(
+            rollout_of([*people, *robots], robots=2), person_contact=touches[:, 0].transpose(0, 1)
+        )
+    else:
+        both = joined_robots(each)
+    one, other, result = values_of(each[0]), values_of(each[1]), values_of(both)
+    names = ["personal_space", "discomfort", "intrusion_ratio", "nearest_person_m", "social_force_m_per_s2"]
+    names += [
+        "robot_on_person",
+        "person_on_robot",
+        "collision_person",
+        "speed_m_per_s",
+        *one.keys() & {"spl"},
+    ]
+    names += ["final_goal_distance_m", "least_goal_distance_m", "encounters_per_min", "path_m", "duration_s"]
+    names += ["space_intimate", "space_personal", "space_social", "least_person_m", "acceleration_m_per_s2"]
+    for name in names:
+        assert result[name] == pytest.approx((one[name] + other[name]) / 2, abs=1e-5), name
+    assert (
+        one["robot_on_person"] != other["robot_on_person"]
+        or one["nearest_person_m"] != other["nearest_person_m"]
+    )
 
 
 def test_each_robot_is_as_far_from_people_as_its_own_body() -> None:

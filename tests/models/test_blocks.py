@@ -12,7 +12,7 @@ from torch.nn import functional
 
 from pedzoo.models.blocks.mlp import init_like_sgan, mlp
 from pedzoo.models.blocks.people import pooling
-from pedzoo.models.blocks.people.crowd import Crowd
+from pedzoo.models.blocks.people.crowd import Crowd, share_seen
 from pedzoo.models.blocks.people.pooling import SocialPooling
 from pedzoo.models.blocks.recurrent import DisplacementDecoder, DisplacementEncoder
 
@@ -159,6 +159,25 @@ def test_pooling_is_the_pair_by_pair_one(
         torch.testing.assert_close(
             pool(hidden, position, crowd), plain_pooling(pool, hidden, position, crowd)
         )
+
+
+def test_pooling_of_slots_leaves_out_who_is_absent_or_beyond_reach() -> None:
+    """As in graphs for other programs; by hand, pair by pair."""
+    torch.manual_seed(3)
+    absent = torch.tensor([[False, False, True], [False, False, False], [True, False, False]])
+    u, v, weight = torch.randn(9, 5), torch.randn(9, 5), torch.randn(4, 5)
+    place = torch.randn(9, 2)
+    place[4] += 100  # in the second scene, out of everybody's sight
+    place[7] += torch.tensor([27.0, 0.0])  # in the third one, it counts less
+    result = pooling._max_over_slots(u, v, weight, absent, place)
+    for i in (~absent).flatten().nonzero()[:, 0].tolist():
+        scene = range(i // 3 * 3, i // 3 * 3 + 3)
+        values = [
+            weight @ torch.maximum(u[j], v[i]) - (1 / share_seen(place[j] - place[i]) - 1)
+            for j in scene
+            if not absent.flatten()[j]
+        ]
+        torch.testing.assert_close(result[i], torch.stack(values).amax(0))
 
 
 def test_pooling_with_frozen_weights_still_reaches_the_people() -> None:

@@ -65,6 +65,18 @@ def test_closest_approach_of_two_who_meet() -> None:
     assert seen_by_the_first((4.0, 1.0), (-1.0, 0.0)) == pytest.approx(wanted, abs=3e-3)
 
 
+def test_what_another_does_is_added_to_how_they_move() -> None:
+    """Features of the state of the person seen, and not of the own one, inside the same layer."""
+    pool = transparent()
+    with torch.no_grad():
+        pool.other.weight[:3] = torch.eye(3)
+    position, moved = torch.tensor([[0.0, 0.0], [4.0, 1.0]]), 0.4 * torch.tensor([[1.0, 0.0], [-1.0, 0.0]])
+    heading, state = torch.tensor([[1.0, 0.0], [1.0, 0.0]]), torch.tensor([[9.0, 9.0, 9.0], [0.1, 0.2, 5.0]])
+    plain = torch.tensor(seen_by_the_first((4.0, 1.0), (-1.0, 0.0)))
+    result = pool(position, moved, heading, state, crowd_of(2))[0, :8]
+    torch.testing.assert_close(result[:3], (plain[:3] + state[1]).clamp_min(0.0))
+
+
 def test_who_goes_away_is_closest_now() -> None:
     result = seen_by_the_first((-4.0, 0.0), (-1.0, 0.0))
     assert result[4:6] == pytest.approx([2 / 6 * -4 / 2, 0.0], abs=1e-4)
