@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 from pedzoo.core.geometry import identity_pose
@@ -21,6 +22,9 @@ _SOFT = 0.3
 
 _GAP = 0.03
 """Metres kept from other bodies on the way to rest."""
+
+_FASTEST = 10.0
+"""m/s: what others do who are faster is not foreseen from farther away."""
 
 _STILL, _AT_SPEED = 0.06, 0.8
 """m/s below which people at their goal stand, and share of their speed from which on they have set out."""
@@ -79,13 +83,12 @@ def eased(
         stops = stands | undecided
         looks = (walks & ~undecided, asked, STEP_SECONDS), (stops, 0.0 * asked, clock.dt)
         for which, instead, seconds in looks:
-            theirs = np.where(others[:, None], seen, result)
-            ahead = np.full(len(told), max(seconds, clock.dt))
-            room, more = (
-                _room(agents, position, own, theirs, ahead, clock.dt, bank) for own in (result, instead)
-            )
-            near_to = moves & which & (room < np.minimum(_GAP, more))
-            result = np.where(near_to[:, None], instead, result)
+            theirs, ahead = np.where(others[:, None], seen, result), max(seconds, clock.dt)
+            near_to = moves & which
+            room = _room(agents, position, near_to, result, theirs, ahead, clock.dt, bank)
+            near_to &= room < _GAP
+            more = _room(agents, position, near_to, instead, theirs, ahead, clock.dt, bank)
+            result = np.where((near_to & (room < more))[:, None], instead, result)
     # plans are walked as they are again when people have caught up with them
     caught_up = (_length(asked - result) < 1e-6) & (_length(seen) >= 0.99 * _length(asked))
     caught_up &= (_length(asked) >= _AT_SPEED * liked) & ~undecided
@@ -180,25 +183,39 @@ def _places_taken(
 
 
 def _room(
-    agents: Roster, position: Tensor, own: Array, others: Array, seconds: Array, dt: float, bank: MapBank
+    agents: Roster,
+    position: Tensor,
+    which: NDArray[np.bool_],
+    own: Array,
+    others: Array,
+    seconds: float,
+    dt: float,
+    bank: MapBank,
 ) -> Array:
-    """Return how near agents (N,) get to others, if they go on at ``own`` and these at ``others``.
+    """Return how near ``which`` agents (N,) get to others, if they go on at ``own`` and these at ``others``.
 
-    Velocities (N, 2) are in m/s, the result in metres: infinite for who comes no nearer to any. Others are
-    looked at for some ``seconds`` (N,), and walls until the next call; a wall that is touched is 0 away.
+    Velocities (N, 2) are in m/s, the result (N,) in metres: infinite for agents that come near no other, or
+    not within reach. Others are looked at for some ``seconds``, and walls until the next call, ``dt``; a wall
+    that is touched is 0 away.
     """
+    result = np.full(len(which), np.inf)
+    if not which.any():
+        return result
     place, radius = position.double().numpy(), agents.radius.double().numpy()
-    away, move = place[:, None] - place, own[:, None] - others
+    fastest = min(_FASTEST, float(np.maximum(_length(own), _length(others)).max()))
+    pairs = cKDTree(place).query_pairs(2 * (radius.max() + seconds * fastest) + _GAP, output_type="ndarray")
+    me, them = np.concatenate((pairs, pairs[:, ::-1])).T
+    me, them = me[which[me]], them[which[me]]
+    away, move = place[me] - place[them], own[me] - others[them]
     when = -(away * move).sum(-1) / np.maximum((move**2).sum(-1), 1e-9)
-    np.fill_diagonal(when, -1.0)
-    nearest = _length(away + np.clip(when, 0.0, seconds[:, None])[..., None] * move)
-    result = np.where(when > 0, nearest - radius[:, None] - radius, np.inf).min(1)
+    nearest = _length(away + np.clip(when, 0.0, seconds)[:, None] * move)
+    np.minimum.at(result, me[when > 0], (nearest - radius[me] - radius[them])[when > 0])
     if bank.grids:
-        ways = torch.from_numpy(np.stack((place, place + dt * own))).float().unsqueeze(0)
-        now, then = bank.closest_wall(ways, torch.tensor([bank.grids[0].map_id]), identity_pose(1))[0][
-            0
-        ].numpy()
-        result[(then < radius) & (then < now)] = 0.0
+        mine = which.nonzero()[0]
+        ways = torch.from_numpy(np.stack((place[mine], place[mine] + dt * own[mine]))).float().unsqueeze(0)
+        walls, _ = bank.closest_wall(ways, torch.tensor([bank.grids[0].map_id]), identity_pose(1))
+        now, then = walls[0].numpy()
+        result[mine[(then < radius[mine]) & (then < now)]] = 0.0
     return result
 
 
