@@ -24,14 +24,18 @@ def steps_of(xy: torch.Tensor, scored_from: int = 1) -> SampledRollout:
     return SampledRollout(xy.unsqueeze(0), person, velocity, known, scored, torch.full((1, people), 0.15))
 
 
-def test_trees_learn_a_step_and_say_by_which_feature() -> None:
+@pytest.mark.parametrize("column", range(3))
+@pytest.mark.parametrize("bump", [False, True])
+def test_trees_learn_a_step_or_a_bump_and_say_by_which_feature(
+    column: int, bump: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pedzoo.metrics.realism.boosting.TREES", 10)
     generator = np.random.default_rng(0)
-    rows = generator.normal(size=(2000, 3))
-    label = (rows[:, 1] > 0.3).astype(float)
-    trees = fit(rows, label, np.ones(len(rows)))
-    test = generator.normal(size=(1000, 3))
-    assert ((log_odds(trees, test) > 0) == (test[:, 1] > 0.3)).mean() > 0.98
-    assert trees.gain.argmax() == 1
+    rows, test = generator.normal(size=(2000, 3)), generator.normal(size=(1000, 3))
+    labels = [(abs(one[:, column]) > 0.6 if bump else one[:, column] > 0.3) for one in (rows, test)]
+    trees = fit(rows, labels[0].astype(float), np.ones(len(rows)))
+    assert ((log_odds(trees, test) > 0) == labels[1]).mean() > 0.96
+    assert trees.gain.argmax() == column and trees.gain[column] > 0.9 * trees.gain.sum()
 
 
 def test_auc_counts_pairs_with_ties_as_half() -> None:

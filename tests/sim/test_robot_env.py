@@ -83,6 +83,22 @@ def test_every_sensor_stays_within_its_spec(name: str) -> None:
     check_env_specs(env)
 
 
+def test_rewards_of_discomfort_by_hand_scene_by_scene() -> None:
+    """People of 0.15 and 0.3 m, 0.1 m from robots of 0.2 and 0.4 m for 0.1 s; half of what they like."""
+    bodies = torch.tensor([[0.15, 0.2], [0.3, 0.4]])
+    trace = torch.zeros(2, 2, 1, 2)
+    trace[:, 1, 0, 0] = bodies.sum(1) + 0.1
+    kind = torch.tensor([[PERSON, ROBOT]]).expand(2, 2)
+    state = SimpleNamespace(mask=torch.ones(2, 2, dtype=torch.bool), kind=kind, radius=bodies)
+    view: Any = SimpleNamespace(state=state, robots=1)
+    term = build(ROBOT_REWARDS, "discomfort", RobotReward)
+    nothing: Any = None
+    assert term(view, view, trace, nothing).flatten().tolist() == pytest.approx([-0.05, -0.05])
+    for distance in (0, -0.2):
+        with pytest.raises(UserError, match="expected metres above 0"):
+            build(ROBOT_REWARDS, f"discomfort:distance={distance}", RobotReward)
+
+
 def test_rewards_by_hand() -> None:
     """A person at the origin, and two robots that drive along x for two steps of 0.1 s."""
     near, far = [[0.5, 0.0], [0.6, 0.0]], [[3.0, 0.0], [2.9, 0.0]]

@@ -25,6 +25,7 @@ from pedzoo.train.closed_loop.loop_losses import (
 )
 from pedzoo.train.closed_loop.segments import Segment, unrolled
 
+TURN = torch.tensor([[0.6, 0.8], [-0.8, 0.6]])
 HALL = room((-8.0, -8.0), (8.0, 8.0), 0.1)
 
 
@@ -66,6 +67,14 @@ def test_people_are_as_near_as_between_two_trace_points() -> None:
     velocity = torch.tensor([[[[2.0, 0.0], [-2.0, 0.0]]]])
     result = least_gaps(made(velocity, torch.tensor([[[0.0, 0.0], [0.6, 0.2]]])))
     assert result.shape == (1, 1, 2) and result[0, 0].tolist() == pytest.approx([-0.1, -0.1], abs=1e-4)
+
+
+def test_gaps_are_between_bodies_of_their_own_sizes_to_the_end_of_a_step() -> None:
+    """Someone of 0.5 m whom nothing moves comes 0.8 m nearer in the step, to 1.2 m between centres."""
+    velocity = torch.tensor([[[[0.0, 0.0], [-2.0, 0.0]]]])
+    segment = made(velocity, torch.tensor([[[0.0, 0.0], [2.0, 0.0]]]), radius=torch.tensor([[[0.15, 0.5]]]))
+    segment = segment._replace(moved=torch.tensor([[[True, False]]]), asked=torch.zeros(1, 1, 2, 2))
+    assert least_gaps(segment)[0, 0].tolist() == pytest.approx([0.55, 0.55], abs=1e-4)
 
 
 def test_people_are_as_near_as_they_ask_to_be_and_others_as_they_are() -> None:
@@ -200,6 +209,14 @@ def test_who_comes_from_the_front_should_be_on_the_side_that_one_likes() -> None
     for like, lacks in ((9.0, 0.7), (-9.0, 0.3), (0.0, 0.0)):
         result = wrong_side(segment, torch.tensor([[like, like]]))
         assert result[0, 0].tolist() == pytest.approx([lacks, lacks], abs=1e-4)
+        turned = made(velocity @ TURN, start @ TURN, goal=(start + 4 * velocity) @ TURN)
+        assert wrong_side(turned, torch.tensor([[like, like]])).flatten().tolist() == pytest.approx(
+            [lacks, lacks], abs=1e-4
+        )
+    gone = segment._replace(present=torch.tensor([[[True, False]]]))
+    assert not bool(wrong_side(gone, torch.full((1, 2), 9.0)).any())
+    close = made(velocity, 0.3 * start, goal=0.3 * start + 4 * velocity)  # 0.6 m before, 0.06 m beside
+    assert wrong_side(close, torch.full((1, 2), 9.0))[0, 0].tolist() == pytest.approx([0.56, 0.56], abs=1e-4)
     behind = segment._replace(goal=start - 4 * velocity)
     assert not bool(wrong_side(behind, torch.ones(1, 2)).any())
 

@@ -83,7 +83,7 @@ def info_of(**info: Any) -> TensorDict:
     people = {
         "info": TensorDict(seen, (1, 2)),
         "reward": torch.tensor([[[0.4], [-0.6]]]),
-        "velocity": torch.tensor([[[1.0, 0.0], [0.0, 2.0]]]),
+        "velocity": torch.tensor([[[0.6, 0.8], [0.0, 2.0]]]),
         "pref_speed": torch.tensor([[[1.2], [1.5]]]),
         "mask": torch.ones(1, 2, dtype=torch.bool),
         "controlled": torch.ones(1, 2, dtype=torch.bool),
@@ -102,8 +102,9 @@ def info_of(**info: Any) -> TensorDict:
         # nearest other at 0.5 m: half of the way from 1 m to contact of centres
         ({"near": 4.0, "near_distance": 1.0}, (-2.0, -2.0)),
         ({"near": 4.0, "near_distance": 0.5}, (0.0, 0.0)),
-        # from (1, 0) to (1, 0), and from (1, 0) to (0, 2)
-        ({"effort": 0.1}, (0.0, -0.5)),
+        # from (1, 0) to (0.6, 0.8), and from (1, 0) to (0, 2)
+        ({"effort": 0.1}, (-0.08, -0.5)),
+        # 1 and 2 m/s, who like 1.2 and 1.5 m/s
         ({"overspeed": 2.0}, (0.0, -1.0)),
         ({"arrival": 5.0}, (0.0, 5.0)),
     ],
