@@ -23,6 +23,7 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.blocks.people import linear_extrapolation
 from pedzoo.models.blocks.people.crowd import Crowd
+from pedzoo.models.blocks.variety import SceneError
 
 SMALL: dict[str, Any] = {
     "embedding_dim": 5,
@@ -427,3 +428,21 @@ def test_shipped_variants_learn(name: str, training_batches: dict, request: pyte
 def test_energy_of_squared_errors_is_refused() -> None:
     with pytest.raises(UserError, match="rewards the mean alone"):
         SGAN.of(energy_weight=1.0)
+
+
+@pytest.mark.parametrize("best_k", [1, 2, 3])
+def test_variety_energy_and_mode_are_those_of_the_drawn_samples(best_k: int) -> None:
+    """The best of the last K samples of each scene, two at random, and the one without noise."""
+    weights = {"variety_weight": 2.0, "energy_weight": 0.5, "mode_weight": 0.3, "error": "distance"}
+    model, batch = small(best_k=best_k, **weights), make_batch((2, 4, 3), dtype=torch.float64)
+    loss = model.loss(batch, seeded(5))
+    steps = agents_of(batch)["future"].shape[2]
+    encoded = model.encode(batch, steps)
+    z = model.draw(encoded, max(best_k, 2), seeded(5))
+    error = SceneError("distance", batch, encoded.crowd)
+    each = error(model.decode(encoded, z, steps))
+    apart = error(model.decode(encoded, z[-1:], steps), model.decode(encoded, z[-2:-1], steps)[0])
+    mode = error(model.decode(encoded, torch.zeros_like(z[:1]), steps))
+    expected = 2.0 * each[:, -best_k:].amin(1).sum() + 0.3 * mode.sum()
+    expected = expected + 0.25 * (each[:, -1] + each[:, -2] - apart[:, 0]).sum()
+    torch.testing.assert_close(loss, expected)

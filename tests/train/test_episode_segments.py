@@ -221,6 +221,16 @@ def test_who_comes_from_the_front_should_be_on_the_side_that_one_likes() -> None
     assert not bool(wrong_side(behind, torch.ones(1, 2)).any())
 
 
+def test_sides_count_by_their_weight_where_people_have_preferences() -> None:
+    velocity = torch.tensor([[[[1.0, 0.0], [-1.0, 0.0]]]])
+    start = torch.tensor([[[0.0, 0.0], [2.0, 0.2]]])
+    segment = made(velocity, start, goal=start + 4 * velocity)
+    liked, bank = torch.tensor([[[0.0, 9.0], [0.0, 9.0]]]), MapBank([])
+    assert float(LoopLosses(passing_side=3.0)(segment, bank, liked)["passing_side"]) == pytest.approx(2.1)
+    for losses, noise in ((LoopLosses(), liked), (LoopLosses(passing_side=3.0), liked[..., :1])):
+        assert "passing_side" not in losses(segment, bank, noise)
+
+
 def test_a_negative_weight_is_refused() -> None:
     with pytest.raises(UserError, match=r"walls -1.*at least 0"):
         LoopLosses(walls=-1)
