@@ -39,7 +39,7 @@ MODULES: dict[str, tuple[str, str]] = {
     ),
     "rewards": (
         "pedzoo/sim/robot_rewards/*.py pedzoo/train/rl/rewards.py",
-        "tests/sim/test_robot_env.py tests/train/test_ppo.py -k rewards_by_hand+reward_adds",
+        "tests/sim/test_robot_env.py tests/train/test_ppo.py -k rewards+reward_adds+negative",
     ),
     "losses": (
         "pedzoo/models/blocks/variety.py pedzoo/train/closed_loop/loop_losses.py",

@@ -111,6 +111,11 @@ def test_turning_and_standing_by_hand() -> None:
     assert least.item() == pytest.approx(0.3) and final.item() == pytest.approx(0.3)
 
 
+def test_a_robot_that_turns_slowly_in_place_does_not_stand() -> None:
+    heading, there = torch.tensor([[[0.0, 0.1, 0.1]]]), torch.ones(1, 1, 2).bool()
+    assert driving.seconds_standing(torch.zeros(1, 1, 3, 2), heading, there).item() == pytest.approx(0.1)
+
+
 def test_distances_and_spaces_by_hand() -> None:
     """Bodies of 0.3 and 0.15 m, 0.6 m apart: 0.15 m between bodies, 0.3 m to the person's centre."""
     paths = [straight((0.6, 0), (1, 0), 20), straight((0, 0), (1, 0), 20)]

@@ -69,6 +69,12 @@ def test_who_stops_and_walks_on_in_another_direction_has_turned_but_at_no_rate()
     assert walks[0, 0].tolist() == [False, False, False, True] and float(rate[0, 0, 3]) == 0.0
 
 
+def test_who_sets_out_has_not_turned() -> None:
+    """Standing has no heading: the first one is that of the first steps."""
+    velocity = torch.tensor([[[[0.0, 0.0], [0.0, 1.0], [0.0, 1.0]]]])
+    assert turning(velocity, torch.ones(1, 1, 3, dtype=torch.bool)).item() == 0.0
+
+
 def test_nothing_is_measured_across_a_gap() -> None:
     path = torch.cat((straight(1.0, 12), straight(1.0, 12, (0.0, 50.0)).flip(0)))[None, None]
     scored = torch.ones(1, 1, 25, dtype=torch.bool)

@@ -109,6 +109,10 @@ def test_people_have_no_order_and_other_scenes_no_part() -> None:
     torch.testing.assert_close(pool(*(x[4:] for x in everything), crowd_of(5)), result[4:])
 
 
+def test_the_default_width_is_that_of_shipped_weights() -> None:
+    assert ApproachPooling(3, 6).pair.out_features == 64
+
+
 def test_a_person_alone_sees_no_others() -> None:
     result = ApproachPooling(3, 6)(*walking(5), crowd_of(1, 3, 1))
     assert not result[0].any() and not result[4].any() and bool(result[1:4].any(1).all())

@@ -68,6 +68,7 @@ def test_settings_are_checked_and_igibsons_are_known() -> None:
         {"radius": 0.0},
         {"time_horizon": math.inf},
         {"max_neighbors": -1},
+        {"jitter": -0.5},
         {"dt": math.nan},
     ):
         (name,) = wrong
