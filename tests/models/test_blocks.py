@@ -180,12 +180,6 @@ def test_pooling_of_slots_leaves_out_who_is_absent_or_beyond_reach() -> None:
         torch.testing.assert_close(result[i], torch.stack(values).amax(0))
 
 
-def test_pooling_of_no_people_is_empty() -> None:
-    pool = SocialPooling(5, 4, 9, 6)
-    crowd = Crowd.of(torch.zeros(2, 3, dtype=torch.bool))
-    assert pool(torch.zeros(0, 5), torch.zeros(0, 2), crowd).shape == (0, 6)
-
-
 def test_pooling_with_frozen_weights_still_reaches_the_people() -> None:
     pool = SocialPooling(5, 4, 9, 6).double().requires_grad_(False)
     crowd = crowd_of((2, 4))

@@ -464,7 +464,7 @@ def test_what_cannot_be_is_refused(options: dict[str, Any], said: str) -> None:
 
 
 def test_negative_weights_are_refused() -> None:
-    with pytest.raises(UserError, match="person_cost -0.5"):
+    with pytest.raises(UserError, match=r"person_cost -0\.5"):
         Reward(person_cost=-0.5)
     with pytest.raises(UserError, match="near_distance"):
         Reward(near_distance=0)
