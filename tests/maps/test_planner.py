@@ -125,6 +125,18 @@ def test_torch_guides_as_compiled_loops_do(mirror: float) -> None:
             torch.testing.assert_close(mine, theirs, rtol=1e-4, atol=1e-4, msg=name)
 
 
+def test_goals_in_one_square_share_a_field() -> None:
+    """Goals 0.2 m apart lead the same way; others keep their own, in whatever order they are added."""
+    planner, exact = cells_planner(TWO_ROOMS), cells_planner(TWO_ROOMS)
+    planner.share = 1.0
+    goals = [(0.5, 0.5), (6.5, 0.5), (0.6, 0.6), (2.5, 3.5), (6.4, 0.6)]
+    here = torch.tensor([[3.5, 4.5]]).expand(5, 2)
+    mine, theirs = (next_waypoints(one, here, one.add_goals(0, goals)) for one in (planner, exact))
+    torch.testing.assert_close(mine.waypoint[[0, 1, 3]], theirs.waypoint[[0, 1, 3]])
+    torch.testing.assert_close(mine.distance, theirs.distance, rtol=0, atol=0.3)
+    assert torch.equal(mine.waypoint[2], mine.waypoint[0]) and torch.equal(mine.waypoint[4], mine.waypoint[1])
+
+
 def test_places_outside_a_long_plan_are_those_of_its_nearest_cells() -> None:
     graph = cells_planner(drawn("........", "........", "........")).graph(0)
     cell, inside = graph.locate(np.array([[20.0, 1.5], [7.5, 9.0], [-3.0, -3.0], [5.5, 2.5]]))
