@@ -11,7 +11,7 @@ import warnings
 from pathlib import Path
 
 import torch
-from torchrl.envs.utils import exploration_type
+from tensordict.nn.probabilistic import interaction_type
 
 from pedzoo.core.errors import UserError
 
@@ -21,7 +21,7 @@ def answer(job: tuple[int, str]) -> dict:
     with (Path(folder) / "done").open("a") as file:
         file.write(f"{seed}\n")
     weights = torch.randn(200, 200, generator=torch.Generator().manual_seed(seed))
-    kind = exploration_type()
+    kind = interaction_type()
     return {
         "product": (weights @ weights).sum().item(),
         "text": "ä" * 1000 * seed,  # results of any length

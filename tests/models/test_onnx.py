@@ -113,7 +113,7 @@ def expected(written: Written, batch: TensorDict, noise: torch.Tensor | None) ->
         return model.next_steps(batch, noise, STEPS, STEPS).numpy()
 
 
-@pytest.mark.parametrize("sizes", [(1,), (7,), (1, 1, 1), (2, 5, 1, 3), (40, 2)])
+@pytest.mark.parametrize("sizes", [(1,), (2, 5, 1, 3), (40, 2)])
 def test_a_graph_answers_as_torch_for_any_crowd_on_any_plan(written: Written, sizes: tuple[int, ...]) -> None:
     batch = make_batch(sizes, padding=0.0)
     noise = torch.randn(len(sizes), max(sizes), 8, generator=torch.Generator().manual_seed(1))

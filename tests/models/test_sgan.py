@@ -23,7 +23,7 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.blocks.people import linear_extrapolation
 from pedzoo.models.blocks.people.crowd import Crowd
-from pedzoo.models.blocks.variety import SceneError
+from pedzoo.models.blocks.variety import SceneError, VarietyLoss
 
 SMALL: dict[str, Any] = {
     "embedding_dim": 5,
@@ -428,6 +428,10 @@ def test_shipped_variants_learn(name: str, training_batches: dict, request: pyte
 def test_energy_of_squared_errors_is_refused() -> None:
     with pytest.raises(UserError, match="rewards the mean alone"):
         SGAN.of(energy_weight=1.0)
+
+
+def test_the_variety_loss_has_the_published_twenty_samples() -> None:
+    assert VarietyLoss().best_k == 20 and VarietyLoss().variety_weight == 1.0
 
 
 @pytest.mark.parametrize("best_k", [1, 2, 3])

@@ -114,7 +114,7 @@ def test_what_a_safety_layer_changed_costs() -> None:
 
 def test_no_person_is_near_who_is_alone_or_gone() -> None:
     alone = made(torch.ones(2, 1, 1, 2), torch.zeros(1, 1, 2))
-    assert bool((least_gaps(alone) > 100).all())
+    assert bool((least_gaps(alone) > 100).all()) and least_gaps(alone).shape == alone.moved.shape
     segment = two(0.2)
     present = segment.present.clone()
     present[1:, :, 1] = False
@@ -229,6 +229,14 @@ def test_sides_count_by_their_weight_where_people_have_preferences() -> None:
     assert float(LoopLosses(passing_side=3.0)(segment, bank, liked)["passing_side"]) == pytest.approx(2.1)
     for losses, noise in ((LoopLosses(), liked), (LoopLosses(passing_side=3.0), liked[..., :1])):
         assert "passing_side" not in losses(segment, bank, noise)
+
+
+def test_losses_are_finite_where_no_one_moves_or_is_corrected() -> None:
+    velocity = torch.zeros(2, 1, 2, 2).add(1.0).requires_grad_()
+    segment = made(velocity, torch.tensor([[[0.0, 0.0], [0.0, 5.0]]]))
+    LoopLosses(safety_correction=1.0)(segment, MapBank([]))["safety_correction"].backward()
+    assert velocity.grad is not None and bool(velocity.grad.isfinite().all())
+    assert lost_seconds(segment._replace(moved=~segment.moved)).item() == 0.0
 
 
 def test_a_negative_weight_is_refused() -> None:
