@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import cloudpickle
 import torch
 from tensordict.nn.probabilistic import interaction_type, set_interaction_type  # not torchrl: 1.3 s
-)  # torchrl.envs takes 1.3 s more
 
 from pedzoo.core.errors import UserError
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from pedzoo.core.geometry import identity_pose
@@ -203,7 +203,7 @@ def _room(
         return result
     place, radius = position.double().numpy(), agents.radius.double().numpy()
     fastest = min(_FASTEST, float(np.maximum(_length(own), _length(others)).max()))
-    pairs = cKDTree(place).query_pairs(2 * (radius.max() + seconds * fastest) + _GAP, output_type="ndarray")
+    pairs = KDTree(place).query_pairs(2 * (radius.max() + seconds * fastest) + _GAP, output_type="ndarray")
     me, them = np.concatenate((pairs, pairs[:, ::-1])).T
     me, them = me[which[me]], them[which[me]]
     away, move = place[me] - place[them], own[me] - others[them]
