@@ -211,8 +211,10 @@ class OnlinePlanner(Planner):
         Only the ``tried`` least ones are looked at. The total is infinite where none of them is in sight.
         """
         graph, corners = self.graph(0), self.corners(0).cells
-        some = np.argpartition(total, tried - 1)[:, :tried]
-        some = np.take_along_axis(some, np.take_along_axis(total, some, 1).argsort(1), 1)
+        # of corners that are as near the first one counts, whatever was looked for before
+        some = np.sort(np.argpartition(total, tried - 1)[:, :tried], 1)
+        order = np.take_along_axis(total, some, 1).argsort(1, kind="stable")
+        some = np.take_along_axis(some, order, 1)
         total = np.take_along_axis(total, some, 1)
         here = graph.place[cells].repeat(tried, 0)
         seen = graph.sight.clear(here, graph.place[corners[some.ravel()]]).reshape(total.shape)
