@@ -79,15 +79,16 @@ def eased(
     result[at_rest | others] = 0.0
     moves = (soft | walks) & result.any(1) & ((result != asked).any(1) | undecided)
     if moves.any():
+        places = KDTree(position.double().numpy())
         # first those whom a policy moves, who go on as it says; then those may stop who are to stop anyway
         stops = stands | undecided
         looks = (walks & ~undecided, asked, STEP_SECONDS), (stops, 0.0 * asked, clock.dt)
         for which, instead, seconds in looks:
             theirs, ahead = np.where(others[:, None], seen, result), max(seconds, clock.dt)
             near_to = moves & which
-            room = _room(agents, position, near_to, result, theirs, ahead, clock.dt, bank)
+            room = _room(agents, places, near_to, result, theirs, ahead, clock.dt, bank)
             near_to &= room < _GAP
-            more = _room(agents, position, near_to, instead, theirs, ahead, clock.dt, bank)
+            more = _room(agents, places, near_to, instead, theirs, ahead, clock.dt, bank)
             result = np.where((near_to & (room < more))[:, None], instead, result)
     # plans are walked as they are again when people have caught up with them
     caught_up = (_length(asked - result) < 1e-6) & (_length(seen) >= 0.99 * _length(asked))
@@ -184,7 +185,7 @@ def _places_taken(
 
 def _room(
     agents: Roster,
-    position: Tensor,
+    places: KDTree,
     which: NDArray[np.bool_],
     own: Array,
     others: Array,
@@ -201,9 +202,9 @@ def _room(
     result = np.full(len(which), np.inf)
     if not which.any():
         return result
-    place, radius = position.double().numpy(), agents.radius.double().numpy()
+    place, radius = places.data, agents.radius.double().numpy()
     fastest = min(_FASTEST, float(np.maximum(_length(own), _length(others)).max()))
-    pairs = KDTree(place).query_pairs(2 * (radius.max() + seconds * fastest) + _GAP, output_type="ndarray")
+    pairs = places.query_pairs(2 * (radius.max() + seconds * fastest) + _GAP, output_type="ndarray")
     me, them = np.concatenate((pairs, pairs[:, ::-1])).T
     me, them = me[which[me]], them[which[me]]
     away, move = place[me] - place[them], own[me] - others[them]
