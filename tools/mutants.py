@@ -119,13 +119,13 @@ def mutants_of(pattern: str) -> list[Mutant]:
     names = [name for name in plugins.operator_names() if OPERATORS.fullmatch(name)]
     result = []
     for path in sorted(file for one in pattern.split() for file in ROOT.glob(one)):
-        tree, skipped = read.get_ast(path.read_text()), {*_skipped(ast.parse(path.read_text()))}
+        tree, skipped = read.get_ast(path.read_text()), _skipped(ast.parse(path.read_text()))
         nodes = [*_nodes(tree)]
         for name in names:
             operator, number = plugins.get_operator(name)(), 0
             for node in nodes:
                 for (line, column), _ in operator.mutation_positions(node):
-                    if (line, column) not in skipped:
+                    if not any(_within(one, line, column) for one in skipped):
                         result.append(Mutant(str(path.relative_to(ROOT)), line, name, number))
                     number += 1
     return result
@@ -137,15 +137,11 @@ def _nodes(tree: Any) -> Iterator[Any]:
         yield from _nodes(child)
 
 
-def _skipped(tree: ast.AST) -> Iterator[tuple[int, int]]:
-    for node in ast.walk(tree):
-        parts = [getattr(node, name, None) for name in ("annotation", "returns")]
-        for one in [node, *parts] if isinstance(node, ast.JoinedStr) else parts:
-            if one is not None:
-                lines = range(one.lineno, one.end_lineno + 1)
-                yield from (
-                    (line, column) for line in lines for column in range(200) if _within(one, line, column)
-                )
+def _skipped(tree: ast.AST) -> list[Any]:
+    """Return the nodes of messages and annotations."""
+    nodes = [*ast.walk(tree)]
+    parts = [getattr(node, name, None) for node in nodes for name in ("annotation", "returns")]
+    return [*filter(None, parts), *(node for node in nodes if isinstance(node, ast.JoinedStr))]
 
 
 def _within(node: Any, line: int, column: int) -> bool:

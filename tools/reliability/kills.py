@@ -35,8 +35,7 @@ PPO += ["--monitor=val/ade", "--monitor_mode=min", "--trainer.check_val_every_n_
 
 LOOP = [*SHORT[:-2], "--rollout.scenarios=[hallway]", "--rollout.episodes=2", "--model.steps=2"]
 LOOP += ["--trainer.check_val_every_n_epoch=1", SHORT[-1]]
-EPOCHS = "--trainer.max_epochs=3"
-CROWD = [*LOOP, "--model.courses=[{scenario: hallway, scenes: 4}]"]
+LOOP += ["--model.courses=[{scenario: hallway, scenes: 4}]"]
 ROBOT = ["--trainer.enable_progress_bar=false", "--trainer.max_epochs=8", "--trainer.accelerator=cpu"]
 ROBOT += ["--model.envs=4", "--model.steps=8", "--model.updates=2", "--model.episodes=2"]
 ROBOT += ["--model.minibatches=2", "--model.policy.width=16", "--trainer.check_val_every_n_epoch=1"]
@@ -46,8 +45,8 @@ TRAININGS: Mapping[str, list[str]] = {
     "sgan in two processes": [*SGAN, *TWO],
     "anchor_net": ["--config", "anchor_net", *SHORT, "--monitor=val/ade"],
     "PPO in two processes": [*PPO, *TWO],
-    "closed_loop/sgan_goal": ["--config", "closed_loop/sgan_goal", *CROWD],
-    "closed_loop/social_walker": ["--config", "closed_loop/social_walker", *CROWD, EPOCHS],
+    "closed_loop/sgan_goal": ["--config", "closed_loop/sgan_goal", *LOOP],
+    "closed_loop/social_walker": ["--config", "closed_loop/social_walker", *LOOP, "--trainer.max_epochs=3"],
     "robot/ppo": ["--config", "robot/ppo", *ROBOT, "--model.scenarios=['crowdnav:crowds=16']"],
     "robot/rooms": ["--config", "robot/rooms", *ROBOT, "--model.scenarios=['door:people=2']"],
 }
