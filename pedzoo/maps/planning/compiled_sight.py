@@ -2,7 +2,7 @@
 
 import math
 
-from pedzoo.maps.walls.compiled import compiled
+from pedzoo.core.compiled import compiled
 
 ROUNDING = 1e-6
 """Cells: lines between centres miss other centres by far more, unless they meet them."""

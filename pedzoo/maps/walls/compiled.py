@@ -3,64 +3,12 @@
 For tensors on the CPU; callers add gradients. Every function has its equal in torch, and tests compare them.
 """
 
-import hashlib
 import math
-import os
-import re
-from collections.abc import Callable
-from functools import cache
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from pedzoo.core.errors import installed
+from pedzoo.core.compiled import compiled, jit
 from pedzoo.maps.walls.nearest_boxes import CANDIDATES
-
-
-def compiled(signature: str | None = None) -> Callable[[Any], Any]:
-    """Return a decorator that compiles a function: at once for a signature, else when it is first called.
-
-    What is compiled is kept in the package, or in numba's own folder where that cannot be written. Without
-    numba functions stay as they are: torch answers where it can (`pedzoo.core.machine.compiles`).
-    """
-    if not installed("numba"):
-        return lambda function: function
-    import numba
-
-    njit: Any = numba.njit
-
-    def decorate(function: Any) -> Any:
-        before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, _cache_folder()  # pyright: ignore
-        try:
-            return njit(signature, cache=True, error_model="numpy")(function)
-        except RuntimeError:  # numba finds no folder at all to keep it in
-            return njit(signature, error_model="numpy")(function)
-        finally:
-            numba.config.CACHE_DIR = before  # pyright: ignore
-
-    return decorate
-
-
-@cache
-def _cache_folder() -> str:
-    """Return the folder of all loops as they are now; numba alone misses changes in other files."""
-    root = Path(__file__).parents[2]
-    marks = re.compile(rb"walls\.compiled import|^jit = compiled", re.MULTILINE)
-    imports = re.compile(rb"^from pedzoo\.([\w.]+) import", re.MULTILINE)
-    loops = [text for path in sorted(root.rglob("*.py")) if marks.search(text := path.read_bytes())]
-    names = {name.decode() for text in loops for name in imports.findall(text)}
-    files = [root.joinpath(*name.split(".")).with_suffix(".py") for name in sorted(names)]
-    texts = [*loops, *(file.read_bytes() for file in files if file.is_file())]
-    folder = root / "__pycache__" / f"numba-{hashlib.sha256(b''.join(texts)).hexdigest()[:16]}"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return ""
-    return str(folder) if os.access(folder, os.W_OK) else ""
-
-
-jit = compiled()
 
 _SPACING = 0.3
 _EPSILON = 1e-6

@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from pedzoo.maps.walls.compiled import compiled, jit, quarter, wall_gap
+from pedzoo.core.compiled import compiled, jit
+from pedzoo.maps.walls.compiled import quarter, wall_gap
 from pedzoo.maps.walls.constants import BUCKET, HALF, INTO, NO_WALL, ROUNDED, WALL
 
 

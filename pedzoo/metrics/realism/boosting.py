@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pedzoo.core.compiled import jit
 from pedzoo.core.errors import need
-from pedzoo.maps.walls.compiled import jit
 
 TREES, DEPTH, RATE = 100, 5, 0.1
 """Size of the ensemble, and by how much each tree is believed."""

@@ -12,9 +12,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pedzoo.core.compiled import jit
 from pedzoo.core.errors import need
 from pedzoo.core.types import STEP_SECONDS
-from pedzoo.maps.walls.compiled import jit
 from pedzoo.metrics.realism.distances import sums, wasserstein
 
 QUADRATS = 10

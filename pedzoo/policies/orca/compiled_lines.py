@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from pedzoo.maps.walls.compiled import compiled, jit
+from pedzoo.core.compiled import compiled, jit
 
 _0, _1, _2 = np.float32(0), np.float32(1), np.float32(2)
 _FAR, _TOUCHING, _TINY = np.float32(1e30), np.float32(1e-6), np.finfo(np.float32).tiny

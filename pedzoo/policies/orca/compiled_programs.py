@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pedzoo.maps.walls.compiled import compiled, jit
+from pedzoo.core.compiled import compiled, jit
 
 _0, _1, _HALF = np.float32(0), np.float32(1), np.float32(0.5)
 _EPSILON, _TINY = np.float32(1e-5), np.finfo(np.float32).tiny

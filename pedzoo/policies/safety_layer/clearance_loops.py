@@ -8,7 +8,8 @@ import math
 
 import numpy as np
 
-from pedzoo.maps.walls.compiled import compiled, quarter, wall_gap
+from pedzoo.core.compiled import compiled
+from pedzoo.maps.walls.compiled import quarter, wall_gap
 from pedzoo.policies.safety_layer.clearance_parts import (
     closest,
     correction,

@@ -8,7 +8,8 @@ import math
 
 import numpy as np
 
-from pedzoo.maps.walls.compiled import jit, quarter, wall_gap
+from pedzoo.core.compiled import jit
+from pedzoo.maps.walls.compiled import quarter, wall_gap
 
 
 @jit

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from pedzoo.maps.walls.compiled import compiled, jit
+from pedzoo.core.compiled import compiled, jit
 from pedzoo.policies.safety_layer.clearance_parts import (
     closest,
     correction,

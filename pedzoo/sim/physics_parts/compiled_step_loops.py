@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from pedzoo.maps.walls.compiled import compiled, jit
+from pedzoo.core.compiled import compiled, jit
 from pedzoo.sim.physics_parts.compiled_loops import advance
 
 _0, _1, _HALF = np.float32(0), np.float32(1), np.float32(0.5)
