@@ -12,7 +12,7 @@ from importlib import import_module
 from pathlib import Path
 
 from pedzoo import __version__
-from pedzoo.cli.signals import EndedBySignal, exit_code, heard
+from pedzoo.cli.signals import EndedBySignal, exit_code, handle_signals
 from pedzoo.core import renamed
 from pedzoo.core.errors import NO_ROOM, UserError, lacks_memory, missing_extra
 from pedzoo.core.paths import config_names, weight_files
@@ -40,7 +40,7 @@ def main(argv: list[str] | None = None) -> int:
     """Run one command and return the exit code."""
     argv = sys.argv[1:] if argv is None else argv
     try:
-        with heard():
+        with handle_signals():
             code = _dispatch(argv)
             sys.stdout.flush()
             return code

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.paths import CODECS, PAGES, PLOTS, REPORTS, check_ending, write_whole
+from pedzoo.core.paths import CODECS, PAGES, PLOTS, REPORTS, check_ending, write_atomically
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -74,7 +74,7 @@ def write_text(file: str | Path, text: str) -> None:
         if path.exists() and not path.is_file():  # a pipe such as /dev/fd/63 cannot be replaced
             path.write_text(text)
         else:
-            write_whole(path.resolve(), text.encode())
+            write_atomically(path.resolve(), text.encode())
     except OSError as error:
         raise UserError(f"cannot write {str(file)!r}: {error.strerror}") from error
 

@@ -33,7 +33,7 @@ def exit_code(stop: KeyboardInterrupt) -> int:
 
 
 @contextmanager
-def heard() -> Iterator[None]:
+def handle_signals() -> Iterator[None]:
     """Let signals end a block with `EndedBySignal`. Those that are ignored stay so, as ``nohup`` wants it.
 
     SIGUSR1 is among them in a job of Slurm, which sends it before the time is up.
@@ -46,7 +46,7 @@ def heard() -> Iterator[None]:
     mine = [number for number in numbers if signal.getsignal(number) == signal.SIG_DFL]
     handler = _handler()
     _handlers.update(dict.fromkeys(mine, handler))
-    hear_again()
+    reinstall_handlers()
     try:
         yield
     finally:
@@ -55,8 +55,8 @@ def heard() -> Iterator[None]:
             signal.signal(number, signal.SIG_DFL)
 
 
-def hear_again() -> None:
-    """Take signals back that a library has taken since `heard` began."""
+def reinstall_handlers() -> None:
+    """Reinstall our signal handlers after a library has installed its own."""
     for number, handler in _handlers.items():
         signal.signal(number, handler)
 

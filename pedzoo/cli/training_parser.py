@@ -16,7 +16,7 @@ from lightning.pytorch.callbacks import Callback, RichProgressBar
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 
 from pedzoo.cli.parsing import PARSER_SETTINGS
-from pedzoo.cli.signals import hear_again
+from pedzoo.cli.signals import reinstall_handlers
 from pedzoo.cli.starting import ExpandedCommand
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError, at_least_one
@@ -52,11 +52,11 @@ class Signals(Callback):
 
     def on_sanity_check_start(self, *_: Any) -> None:
         """Do so before the first validation."""
-        hear_again()
+        reinstall_handlers()
 
     def on_train_start(self, *_: Any) -> None:
         """Do so before the first step."""
-        hear_again()
+        reinstall_handlers()
 
 
 class ConfigParser(LightningArgumentParser):

@@ -61,17 +61,17 @@ if TYPE_CHECKING:
 PERSON, ROBOT = 0, 1
 """Values of ``agents/kind``."""
 
-HOLDS_BELOW = 0.99
-"""Of the speed that people like: those whose desired velocity is less hold a place; the rest is rounding."""
+WAITING_SPEED_SHARE = 0.99
+"""An agent waits if its desired speed is below this share of its preferred speed; the rest is rounding."""
 
 
-def usual_body(radius: Tensor) -> Tensor:
-    """Return which bodies are as wide as a person's usual one (...) bool, for radii (...) in metres."""
+def is_person_sized(radius: Tensor) -> Tensor:
+    """Return which bodies have a person's radius (...) bool, for radii (...) in metres."""
     return (radius - BODY_RADIUS).abs() < 1e-6
 
 
-def others_of(mask: Tensor, robots: int) -> Tensor:
-    """Return for each of the last R agents the others of ``mask`` (B, A) bool: (B, R, A) bool."""
+def other_agents(mask: Tensor, robots: int) -> Tensor:
+    """Return for each of the last R agents every other present agent, (B, R, A) bool."""
     slots = torch.arange(mask.shape[1], device=mask.device)
     return mask.unsqueeze(1) & (slots != slots[-robots:].unsqueeze(1))
 
@@ -211,7 +211,7 @@ def goals_of(batch: TensorDictBase, who: str) -> tuple[Tensor, Tensor]:
     return cast("Tensor", agents["goal"]), cast("Tensor", agents["desired_velocity"])
 
 
-def share_of_speed(batch: TensorDictBase) -> Tensor | None:
+def desired_speed_share(batch: TensorDictBase) -> Tensor | None:
     """Return desired velocities as shares of preferred speeds (B, A); None where there are none."""
     agents = agents_of(batch)
     if "desired_velocity" not in agents.keys():
@@ -220,13 +220,10 @@ def share_of_speed(batch: TensorDictBase) -> Tensor | None:
     return desired.norm(dim=-1) / liked[..., 0]
 
 
-def goes_on(batch: TensorDictBase) -> Tensor:
-    """Return which agents the policy moves on (B, A) bool: it controls them, and they hold no place.
-
-    People hold a place whose desired velocity is less than the speed that they like: see `HOLDS_BELOW`.
-    """
-    controlled, share = cast("Tensor", agents_of(batch)["controlled"]), share_of_speed(batch)
-    return controlled if share is None else controlled & (share >= HOLDS_BELOW)
+def is_walking(batch: TensorDictBase) -> Tensor:
+    """Return which agents the policy moves and that do not wait (B, A) bool: see `WAITING_SPEED_SHARE`."""
+    controlled, share = cast("Tensor", agents_of(batch)["controlled"]), desired_speed_share(batch)
+    return controlled if share is None else controlled & (share >= WAITING_SPEED_SHARE)
 
 
 def actions_of(batch: TensorDictBase, group: str = "agents") -> Tensor:

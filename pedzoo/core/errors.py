@@ -68,7 +68,7 @@ def known_arguments(*further: Callable[..., Any]) -> Callable[[Function], Functi
     return checked
 
 
-def whole(what: str, number: object) -> int:
+def as_integer(what: str, number: object) -> int:
     """Return a whole number as Python's own: one of NumPy or torch overflows where this does not.
 
     Raises:
@@ -81,18 +81,18 @@ def whole(what: str, number: object) -> int:
 
 
 def at_least_one(what: str, number: object) -> int:
-    """Return a whole number above 0 as `whole` does.
+    """Return a whole number above 0 as `as_integer` does.
 
     Raises:
         UserError: It is none; the message begins with ``what``.
     """
-    if (result := whole(what, number)) < 1:
+    if (result := as_integer(what, number)) < 1:
         raise UserError(f"{what} {result}: expected at least 1")
     return result
 
 
 def at_least_zero(place: str, **numbers: float) -> None:
-    """Refuse numbers that are negative, infinite or none.
+    """Raise for numbers that are negative, infinite or NaN.
 
     Args:
         place: What stands before the names in the message, such as ``--model.``.

@@ -102,18 +102,18 @@ PARTS = ".*.part*"
 """Pattern of the unfinished files that a killed process leaves behind."""
 
 
-def write_whole(path: Path, data: bytes | memoryview) -> None:
-    """Write a file, whole or not at all, see `whole`."""
-    with whole(path) as part:
+def write_atomically(path: Path, data: bytes | memoryview) -> None:
+    """Write a file by `atomic_write`."""
+    with atomic_write(path) as part:
         part.write_bytes(data)
 
 
 @contextmanager
-def whole(path: Path) -> Iterator[Path]:
-    """Yield a path beside a file, to write to; at the end of the block it takes the file's place.
+def atomic_write(path: Path) -> Iterator[Path]:
+    """Yield a temporary file's path, and rename that file to ``path`` at the end of the block.
 
     An error, a full disk, a killed process or a power cut leaves the old file or the new one, never a part
-    of one. The folder of the file is made where it is missing.
+    of one. A missing folder is made.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.stem}.{token_hex(4)}.part{path.suffix}")

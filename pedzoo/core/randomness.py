@@ -14,7 +14,7 @@ from zlib import crc32
 import torch
 from torch import Tensor
 
-from pedzoo.core.errors import whole
+from pedzoo.core.errors import as_integer
 
 
 def signed(value: int) -> int:
@@ -85,7 +85,7 @@ class Draws:
             UserError: The seed is no whole number.
         """
         several = isinstance(seed, Tensor) and seed.dim()
-        number = seed if several else signed(whole("seed", seed) % 2**64)
+        number = seed if several else signed(as_integer("seed", seed) % 2**64)
         return cls(join(torch.zeros_like(episode) + number, episode), episode)
 
     def keys(self, what: str, *shape: int) -> Tensor:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pedzoo.core import renamed
-from pedzoo.core.errors import UserError, at_least_one, whole
+from pedzoo.core.errors import UserError, as_integer, at_least_one
 from pedzoo.core.machine import usable
 from pedzoo.core.registry import SUITES
 from pedzoo.eval.packed_episodes import without_plans
@@ -136,14 +136,14 @@ class Evaluation:
             raise UserError("--data.files are instead of --data.fold: leave one of them out")
         if self.options.physics is not None:
             self.options = self.options._replace(physics=renamed.backend(self.options.physics))
-        if (kept := whole("keep_episodes", self.options.keep_episodes)) < 0:
+        if (kept := as_integer("keep_episodes", self.options.keep_episodes)) < 0:
             raise UserError(f"keep_episodes {kept}: expected 0 or more")
         self.options = self.options._replace(keep_episodes=kept)
         for key in ("episodes", "rollouts"):
             if (number := getattr(self.options, key)) is not None:
                 self.options = self.options._replace(**{key: at_least_one(key, number)})
         self._policies = check_names("policies", policies)
-        self._seeds = tuple(dict.fromkeys(whole("seeds", seed) for seed in seeds))
+        self._seeds = tuple(dict.fromkeys(as_integer("seeds", seed) for seed in seeds))
         if not self._seeds:
             raise UserError("no seeds: expected at least one")
         self._deterministic = deterministic

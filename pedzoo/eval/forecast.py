@@ -5,7 +5,7 @@ from typing import Any, cast
 
 import torch
 
-from pedzoo.core.errors import UserError, whole
+from pedzoo.core.errors import UserError, as_integer
 from pedzoo.core.registry import MODELS
 from pedzoo.core.types import GoalProtocol
 from pedzoo.data.datamodule import STAGES, TrajectoryDataModule
@@ -50,7 +50,7 @@ def forecast(
         raise UserError(
             "random_future goals are for training: set --data.goal to window_end, destination or none"
         )
-    samples, seed = whole("samples", samples), whole("seed", seed)
+    samples, seed = as_integer("samples", samples), as_integer("seed", seed)
     if samples < 0:
         raise UserError(f"samples {samples}: expected at least 0")
     data.setup(STAGES[split])

@@ -11,7 +11,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from pedzoo.core.batch import ROBOT, agents_of, maps_of, others_of
+from pedzoo.core.batch import ROBOT, agents_of, maps_of, other_agents
 from pedzoo.core.bodies import HOLONOMIC, Fleet
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import direction_of, unrotate
@@ -110,7 +110,7 @@ def _seen(scenes: TensorDictBase, bodies: Fleet) -> tuple[Robot, DriveState, Obs
     position = cast("Tensor", agents["history"])[:, :, -1]
     velocity, goal = (cast("Tensor", agents[name]) for name in ("velocity", "goal"))
     radius, heading = (cast("Tensor", agents[name])[..., 0] for name in ("radius", "heading"))
-    others = others_of(cast("Tensor", agents["mask"]), count).flatten(0, 1)
+    others = other_agents(cast("Tensor", agents["mask"]), count).flatten(0, 1)
 
     def own(value: Tensor) -> Tensor:
         return value[:, -count:].flatten(0, 1)

@@ -15,7 +15,7 @@ from torchrl.envs import EnvBase
 
 from pedzoo.core.adapters import copied, put, tensordict_of, worker_number
 from pedzoo.core.batch import actions_of, agents_of
-from pedzoo.core.errors import UserError, at_least_one, whole
+from pedzoo.core.errors import UserError, as_integer, at_least_one
 from pedzoo.core.machine import usable
 from pedzoo.core.randomness import signed
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
@@ -106,7 +106,7 @@ class PedestrianEnv(EnvBase):
         fine = substeps(prepared.fastest_agent, smallest)
         self.rules = kernel.rules_of(prepared, trace_points, fine, self.device, deadline)
         self._episodes = Episodes(prepared, warm_start, physics, self.rules, self.device)
-        self._first = whole("first_episode", first_episode)
+        self._first = as_integer("first_episode", first_episode)
         self._stride = at_least_one("stride", num_envs if stride is None else stride)
         self._scenes: Scenes | None = None
         self._set_seed(seed)
@@ -212,7 +212,7 @@ class PedestrianEnv(EnvBase):
         Raises:
             UserError: No such row or size, or `reset` was never called.
         """
-        scene = whole("scene", scene)
+        scene = as_integer("scene", scene)
         check_size(size)
         if not 0 <= scene < self.batch_size[0]:
             raise UserError(f"scene {scene}: expected 0 to {self.batch_size[0] - 1}")
@@ -220,18 +220,20 @@ class PedestrianEnv(EnvBase):
 
     def set_seed(self, seed: int | None = None, static_seed: bool = False) -> int | None:
         """Choose the scenes of any whole number, as `EnvBase.set_seed`, which takes no negative ones."""
-        return super().set_seed(None if seed is None else whole("seed", seed) % 2**64, static_seed)
+        return super().set_seed(None if seed is None else as_integer("seed", seed) % 2**64, static_seed)
 
     def choose_scenes(self, which: Tensor, seeds: Sequence[int] | int) -> None:
         """Choose what begins next in some rows (B,) bool: scenes of one seed, or the first of B seeds."""
         rows = which.nonzero().view(-1).cpu()
         one = not isinstance(seeds, Sequence)
-        numbers = torch.tensor([signed(whole("seed", seed) % 2**64) for seed in ([seeds] if one else seeds)])
+        numbers = torch.tensor(
+            [signed(as_integer("seed", seed) % 2**64) for seed in ([seeds] if one else seeds)]
+        )
         first = self._first + rows * one
         self._queue.choose(rows, numbers[rows * (not one)], first, self._stride if one else 1)
 
     def _set_seed(self, seed: int | None) -> None:
-        self.seed = worker_number() if seed is None else whole("seed", seed)
+        self.seed = worker_number() if seed is None else as_integer("seed", seed)
         people, rows = self.prepared.people, self.batch_size[0]
         numbers = self.seed, rows, self._first, self._stride
         self._queue = EpisodeQueue(self._episodes, self.rules, self._opened, people, *numbers)

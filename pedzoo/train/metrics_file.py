@@ -11,7 +11,7 @@ from lightning.pytorch.callbacks import Callback
 from lightning.pytorch.loggers import Logger
 from lightning.pytorch.utilities import rank_zero_only
 
-from pedzoo.core.paths import write_whole
+from pedzoo.core.paths import write_atomically
 
 SECONDS_BETWEEN = 1.0
 """Seconds between two writes, unless a checkpoint is written."""
@@ -77,7 +77,7 @@ class MetricsFile(Logger):
         table = csv.DictWriter(text, sorted({key for row in self.rows for key in row}))
         table.writeheader()
         table.writerows(self.rows)
-        write_whole(self.path, text.getvalue().encode())
+        write_atomically(self.path, text.getvalue().encode())
         self._written, self._when = len(self.rows), time.monotonic()
 
 

@@ -22,7 +22,7 @@ from lightning.pytorch.utilities import rank_zero_only
 
 from pedzoo.core.errors import UserError, need
 from pedzoo.core.machine import versions
-from pedzoo.core.paths import PARTS, shipped, write_whole
+from pedzoo.core.paths import PARTS, shipped, write_atomically
 from pedzoo.models.export.run_record import RECORDS
 from pedzoo.train.metrics_file import MetricsFile, WholeMetrics, rows_of
 from pedzoo.train.monitor import KnownMonitor
@@ -114,7 +114,7 @@ class RunFolder:
                 f"run {str(self.path)!r} is in use by {holder}: wait until it ends, or end it, then resume"
             ) from error
         holder = f"process {os.getpid()} on {gethostname()} since {datetime.now():%F %T}"
-        write_whole(self._holder, holder.encode())
+        write_atomically(self._holder, holder.encode())
         if self.goes_on:
             for part in self.path.rglob(PARTS):
                 part.unlink()
@@ -211,7 +211,7 @@ class WholeCheckpoints(TorchCheckpointIO):
         """Write a checkpoint."""
         buffer = io.BytesIO()
         torch.save(checkpoint, buffer)
-        write_whole(Path(path), buffer.getbuffer())
+        write_atomically(Path(path), buffer.getbuffer())
 
 
 class ValidatesLast(Callback):
@@ -248,6 +248,6 @@ class RunRecorder(Callback):
         if trainer.is_global_zero and not self._written:
             settings = yaml.safe_dump(self.config, sort_keys=False)
             record = {"command": self.argv, "versions": versions(), **job_record()}
-            write_whole(self.run.path / "config.yaml", settings.encode())
-            write_whole(self.run.path / "versions.json", f"{json.dumps(record, indent=2)}\n".encode())
+            write_atomically(self.run.path / "config.yaml", settings.encode())
+            write_atomically(self.run.path / "versions.json", f"{json.dumps(record, indent=2)}\n".encode())
             self._written = True

@@ -6,7 +6,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.paths import PLOTS, check_ending, write_whole
+from pedzoo.core.paths import PLOTS, check_ending, write_atomically
 
 
 def check_plot_path(path: str | Path) -> None:
@@ -24,6 +24,6 @@ def write_figure(figure: Figure, path: str | Path, dpi: int = 130) -> None:
     data = BytesIO()
     figure.savefig(data, format=Path(path).suffix[1:].lower(), dpi=dpi)
     try:
-        write_whole(Path(path), data.getvalue())
+        write_atomically(Path(path), data.getvalue())
     except OSError as error:
         raise UserError(f"cannot write {str(path)!r}: {error.strerror}") from error

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pedzoo.core.paths import write_whole
+from pedzoo.core.paths import write_atomically
 from pedzoo.maps.procedural.plan import FloorPlan
 from pedzoo.maps.procedural.shapes import UNIT, Rect
 
@@ -65,7 +65,7 @@ def save_sheet(plans: Sequence[FloorPlan], file: Path) -> None:
     _, encoded = cv2.imencode(
         ".png", np.ascontiguousarray(sheet(plans)[..., ::-1]), [cv2.IMWRITE_PNG_COMPRESSION, 9]
     )
-    write_whole(file, encoded.tobytes())
+    write_atomically(file, encoded.tobytes())
 
 
 def draw(plan: FloorPlan) -> NDArray[np.uint8]:

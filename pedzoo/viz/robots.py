@@ -10,7 +10,7 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import direction_of, move_to_scene
-from pedzoo.core.paths import whole
+from pedzoo.core.paths import atomic_write
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.sim.physics_parts.bodies import Bodies
 from pedzoo.sim.physics_parts.camera import ROBOT_BODY, ROBOT_FRONT, Camera, free_corners, person_color
@@ -208,7 +208,7 @@ def _write_gif(path: Path, frames: Sequence[Image]) -> None:
     palette = Pillow.fromarray(np.vstack([*frames[:: max(1, len(frames) // 4)], *bodies])).quantize(COLORS)
     pictures = [picture.quantize(palette=palette, dither=Pillow.Dither.NONE) for picture in pictures]
     try:
-        with whole(path) as part:
+        with atomic_write(path) as part:
             pictures[0].save(
                 part,
                 save_all=True,

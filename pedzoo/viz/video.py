@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from pedzoo.core.errors import UserError, need
-from pedzoo.core.paths import CODECS, check_ending, whole
+from pedzoo.core.paths import CODECS, atomic_write, check_ending
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.sim.physics_parts.bodies import Bodies
@@ -112,7 +112,7 @@ def write_video(path: str | Path, frames: Iterable[Image], rate: float) -> None:
     codec = cv2.VideoWriter.fourcc(*CODECS[path.suffix.lower()])
     writer, size, count = None, (0, 0), 0
     try:
-        with whole(path) as part:
+        with atomic_write(path) as part:
             for frame in frames:
                 if writer is None:
                     size = (frame.shape[1], frame.shape[0])

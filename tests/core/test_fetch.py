@@ -18,7 +18,7 @@ from helpers.server import Page, Site, serving
 from pedzoo.core import fetch as fetching
 from pedzoo.core.errors import UserError
 from pedzoo.core.fetch import fetch
-from pedzoo.core.paths import PARTS, whole, write_whole
+from pedzoo.core.paths import PARTS, atomic_write, write_atomically
 
 CONTENT = bytes(range(256)) * 1000
 SUM = hashlib.sha256(CONTENT).hexdigest()
@@ -338,11 +338,11 @@ def test_links_of_others_are_not_followed(site: Site, tmp_path: Path) -> None:
         (folder / "file.bin").unlink()
     names = set()
     for _ in range(20):
-        with whole(folder / "a.json") as part:
+        with atomic_write(folder / "a.json") as part:
             assert part.is_file() and not part.is_symlink() and part.match(PARTS) and part.suffix == ".json"
             names.add(part.name)
             part.write_bytes(b"new")
-        write_whole(folder / "b.json", b"new")
+        write_atomically(folder / "b.json", b"new")
     assert len(names) == 20 and str(os.getpid()) not in "".join(names)
     assert (folder / "a.json").stat().st_mode == (folder / "b.json").stat().st_mode
     (folder / "plain").write_bytes(b"")

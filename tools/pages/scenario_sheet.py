@@ -24,7 +24,7 @@ from matplotlib.patches import Circle, Polygon
 from matplotlib.transforms import Affine2D
 
 from pedzoo.core.geometry import move_to_map
-from pedzoo.core.paths import write_whole
+from pedzoo.core.paths import write_atomically
 from pedzoo.core.registry import SCENARIOS
 from pedzoo.core.spec import parse
 from pedzoo.core.types import BODY_RADIUS, GOAL_RADIUS
@@ -81,7 +81,7 @@ def main() -> None:
     )
     data = BytesIO()
     figure.savefig(data, format=options.out.suffix[1:] or "png", dpi=110)
-    write_whole(options.out, data.getvalue())
+    write_atomically(options.out, data.getvalue())
     print(f"{options.out}: {len(names)} scenarios, {len(data.getvalue()) // 1000} kB")
 
 

@@ -30,7 +30,7 @@ from PIL import Image
 
 from pedzoo.cli.progress import progress_bar
 from pedzoo.core.machine import versions
-from pedzoo.core.paths import shipped, write_whole
+from pedzoo.core.paths import shipped, write_atomically
 from pedzoo.core.registry import SCENARIOS
 from pedzoo.core.spec import parse
 from pedzoo.core.types import TRACE_SECONDS
@@ -84,9 +84,9 @@ def main() -> None:
         options.picture = options.picture or shipped("checkpoints") / "results" / "scenarios_walked.png"
     result = walked(options)
     text = page(options, result, FAILURES.read_text() if whole else "")
-    write_whole(options.out, text.encode()) if options.out else print(text)
+    write_atomically(options.out, text.encode()) if options.out else print(text)
     if options.picture:
-        write_whole(options.picture, picture(result))
+        write_atomically(options.picture, picture(result))
 
 
 def arguments() -> argparse.ArgumentParser:

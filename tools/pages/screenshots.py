@@ -20,7 +20,7 @@ from typing import Any
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-from pedzoo.core.paths import write_whole
+from pedzoo.core.paths import write_atomically
 from pedzoo.eval.comparison import Comparison
 from pedzoo.viz.report.episode import Replay
 
@@ -85,7 +85,7 @@ def shot(data: bytes, out: Path) -> None:
     """Write a picture, made small."""
     small = BytesIO()
     Image.open(BytesIO(data)).convert("RGB").save(small, "PNG", optimize=True)
-    write_whole(out, small.getvalue())
+    write_atomically(out, small.getvalue())
     print(out)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from pedzoo.core.paths import write_whole
+from pedzoo.core.paths import write_atomically
 from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.eval.results import ResultTable, cell, pages
 from pedzoo.eval.rollout import rollout
@@ -108,7 +108,7 @@ class Figure4(Walked):
         data = BytesIO()
         figure.savefig(data, format="png", dpi=120)
         path = folder / f"{self.stem}.png"
-        write_whole(path, data.getvalue())
+        write_atomically(path, data.getvalue())
         return [path]
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from pedzoo.core.paths import write_whole
+from pedzoo.core.paths import write_atomically
 from pedzoo.eval.cards.reports import only
 from pedzoo.eval.results import ResultTable
 from tools.paper.suites.transfer import PLACES, REACTING, RECORDED, Transfer
@@ -94,7 +94,7 @@ class RobotTransfer(Walked):
         data = BytesIO()
         figure.savefig(data, format="png", dpi=130)
         path = folder / f"{self.stem}.png"
-        write_whole(path, data.getvalue())
+        write_atomically(path, data.getvalue())
         return [path]
 
 

@@ -17,7 +17,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from pedzoo.core.paths import write_whole
+from pedzoo.core.paths import write_atomically
 from tools.reliability import fuzz, kills, long_run
 from tools.reliability.kills import TRAININGS
 from tools.reliability.page import Goals, State, page, wrong
@@ -79,8 +79,8 @@ class Run:
     def save(self) -> None:
         """Write down what was done, and make the page."""
         state = f"{json.dumps(self.state, indent=1)}\n"
-        write_whole(self.folder / "RELIABILITY.json", state.encode())
-        write_whole(self.folder / "RELIABILITY.md", page(self.state, self.goals).encode())
+        write_atomically(self.folder / "RELIABILITY.json", state.encode())
+        write_atomically(self.folder / "RELIABILITY.md", page(self.state, self.goals).encode())
 
 
 def named(word: str, parser: argparse.ArgumentParser) -> list[str]:

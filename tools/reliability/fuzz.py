@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from pedzoo.core.paths import write_whole
+from pedzoo.core.paths import write_atomically
 from tools.reliability.hostile import MEMORY, Outcome, content_of, outcome, warm
 from tools.reliability.readers import READERS
 
@@ -59,7 +59,7 @@ def go_on(name: str, inputs: int, done: dict[str, Any], save: Callable[[], None]
             if wrong:
                 file = f"{name}-{hashlib.sha256(content).hexdigest()[:12]}"
                 done["complaints"][file] = wrong
-                write_whole(CORPUS / file, content)
+                write_atomically(CORPUS / file, content)
                 print(f"{file}: {wrong}", flush=True)
             if wrong or done["inputs"] % 10_000 == 0:
                 save()

@@ -10,7 +10,7 @@ from pathlib import Path
 from zoo_recipes import RECIPES
 
 from pedzoo.core.machine import versions
-from pedzoo.core.paths import shipped, write_whole
+from pedzoo.core.paths import shipped, write_atomically
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.eval.forecast import forecast, forecast_row
 from pedzoo.models.zoo.loading import load
@@ -51,8 +51,8 @@ def table(root: Path) -> None:
             result[key] = row
     ordered = sorted(result.values(), key=lambda row: place_of(row["case"]))
     report = {"command": "tools/zoo/train_zoo.py table", "versions": versions(), "rows": ordered}
-    write_whole(target / "FORECAST.json", (json.dumps(report, indent=1) + "\n").encode())
-    write_whole(target / "FORECAST.md", page(ordered).encode())
+    write_atomically(target / "FORECAST.json", (json.dumps(report, indent=1) + "\n").encode())
+    write_atomically(target / "FORECAST.md", page(ordered).encode())
 
 
 def rows(root: Path) -> Iterator[dict]:

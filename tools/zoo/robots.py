@@ -23,7 +23,7 @@ import yaml
 from safetensors.torch import save
 
 from pedzoo.core.fetch import sha256_of
-from pedzoo.core.paths import CARD, WEIGHTS, shipped, write_whole
+from pedzoo.core.paths import CARD, WEIGHTS, shipped, write_atomically
 from pedzoo.eval.cards.numbers import measure_robot
 from pedzoo.models.zoo.card import ModelCard, read_card, write_card
 from pedzoo.policies.robot_weights import PREFIX
@@ -103,7 +103,7 @@ def export(name: str, runs: Path) -> None:
     home = shipped("checkpoints") / f"robot_ppo.{name}"
     home.mkdir(exist_ok=True)
     earlier_card = read_card(home / CARD) if (home / CARD).is_file() else None
-    write_whole(home / WEIGHTS, save(state, {"config": json.dumps(config, sort_keys=True)}))
+    write_atomically(home / WEIGHTS, save(state, {"config": json.dumps(config, sort_keys=True)}))
     digest = sha256_of(home / WEIGHTS)
     value = next(iter(checkpoint["callbacks"].values()))["best_model_score"]
     card = ModelCard(

@@ -6,7 +6,7 @@ from string import Template
 from typing import Any
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.paths import write_whole
+from pedzoo.core.paths import write_atomically
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.data.datasets.eth_ucy import SCENES, TRUE_SECONDS, EthUcy
 from pedzoo.data.published.files import PublishedFile, bring, files_of
@@ -31,9 +31,9 @@ def download(folder: Path) -> list[PublishedFile]:
         for scene in FRAMES:
             write_ros(floor_plan(scene, folder), folder / "maps" / f"{scene}.yaml")
         sums = "".join(f"{file.sha256}  {file.path}\n" for file in files)
-        write_whole(folder / "SHA256SUMS", sums.encode())
-        write_whole(folder / "README.md", _readme(files).encode())
-        write_whole(folder / "splits.json", (json.dumps(splits(), indent=1) + "\n").encode())
+        write_atomically(folder / "SHA256SUMS", sums.encode())
+        write_atomically(folder / "README.md", _readme(files).encode())
+        write_atomically(folder / "splits.json", (json.dumps(splits(), indent=1) + "\n").encode())
     except OSError as error:
         raise UserError(f"cannot write into {str(folder)!r}: {error.strerror}") from error
     return files

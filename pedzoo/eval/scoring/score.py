@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, cast
 import torch
 from torch import Tensor
 
-from pedzoo.core.errors import UserError, at_least_one, whole
+from pedzoo.core.errors import UserError, as_integer, at_least_one
 from pedzoo.data.text_format import check_dt, is_recording
 from pedzoo.eval.results import SEEN
 from pedzoo.eval.rollout import Progress
@@ -109,7 +109,7 @@ def score(
     """
     against = Reference(against) if isinstance(against, str) else against
     own = is_recording(against.recording)
-    rollouts, seed = at_least_one("rollouts", rollouts), whole("seed", seed)
+    rollouts, seed = at_least_one("rollouts", rollouts), as_integer("seed", seed)
     if own:
         check_dt(against.dt, "the file of --against", files=[against.recording])
     if dt is not None:

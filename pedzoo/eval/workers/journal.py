@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.paths import write_whole
+from pedzoo.core.paths import write_atomically
 
 Rows = list[dict[str, Any]]
 
@@ -60,7 +60,7 @@ class Journal:
             parts = f"{torn} finished part{'s' * (torn > 1)}"
             print(f"pedzoo: {path} was cut off in a write: {parts} will be done once more", file=sys.stderr)
             try:
-                write_whole(path, b"".join(whole))
+                write_atomically(path, b"".join(whole))
             except OSError as error:
                 raise UserError(f"cannot write {str(path)!r}: {error.strerror}") from error
 

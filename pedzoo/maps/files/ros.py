@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.paths import write_whole
+from pedzoo.core.paths import write_atomically
 from pedzoo.core.size_limits import load_yaml, read_text
 from pedzoo.maps.files.images import read_channels
 from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
@@ -89,8 +89,8 @@ def write_ros(grid: OccupancyGrid, path: Path) -> None:
     pixels = np.array([LEVELS[value] for value in range(len(LEVELS))], dtype=np.uint8)[np.flipud(grid.cells)]
     encoded = io.BytesIO()
     Image.fromarray(pixels).save(encoded, "png")
-    write_whole(image, encoded.getvalue())
-    write_whole(path, yaml.safe_dump(keys, sort_keys=False).encode())
+    write_atomically(image, encoded.getvalue())
+    write_atomically(path, yaml.safe_dump(keys, sort_keys=False).encode())
 
 
 def _read_keys(path: Path) -> Mapping[str, Any]:

@@ -15,7 +15,7 @@ import torch
 from pedzoo import __version__
 from pedzoo.core.adapters import untraceable_error
 from pedzoo.core.errors import UserError, need
-from pedzoo.core.paths import write_whole
+from pedzoo.core.paths import write_atomically
 from pedzoo.core.types import OBS_LEN, PRED_LEN, STEP_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
@@ -71,7 +71,7 @@ def export_onnx(
     }
     data = _traced(graph, {key: json.dumps(value, sort_keys=True) for key, value in facts.items()})
     checks = parity(data, model, graph)
-    write_whole(Path(path), data)
+    write_atomically(Path(path), data)
     return Exported(graph.ports, graph.outputs, len(data), checks)
 
 
@@ -88,7 +88,7 @@ def save_plan(model: Forecaster, grid: OccupancyGrid, path: str | Path) -> None:
     arrays: dict[str, Any] = {**plan_inputs(model, MapBank([grid], "wall"), grid)}
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
-    write_whole(Path(path), buffer.getvalue())
+    write_atomically(Path(path), buffer.getvalue())
 
 
 def _traced(graph: Graph, metadata: dict[str, str]) -> bytes:

@@ -10,7 +10,7 @@ from typing_extensions import TypedDict
 
 from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
-from pedzoo.core.paths import write_whole
+from pedzoo.core.paths import write_atomically
 from pedzoo.core.size_limits import LARGEST_CARD, LARGEST_WEIGHTS, check_limit, load_yaml, read_text
 from pedzoo.models.zoo.file_header import Config
 from pedzoo.models.zoo.typed_fields import check, check_keys, check_plain
@@ -162,7 +162,7 @@ def read_card(path: str | Path) -> ModelCard:
 def write_card(card: ModelCard, path: str | Path) -> None:
     """Write a card, whole or not at all; the same card gives the same bytes."""
     text = yaml.dump(asdict(card), Dumper=_Plain, sort_keys=False, allow_unicode=True, width=110)
-    write_whole(Path(path), text.encode())
+    write_atomically(Path(path), text.encode())
 
 
 class _Plain(yaml.SafeDumper):

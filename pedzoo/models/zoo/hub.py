@@ -8,7 +8,7 @@ from typing import Any
 import yaml
 
 from pedzoo.core.errors import UserError, unknown
-from pedzoo.core.paths import CARD, WEIGHTS, write_whole
+from pedzoo.core.paths import CARD, WEIGHTS, write_atomically
 from pedzoo.models.zoo.card import ModelCard, read_card, write_card
 from pedzoo.models.zoo.card_page import page
 from pedzoo.models.zoo.layout import card_files, weights_beside
@@ -50,10 +50,10 @@ def write_hub(name: str, folder: str | Path) -> list[Path]:
     if (earlier := folder / f"{card.name}.yaml").is_file():
         weights_beside(earlier, read_card(earlier)).unlink(missing_ok=True)
         earlier.unlink()
-    write_whole(files[0], weights)
+    write_atomically(files[0], weights)
     write_card(card, files[1])
-    write_whole(files[2], readme(card).encode())
-    write_whole(files[3], terms(card).encode())
+    write_atomically(files[2], readme(card).encode())
+    write_atomically(files[3], terms(card).encode())
     return files
 
 

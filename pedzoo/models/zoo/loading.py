@@ -14,7 +14,7 @@ from safetensors.torch import save
 from pedzoo.core import renamed
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError, unknown
-from pedzoo.core.paths import config_names, write_whole
+from pedzoo.core.paths import config_names, write_atomically
 from pedzoo.core.registry import MODELS, ROBOT_POLICIES, names_code
 from pedzoo.core.spec import grouped, make, parse, plain, setting_groups, setting_types, unquoted
 from pedzoo.core.types import GoalProtocol
@@ -207,7 +207,7 @@ def save_weights(model: Forecaster, path: str | Path, **known: dict[str, Any]) -
     # one metadata key: with several, their order, and so the sum, would vary
     metadata = {"config": json.dumps(config, sort_keys=True)}
     data = save({key: value.contiguous().cpu() for key, value in model.state_dict().items()}, metadata)
-    write_whole(Path(path), data)
+    write_atomically(Path(path), data)
     return hashlib.sha256(data).hexdigest()
 
 

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from pedzoo.core import randomness
 from pedzoo.core.adapters import copied
-from pedzoo.core.batch import agents_of, goes_on, ids_of
+from pedzoo.core.batch import agents_of, ids_of, is_walking
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS
 from pedzoo.policies.learned.attempts import Attempts, walks
 from pedzoo.policies.scene_memory import SceneMemory
@@ -86,7 +86,7 @@ class FirstSeenMemory:
         key = randomness.join(cast("Tensor", scenes["scene_key"]), scenes["map_id"])[:, 0]
         time = cast("Tensor", scenes["time"]).expand(person.shape)
         history, path = cast("Tensor", agents["history"]).detach(), left.detach()
-        moves = goes_on(scenes)
+        moves = is_walking(scenes)
         now = FirstSeen(key, person, history, time, path, path, time, moves, *Attempts.none(path))
         before = self._memory.recall(now._replace(person=torch.full_like(person, -1)), person)
         # a scene that is walked a second time has the same key, and its clock went back

@@ -6,7 +6,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from pedzoo.core.batch import HOLDS_BELOW, agents_of, share_of_speed
+from pedzoo.core.batch import WAITING_SPEED_SHARE, agents_of, desired_speed_share
 from pedzoo.core.types import STEP_SECONDS
 
 
@@ -20,9 +20,9 @@ def holding_places(batch: TensorDictBase, step: Tensor) -> Tensor:
         batch: The scenes.
         step: What the model says (B, A, 2), metres.
     """
-    share = share_of_speed(batch)
+    share = desired_speed_share(batch)
     if share is None:
         return step
     there = cast("Tensor", agents_of(batch)["desired_velocity"]) * STEP_SECONDS
     share = share.unsqueeze(-1)
-    return torch.where(share < HOLDS_BELOW, torch.lerp(there, step, share.clamp_max(1)), step)
+    return torch.where(share < WAITING_SPEED_SHARE, torch.lerp(there, step, share.clamp_max(1)), step)

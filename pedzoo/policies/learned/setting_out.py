@@ -11,7 +11,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from pedzoo.core.adapters import copied
-from pedzoo.core.batch import agents_of, goes_on
+from pedzoo.core.batch import agents_of, is_walking
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS
 
 AT_FIRST = 1.0
@@ -42,7 +42,7 @@ def setting_out(batch: TensorDictBase) -> TensorDictBase:
     start, before = (history.gather(2, n[..., None].expand(-1, -1, -1, 2)) for n in (begin, begin - 1))
     way = cast("Tensor", agents["desired_velocity"]).unsqueeze(2) * STEP_SECONDS
     slow = (start - before).square().sum(-1) < (way / 2).square().sum(-1)
-    stood = new & goes_on(batch) & slow[..., 0]
+    stood = new & is_walking(batch) & slow[..., 0]
     line = start - way * (begin - place).unsqueeze(-1)
     result = copied(batch)
     seen = agents_of(result)

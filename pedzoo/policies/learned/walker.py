@@ -11,7 +11,7 @@ from torch.nn import functional
 from pedzoo.core import randomness
 from pedzoo.core.adapters import copied
 from pedzoo.core.batch import agents_of, ids_of
-from pedzoo.core.errors import UserError, unknown, whole
+from pedzoo.core.errors import UserError, as_integer, unknown
 from pedzoo.core.types import AHEAD_SECONDS, PRED_LEN, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.models.base import Forecaster, Noise
 from pedzoo.models.blocks.timed_noise import timed_noise
@@ -102,7 +102,7 @@ class Walker(NamedPolicy):
             raise UserError(f"execute_steps {execute_steps}: expected 1 to {PRED_LEN}")
         self.model, self.noise, self.execute_steps = model, noise, execute_steps
         self.name = model.name
-        self.noise_seed = whole("noise_seed", noise_seed)
+        self.noise_seed = as_integer("noise_seed", noise_seed)
         self.safety = model.walking_safety if safety is None else safety
         self.extend_goal = model.walking_extend_goal if extend_goal is None else extend_goal
         self._remember_nothing()

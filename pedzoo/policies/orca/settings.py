@@ -9,7 +9,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from pedzoo.core.batch import usual_body
+from pedzoo.core.batch import is_person_sized
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.types import TOP_SPEED_RATIO, TRACE_SECONDS
 
@@ -81,7 +81,7 @@ class OrcaSettings:
             controlled: Which agents ORCA moves (...) bool.
         """
         own = torch.where(controlled & ~robot, body.clamp_min(self.radius), body)
-        return torch.where(robot | ~usual_body(body), own, self.radius)
+        return torch.where(robot | ~is_person_sized(body), own, self.radius)
 
     def wall_reach(self, max_speed: Tensor, radius: Tensor | None = None) -> Tensor:
         """Return the distance (...) within which walls matter, metres.

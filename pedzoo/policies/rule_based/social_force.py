@@ -8,7 +8,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from pedzoo.core import randomness
-from pedzoo.core.batch import ROBOT, agents_of, ids_of, maps_of, usual_body
+from pedzoo.core.batch import ROBOT, agents_of, ids_of, is_person_sized, maps_of
 from pedzoo.core.geometry import move_to_map, turn_to_scene
 from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
 from pedzoo.policies.base import deterministic
@@ -65,7 +65,7 @@ class SocialForce(Policy):
         potential of a body that gives no way begins at its surface.
         """
         radius = agents["radius"][..., 0]
-        gives_no_way = ~agents["controlled"] & ((agents["kind"] == ROBOT) | ~usual_body(radius))
+        gives_no_way = ~agents["controlled"] & ((agents["kind"] == ROBOT) | ~is_person_sized(radius))
         return torch.where(gives_no_way, radius + 2 * BODY_RADIUS, radius)
 
     def _walls(self, tensordict: TensorDictBase) -> Callable[[Tensor, Tensor | None], Tensor]:

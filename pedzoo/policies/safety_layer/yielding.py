@@ -10,7 +10,7 @@ import math
 import torch
 from torch import Tensor
 
-from pedzoo.core.batch import usual_body
+from pedzoo.core.batch import is_person_sized
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.maps.walls.local_walls import LocalWalls
 from pedzoo.policies.safety_layer.clearance import MARGIN, ProposedSteps
@@ -41,7 +41,7 @@ def yielding(steps: ProposedSteps, walls: LocalWalls | None) -> Tensor:
     are expected to go on as they do. Among people of the usual body nothing changes. The gradient is that of
     what is asked for.
     """
-    avoided = steps.present & ~steps.moved & (steps.robot | ~usual_body(steps.radius))
+    avoided = steps.present & ~steps.moved & (steps.robot | ~is_person_sized(steps.radius))
     if avoided.device.type == "cpu" and not bool(avoided.any()):
         return steps.step
     with torch.no_grad():

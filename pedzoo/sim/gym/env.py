@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pedzoo.core.errors import UserError, whole
+from pedzoo.core.errors import UserError, as_integer
 from pedzoo.core.spec import Spec
 from pedzoo.sim.gym.batched import Batched, Step
 from pedzoo.sim.gym.render import MODES, modes_here
@@ -95,7 +95,7 @@ class RobotGymEnv(OneScene, gymnasium.Env[Any, Any]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Begin the first scene of a seed, or else the next one; there are no options."""
-        seed = None if seed is None else whole("seed", seed)
+        seed = None if seed is None else as_integer("seed", seed)
         super().reset(seed=seed)
         observation, *_, info = _first(self.batched.reset(seed, self.np_random))
         return observation, info

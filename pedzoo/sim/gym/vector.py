@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from pedzoo.core.errors import UserError, at_least_one, unknown, whole
+from pedzoo.core.errors import UserError, as_integer, at_least_one, unknown
 from pedzoo.core.spec import Spec
 from pedzoo.sim.gym.batched import Batched, Step
 from pedzoo.sim.gym.env import FPS, check_one_robot
@@ -99,10 +99,10 @@ class RobotVectorEnv(VectorEnv[Observation, ArrayLike, NDArray[Any]]):
                     f"seed of {len(seeds)} numbers: expected one, or {self.num_envs}, one of each"
                 )
             seed = None
-        seed = None if seed is None else whole("seed", seed)
+        seed = None if seed is None else as_integer("seed", seed)
         super().reset(seed=seed)
         if seeds is not None:
-            seeds = [self._any() if one is None else whole("seed", one) for one in seeds]
+            seeds = [self._any() if one is None else as_integer("seed", one) for one in seeds]
         which = self._mask(options)
         step = self.batched.reset(seeds or seed, self.np_random, which)
         new = _observation(step)

@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple, get_args
 import torch
 from torch import Tensor
 
-from pedzoo.core.batch import ROBOT, others_of
+from pedzoo.core.batch import ROBOT, other_agents
 from pedzoo.core.errors import unknown
 from pedzoo.sim.state import State
 from pedzoo.sim.step_result import Events
@@ -106,5 +106,5 @@ def _nearest_is_person(trace: Tensor, state: State, robots: int) -> Tensor:
     mine = trace[:, -robots:].unsqueeze(2)
     gap = torch.linalg.vector_norm(mine - trace.unsqueeze(1), dim=-1).amin(-1)
     gap = gap - state.radius.unsqueeze(1) - state.radius[:, -robots:].unsqueeze(2)
-    nearest = gap.masked_fill(~others_of(state.mask, robots), torch.inf).argmin(-1)
+    nearest = gap.masked_fill(~other_agents(state.mask, robots), torch.inf).argmin(-1)
     return state.kind.gather(1, nearest) != ROBOT

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from pedzoo.core.batch import ROBOT
 from pedzoo.core.bodies import HOLONOMIC, Fleet, RobotBody
-from pedzoo.core.errors import UserError, whole
+from pedzoo.core.errors import UserError, as_integer
 from pedzoo.core.geometry import identity_pose
 from pedzoo.core.randomness import Draws
 from pedzoo.core.registry import SCENARIOS
@@ -53,7 +53,7 @@ class RobotScenes(Scenario):
         Raises:
             UserError: There is no robot, no goal for it, or the scenario plays people back.
         """
-        robot_goals = whole("robot_goals", robot_goals)
+        robot_goals = as_integer("robot_goals", robot_goals)
         if not bodies or robot_goals < 1:
             raise UserError(f"{len(bodies)} robots, robot_goals {robot_goals}: expected at least 1 of each")
         self.inner, self.bodies, self.robots = inner, list(bodies), len(bodies)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 import torch
 from torch import Tensor
 
-from pedzoo.core.errors import UserError, whole
+from pedzoo.core.errors import UserError, as_integer
 from pedzoo.core.randomness import Draws
 from pedzoo.core.size_limits import MOST_PEOPLE
 from pedzoo.core.types import STEP_SECONDS, TOP_SPEED_RATIO
@@ -144,7 +144,7 @@ class Scenario(ABC):
         Raises:
             UserError: No people or too many, or a speed that is too slow or not finite.
         """
-        people = whole("people", people)
+        people = as_integer("people", people)
         if not 1 <= people <= MOST_PEOPLE:
             # thousands of digits are neither a float nor a text
             given = people if abs(people) < 10**9 else "beyond all use"

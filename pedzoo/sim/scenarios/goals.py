@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 import torch
 from torch import Tensor
 
-from pedzoo.core.errors import UserError, whole
+from pedzoo.core.errors import UserError, as_integer
 from pedzoo.core.geometry import identity_pose
 from pedzoo.core.randomness import Draws
 from pedzoo.maps.bank import MapBank
@@ -63,7 +63,7 @@ class Goals(Scenario):
             UserError: A setting that gives no scene.
         """
         both = people if isinstance(people, list | tuple) else (people, people)
-        fewest, most = (whole("people", one) for one in both)
+        fewest, most = (as_integer("people", one) for one in both)
         super().__init__(most, speed, speed_std)
         if not 1 <= fewest <= most:
             raise UserError(f"goals: people {people}: expected [fewest,most] with 1 <= fewest <= most")

@@ -7,7 +7,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from pedzoo.core.errors import UserError, whole
+from pedzoo.core.errors import UserError, as_integer
 from pedzoo.core.randomness import Draws
 from pedzoo.sim.scenario_parts.ranges import Drawn, Range
 from pedzoo.sim.scenario_parts.scenario import Layout, PreparedScenario
@@ -73,7 +73,7 @@ class Standing(Door):
         Raises:
             UserError: A setting that gives no scene.
         """
-        if (people := whole("people", people)) < 2:
+        if (people := as_integer("people", people)) < 2:
             raise UserError(f"standing: people {people}: expected at least 2")
         super().__init__(
             *(width, thickness, offset, jitter, people - 1, speed, speed_std, speed_ratio, resolution),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pedzoo.core.batch import others_of
+from pedzoo.core.batch import other_agents
 from pedzoo.core.errors import UserError
 from pedzoo.sim.robot_parts.sensor import Reading, Sensor
 from pedzoo.sim.robot_parts.view import RobotView
@@ -53,7 +53,7 @@ class Patch(Sensor):
         points = (view.world(own) + view.position[:, :, None, None]).flatten(2, 3)
         gap, _ = view.physics.bank.closest_wall(points, state.map_id, state.pose)
         away = torch.cdist(points.flatten(1, 2), state.position).view(scenes, robots, -1, agents)
-        there = others_of(state.mask, robots).unsqueeze(2)
+        there = other_agents(state.mask, robots).unsqueeze(2)
         bodies = ((away < state.radius[:, None, None]) & there).any(-1)
         layers = torch.stack((gap <= 0, bodies), dim=2).to(points.dtype)
         return {"patch": layers.unflatten(3, (self.cells, self.cells))}

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pedzoo.core.batch import others_of
+from pedzoo.core.batch import other_agents
 from pedzoo.sim.robot_parts.sensor import Reading, Sensor, check_view
 from pedzoo.sim.robot_parts.view import RobotView
 
@@ -50,7 +50,7 @@ class People(Sensor):
         shape = (scenes, robots, agents, 2)
         place = view.own_places(state.position.unsqueeze(1).expand(shape))
         distance = torch.linalg.vector_norm(place, dim=-1)
-        seen = others_of(state.mask, robots) & (distance <= self.reach)
+        seen = other_agents(state.mask, robots) & (distance <= self.reach)
         if self.half_angle < math.pi:
             seen = seen & (torch.atan2(place[..., 1], place[..., 0]).abs() <= self.half_angle)
         if self.line_of_sight:

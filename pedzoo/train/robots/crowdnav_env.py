@@ -15,7 +15,7 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import make_composite_from_td
 
 from pedzoo.core.bodies import HOLONOMIC, Fleet, RobotBody, speed_and_turn
-from pedzoo.core.errors import unknown, whole
+from pedzoo.core.errors import as_integer, unknown
 from pedzoo.core.geometry import direction_of, nearest_part, unrotate
 from pedzoo.core.registry import ROBOTS
 from pedzoo.core.spec import build
@@ -99,7 +99,7 @@ class CrowdNavEnv(EnvBase):
         self.done_spec = done
 
     def _set_seed(self, seed: int | None) -> None:
-        number = 0 if seed is None else whole("seed", seed)
+        number = 0 if seed is None else as_integer("seed", seed)
         self._random.manual_seed(number)
         # a validation begins with the first crowds, each epoch of a training with others
         self._first = int(torch.randint(len(self.crowds.place), (), generator=self._random)) if number else 0

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.paths import PAGES, check_ending, write_whole
+from pedzoo.core.paths import PAGES, check_ending, write_atomically
 from pedzoo.eval.comparison import PolicyRollout, row
 from pedzoo.eval.packed_episodes import packed_episodes
 from pedzoo.viz.report.content import add_report, shorten
@@ -46,7 +46,7 @@ class Replay:
         """
         check_ending(f"page {str(path)!r}", path, PAGES)
         try:
-            write_whole(Path(path).resolve(), page(self._content(), self.name).encode())
+            write_atomically(Path(path).resolve(), page(self._content(), self.name).encode())
         except OSError as error:
             raise UserError(f"cannot write {str(path)!r}: {error.strerror}") from error
 

@@ -7,7 +7,7 @@ from tensordict import TensorDict
 from torch import Tensor
 from torch.nn import functional
 
-from pedzoo.core.batch import agents_of, companions_of, goals_of, goes_on, maps_of
+from pedzoo.core.batch import agents_of, companions_of, goals_of, is_walking, maps_of
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.models.blocks.floor_plan.map_encoder import distances_at, rings
 from pedzoo.models.blocks.people.crowd import share_seen
@@ -43,7 +43,7 @@ class Situation(NamedTuple):
         walls: Distances to walls around them (B, A, 17), metres, in the frame of ``ahead``; anything where
             the network sees none.
         companions: Which agents walk in company (B, A, A) bool, see `companions_of`.
-        moves: Which agents the policy moves on (B, A) bool, see `goes_on`.
+        moves: Which agents the policy moves on (B, A) bool, see `is_walking`.
     """
 
     history: Tensor
@@ -114,7 +114,7 @@ class Situation(NamedTuple):
             crowd,
             change,
         )
-        company, moves = companions_of(batch), goes_on(batch) & there
+        company, moves = companions_of(batch), is_walking(batch) & there
         return cls(history, there, ahead, *manner, agents["radius"][..., 0], around, company, moves)
 
     @property
