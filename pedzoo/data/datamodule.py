@@ -22,7 +22,7 @@ from pedzoo.data.tracks import Tracks
 from pedzoo.data.windows import KeptPeople, WindowCounts
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.named_plans import load_plan
+from pedzoo.maps.plans import load_plan
 
 STAGES: dict[Split, str] = {"train": "fit", "val": "validate", "test": "test"}
 """Lightning's name for the stage that needs a split."""

@@ -25,7 +25,7 @@ OWN_FILES = "files"
 
 @dataclass(frozen=True)
 class Recording:
-    """One recording and its floor plan (`pedzoo.maps.named_plans.load_plan`), None where it has none."""
+    """One recording and its floor plan (`pedzoo.maps.plans.load_plan`), None where it has none."""
 
     tracks: Tracks
     plan: Path | None = None

@@ -18,8 +18,8 @@ from pedzoo.cli.progress import plain_console
 from pedzoo.core.errors import UserError
 from pedzoo.eval.results import ResultTable
 from pedzoo.eval.workers.progress_meter import ProgressReport
-from pedzoo.maps.files.ros import write_ros
-from pedzoo.maps.named_plans import flat
+from pedzoo.maps.formats import write_ros
+from pedzoo.maps.plans import flat
 from tools.bench.tables import print_bench
 
 ODD = "[/a/b.yaml,[bold]c[/]]:door:"

@@ -20,7 +20,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose, move_to_scene, turn_to_scene
 from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.from_rectangles import rectangles, room
+from pedzoo.maps.plans import rectangles, room
 from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.load import load_policy
 from pedzoo.sim.make import make_env

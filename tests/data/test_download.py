@@ -25,8 +25,7 @@ from pedzoo.data.published import files as listing
 from pedzoo.data.published.eth_ucy import splits
 from pedzoo.data.published.files import files_of, published
 from pedzoo.data.published.floor_plans import FRAMES, floor_plan
-from pedzoo.maps.camera import seen_from_above
-from pedzoo.maps.files.read import read_plan
+from pedzoo.maps.formats import read_plan, seen_from_above
 from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN
 from pedzoo.models.blocks.floor_plan import alexnet
 

@@ -18,7 +18,7 @@ from pedzoo.data.scenes import SceneSet, augmentation
 from pedzoo.data.tracks import Tracks
 from pedzoo.data.windows import KeptPeople
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.files.ros import read_ros
+from pedzoo.maps.formats import read_ros
 
 OBS, PRED = 3, 2
 PATHS = {  # position at each step, None where not seen

@@ -30,8 +30,8 @@ from pedzoo.eval.summary import mean_interval, summary
 from pedzoo.eval.work_units import code_sum, digest, work
 from pedzoo.eval.workers.journal import Journal
 from pedzoo.eval.workers.progress_meter import ProgressReport
-from pedzoo.maps.files.ros import write_ros
-from pedzoo.maps.named_plans import flat
+from pedzoo.maps.formats import write_ros
+from pedzoo.maps.plans import flat
 from pedzoo.models.zoo.card import write_card
 from pedzoo.viz.fundamental import plot_density_speed
 

@@ -16,8 +16,8 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.types import GOAL_RADIUS
 from pedzoo.eval.comparison import Comparison, row
 from pedzoo.eval.rollout import rollout
-from pedzoo.maps.files.ros import write_ros
-from pedzoo.maps.named_plans import load_plan
+from pedzoo.maps.formats import write_ros
+from pedzoo.maps.plans import load_plan
 from pedzoo.sim.make import make_env
 from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.sim.rollout import OVER_TIME, Rollout

@@ -9,8 +9,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.randomness import Draws
-from pedzoo.maps.free_space import free_points
-from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.grid import OccupancyGrid, free_points
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
 from pedzoo.sim.scenario_parts.scenario import Layout, PreparedScenario, Scenario

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from pedzoo.core.geometry import limit_speed
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
-from pedzoo.maps.from_rectangles import rectangles, room, wall
+from pedzoo.maps.plans import rectangles, room, wall
 from pedzoo.policies.safety_layer.clearance import ProposedSteps
 
 ROOM = rectangles(

@@ -13,14 +13,9 @@ from scipy.spatial.distance import pdist
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.files.igibson import read_igibson
-from pedzoo.maps.files.images import read_image
-from pedzoo.maps.files.read import read_plan
-from pedzoo.maps.files.ros import read_ros, write_ros
-from pedzoo.maps.free_space import free_points, spread_points
-from pedzoo.maps.from_rectangles import rectangles, room, wall
-from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
-from pedzoo.maps.named_plans import flat
+from pedzoo.maps.formats import read_igibson, read_image, read_plan, read_ros, write_ros
+from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, free_points, spread_points
+from pedzoo.maps.plans import flat, rectangles, room, wall
 from pedzoo.maps.walls.boxes import boxes
 
 

@@ -14,8 +14,7 @@ from PIL import Image
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose, move_to_scene
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.files.images import read_pixels
-from pedzoo.maps.files.ros import read_ros
+from pedzoo.maps.formats import read_pixels, read_ros
 from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 
 KEYS = {

@@ -12,11 +12,11 @@ from scipy.sparse.csgraph import dijkstra
 
 from pedzoo.core.geometry import identity_pose, move_to_scene
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.files.read import read_plan
+from pedzoo.maps.formats import read_plan
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
-from pedzoo.maps.named_plans import load_plan
 from pedzoo.maps.planning.online import OnlinePlanner
 from pedzoo.maps.planning.planner import Planner
+from pedzoo.maps.plans import load_plan
 
 
 @pytest.fixture(scope="module")

@@ -15,14 +15,14 @@ from torch import Tensor
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose, move_to_map, move_to_scene, turn_to_map
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.files.read import read_plan
-from pedzoo.maps.from_rectangles import rectangles, room, wall
+from pedzoo.maps.formats import read_plan
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
 from pedzoo.maps.planning import corners
 from pedzoo.maps.planning.fields import build_fields
 from pedzoo.maps.planning.graph import OpenGraph
 from pedzoo.maps.planning.guidance import Guidance, NextWaypoints
 from pedzoo.maps.planning.planner import Planner
+from pedzoo.maps.plans import rectangles, room, wall
 
 
 def drawn(*rows: str, **options: object) -> OccupancyGrid:

@@ -19,11 +19,10 @@ from pedzoo.core.errors import UserError
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.eval.comparison import row
 from pedzoo.eval.rollout import rollout
-from pedzoo.maps.files.read import read_plan
-from pedzoo.maps.files.ros import write_ros
+from pedzoo.maps.formats import read_plan, write_ros
 from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
-from pedzoo.maps.named_plans import flat, load_plan
 from pedzoo.maps.planning.graph import OpenGraph
+from pedzoo.maps.plans import flat, load_plan
 from pedzoo.maps.procedural.plan import KINDS, FloorPlan, generate, is_connected
 from pedzoo.maps.procedural.shapes import UNIT, Rect
 from pedzoo.models.zoo.loading import load

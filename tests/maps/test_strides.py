@@ -6,8 +6,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.from_rectangles import rectangles, wall
-from pedzoo.maps.named_plans import load_plan
+from pedzoo.maps.plans import load_plan, rectangles, wall
 from pedzoo.maps.walls.local_walls import LocalWalls
 from pedzoo.maps.walls.strides import CompiledWallsAhead, Keeping, WallsAhead, walls_ahead
 

@@ -12,10 +12,9 @@ from torch import Tensor
 
 from pedzoo.core.geometry import identity_pose, move_to_map, move_to_scene, turn_to_map, turn_to_scene
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.files.read import read_plan
-from pedzoo.maps.files.ros import read_ros
+from pedzoo.maps.formats import read_plan, read_ros
 from pedzoo.maps.grid import OCCUPIED, UNKNOWN, OccupancyGrid
-from pedzoo.maps.named_plans import load_plan
+from pedzoo.maps.plans import load_plan
 from pedzoo.maps.walls.boxes import boxes, merge_cells
 
 

@@ -17,7 +17,7 @@ from pedzoo.core import errors
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.files.ros import write_ros
+from pedzoo.maps.formats import write_ros
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.export.graph import Graph

@@ -17,8 +17,8 @@ from pedzoo.core.batch import PERSON, ROBOT, agents_of, companions_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import blended, limit_speed
 from pedzoo.core.types import GOAL_RADIUS, TOP_SPEED_RATIO
-from pedzoo.maps.from_rectangles import rectangles, room, wall
 from pedzoo.maps.planning.planner import Planner
+from pedzoo.maps.plans import rectangles, room, wall
 from pedzoo.policies.controller.arguments import number_of
 from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.load import load_policy

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pedzoo.core.errors import UserError
-from pedzoo.maps.from_rectangles import rectangles, room, wall
+from pedzoo.maps.plans import rectangles, room, wall
 from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.load import load_policy
 

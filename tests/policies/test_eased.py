@@ -16,7 +16,7 @@ from tensordict import TensorDictBase
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import STEP_SECONDS
-from pedzoo.maps.from_rectangles import rectangles, room
+from pedzoo.maps.plans import rectangles, room
 from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.policy import Policy

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pedzoo.core.registry import POLICIES
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.named_plans import load_plan
+from pedzoo.maps.plans import load_plan
 from pedzoo.models.blocks.people.crowd import share_seen
 from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.learned.same_spot import ROOM, led_apart

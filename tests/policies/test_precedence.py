@@ -14,7 +14,7 @@ from pedzoo.core.geometry import identity_pose
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.eval.rollout import rollout
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.from_rectangles import rectangles, room, wall
+from pedzoo.maps.plans import rectangles, room, wall
 from pedzoo.metrics.arrival import deadlock, success
 from pedzoo.models.architectures import social_walker
 from pedzoo.policies.load import load_policy

@@ -15,7 +15,7 @@ from torch import Tensor
 from pedzoo.core.batch import PERSON, ROBOT
 from pedzoo.core.geometry import move_to_scene, turn_to_scene
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.from_rectangles import rectangles, room
+from pedzoo.maps.plans import rectangles, room
 from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.safety_layer.clearance import ProposedSteps

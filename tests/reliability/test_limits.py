@@ -32,9 +32,7 @@ from pedzoo.core.paths import shipped
 from pedzoo.core.registry import MODELS
 from pedzoo.data.own_files import OwnFiles
 from pedzoo.data.tracks import Tracks
-from pedzoo.maps.files.igibson import read_igibson
-from pedzoo.maps.files.images import read_image
-from pedzoo.maps.files.ros import read_ros
+from pedzoo.maps.formats import read_igibson, read_image, read_ros
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.zoo.address import download
 from pedzoo.models.zoo.card import read_card

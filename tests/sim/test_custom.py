@@ -15,8 +15,8 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.spec import Spec, setting_types
 from pedzoo.eval.comparison import Comparison
 from pedzoo.eval.rollout import rollout
-from pedzoo.maps.files.ros import write_ros
-from pedzoo.maps.from_rectangles import rectangles, room, wall
+from pedzoo.maps.formats import write_ros
+from pedzoo.maps.plans import rectangles, room, wall
 from pedzoo.sim.make import make_env
 from pedzoo.sim.scenario_parts.in_yaml import KEYS
 from pedzoo.sim.scenarios.custom import SWAP, Custom

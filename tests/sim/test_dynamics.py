@@ -10,8 +10,8 @@ from torch import Tensor
 from pedzoo.core.geometry import identity_pose, limit_speed, move_to_map, move_to_scene
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.from_rectangles import rectangles, room, wall
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
+from pedzoo.maps.plans import rectangles, room, wall
 from pedzoo.sim import dynamics
 from pedzoo.sim.dynamics import SKIN, substeps
 

@@ -17,7 +17,7 @@ from torch import Tensor
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import direction_of, identity_pose, move_to_scene
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.files.ros import read_ros
+from pedzoo.maps.formats import read_ros
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.sim.physics.bullet import Bullet
 from pedzoo.sim.physics.compiled import Compiled

@@ -17,7 +17,7 @@ from pedzoo.eval.realism import replay_row
 from pedzoo.eval.rollout import rollout
 from pedzoo.eval.rollout import run as walk_all
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.files.ros import write_ros
+from pedzoo.maps.formats import write_ros
 from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from pedzoo.maps.planning.planner import Planner
 from pedzoo.metrics.realism.crowds import crowd

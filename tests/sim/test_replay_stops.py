@@ -13,7 +13,7 @@ from tensordict import TensorDict
 from pedzoo.core.errors import UserError
 from pedzoo.data.tracks import Tracks
 from pedzoo.eval.rollout import rollout
-from pedzoo.maps.files.ros import write_ros
+from pedzoo.maps.formats import write_ros
 from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
 from pedzoo.policies.learned.holding import holding_places
 from pedzoo.sim.replay.stops import Stops, stops_of

@@ -20,9 +20,8 @@ from pedzoo.core.registry import POLICIES, SCENARIOS
 from pedzoo.core.types import BODY_RADIUS, GOAL_RADIUS
 from pedzoo.eval.comparison import row
 from pedzoo.eval.rollout import rollout
-from pedzoo.maps.files.read import read_plan
-from pedzoo.maps.files.ros import write_ros
-from pedzoo.maps.named_plans import flat
+from pedzoo.maps.formats import read_plan, write_ros
+from pedzoo.maps.plans import flat
 from pedzoo.models.zoo.loading import baselines, list_models, load, save_weights
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.load import load_policy

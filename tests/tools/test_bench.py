@@ -14,7 +14,7 @@ import pytest
 
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
-from pedzoo.maps.named_plans import load_plan
+from pedzoo.maps.plans import load_plan
 from tools.bench import BENCHMARKS
 from tools.bench.compare import compare, read_report
 from tools.bench.figures import Measured, Row, Verdict

@@ -11,7 +11,7 @@ import pytest
 
 from pedzoo.data.datasets.embedded import Embedded
 from pedzoo.data.recordings import Split, open_fold
-from pedzoo.maps.files.ros import read_ros
+from pedzoo.maps.formats import read_ros
 
 FOLDER = Embedded().folder
 PEOPLE: dict[Split, int] = {"train": 360, "val": 80, "test": 80}

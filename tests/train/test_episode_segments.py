@@ -13,7 +13,7 @@ import pedzoo
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.from_rectangles import rectangles, room, wall
+from pedzoo.maps.plans import rectangles, room, wall
 from pedzoo.sim.make import make_env
 from pedzoo.train.closed_loop.courses import Course, CourseSampler
 from pedzoo.train.closed_loop.loop_losses import (

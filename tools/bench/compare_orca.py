@@ -31,7 +31,7 @@ from torch import Tensor
 
 from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.files.read import read_plan
+from pedzoo.maps.formats import read_plan
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.walls.segment_table import NOWHERE, SegmentTable, edges
 from pedzoo.maps.walls.segments import WallSegments

@@ -19,8 +19,8 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from pedzoo.maps.free_space import spread_points
-from pedzoo.maps.named_plans import load_plan
+from pedzoo.maps.grid import spread_points
+from pedzoo.maps.plans import load_plan
 from tools.bench.before_after import BEFORE, ROOT, checkout, commit, of
 from tools.bench.turns import load, machine
 

@@ -11,7 +11,7 @@ import torch
 from pedzoo.cli.progress import duration
 from pedzoo.core.errors import UserError
 from pedzoo.core.machine import versions
-from pedzoo.maps.named_plans import load_plan
+from pedzoo.maps.plans import load_plan
 from tools.bench import BENCHMARKS, original_sgan, peer
 from tools.bench.figures import Row
 from tools.bench.section import NotGivenError, Section, Settings

@@ -9,10 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from torch import Tensor
 
-from pedzoo.maps.free_space import spread_points
-from pedzoo.maps.from_rectangles import rectangles, room, wall
-from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
-from pedzoo.maps.named_plans import load_plan
+from pedzoo.maps.grid import OCCUPIED, OccupancyGrid, spread_points
+from pedzoo.maps.plans import load_plan, rectangles, room, wall
 from pedzoo.maps.walls.segments import WallSegments
 from pedzoo.policies.orca.settings import OrcaSettings
 from pedzoo.sim.make import CLEARANCE

@@ -27,7 +27,7 @@ class Settings:
         quick: Small cases only.
         threads: Of torch, and of peers.
         sizes: Scenes and people of each, in place of those that a section measures.
-        maps: Floor plans, as `pedzoo.maps.named_plans.load_plan` takes them; none for those of the sections.
+        maps: Floor plans, as `pedzoo.maps.plans.load_plan` takes them; none for those of the sections.
         peers: Scripts that time other programs, see `tools.bench.peer`.
         peer_python: The interpreter that runs them.
         sgan: Checkout of the original Social GAN.

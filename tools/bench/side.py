@@ -27,10 +27,10 @@ import torch
 from answering import Step, TimedCase, serve  # pyright: ignore[reportMissingImports]
 
 import pedzoo
-from pedzoo.maps.free_space import free_points
+from pedzoo.maps.grid import free_points
 from pedzoo.sim.make import make_env
 
-NAMED_PLANS = "pedzoo.maps.named_plans" if find_spec("pedzoo.maps.named_plans") else "pedzoo.maps.library"
+NAMED_PLANS = "pedzoo.maps.plans" if find_spec("pedzoo.maps.plans") else "pedzoo.maps.library"
 load_plan = import_module(NAMED_PLANS).load_plan
 
 SCENARIO = "goals:map=apartment.7,people={people}"

@@ -21,7 +21,7 @@ from pedzoo.core.paths import config_names
 from pedzoo.core.registry import PHYSICS, POLICIES, ROBOT_POLICIES, SCENARIOS, Registry
 from pedzoo.core.spec import setting_types
 from pedzoo.core.types import GoalProtocol
-from pedzoo.maps.named_plans import FILES
+from pedzoo.maps.plans import FILES
 from pedzoo.maps.procedural.plan import KINDS
 from pedzoo.models.zoo.loading import baselines
 from pedzoo.policies.learned.walker import Walker

@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from pedzoo.core.machine import versions
 from pedzoo.core.types import BODY_RADIUS, GOAL_RADIUS, TRACE_SECONDS
 from pedzoo.eval.results import markdown_table
-from pedzoo.maps.from_rectangles import rectangles, room
 from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.plans import rectangles, room
 from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.load import load_policy
 

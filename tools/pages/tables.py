@@ -18,8 +18,8 @@ import numpy as np
 
 from pedzoo.core.paths import CARD
 from pedzoo.eval.trained_on import for_fold
-from pedzoo.maps.free_space import spread_points
-from pedzoo.maps.named_plans import load_plan
+from pedzoo.maps.grid import spread_points
+from pedzoo.maps.plans import load_plan
 from pedzoo.models.zoo.card import ModelCard, read_card
 from pedzoo.models.zoo.store import ROBOTS, names
 from tools.bench import first_hour

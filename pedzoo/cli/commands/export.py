@@ -108,7 +108,7 @@ def _onnx(options: argparse.Namespace) -> dict[str, Any]:
     need("onnx", "--onnx")
     need("train", "--onnx")  # the check against torch reads recordings
     from pedzoo.core.types import AHEAD_SECONDS, PRED_LEN
-    from pedzoo.maps.named_plans import load_plan
+    from pedzoo.maps.plans import load_plan
     from pedzoo.models.export.onnx_export import export_onnx, save_plan
     from pedzoo.models.zoo.loading import load
     from pedzoo.models.zoo.saved_config import saved_config

@@ -1,6 +1,6 @@
 """``pedzoo plans``: floor plans drawn from seeds, as ROS map files and as one picture."""
 
-from pedzoo.maps.files.ros import write_ros
+from pedzoo.maps.formats import write_ros
 
 HELP = "draw apartments and offices from seeds: ROS maps, and a picture of them"
 EXAMPLE = "pedzoo plans apartment office --count 6 --seed 0 --out plans --sheet plans.png"

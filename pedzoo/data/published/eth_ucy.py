@@ -11,7 +11,7 @@ from pedzoo.core.types import STEP_SECONDS
 from pedzoo.data.datasets.eth_ucy import SCENES, TRUE_SECONDS, EthUcy
 from pedzoo.data.published.files import PublishedFile, bring, files_of
 from pedzoo.data.published.floor_plans import FRAMES, floor_plan, plan_of_recording
-from pedzoo.maps.files.ros import write_ros
+from pedzoo.maps.formats import write_ros
 
 TERMS = f"{EthUcy.TERMS}{EthUcy.PLAN_TERMS}. For research; do not pass the files on inside a package."
 CITATION = f"{EthUcy.CITATION}; for the split: A. Gupta et al., Social GAN, CVPR 2018"

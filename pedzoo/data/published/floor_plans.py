@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pedzoo.core.errors import UserError
-from pedzoo.maps.camera import seen_from_above
-from pedzoo.maps.files.images import read_pixels
+from pedzoo.maps.formats import read_pixels, seen_from_above
 from pedzoo.maps.grid import OccupancyGrid
 
 FRAMES = {

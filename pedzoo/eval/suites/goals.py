@@ -5,7 +5,7 @@ from typing import ClassVar
 
 from pedzoo.core.spec import Spec
 from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite
-from pedzoo.maps.named_plans import load_plan
+from pedzoo.maps.plans import load_plan
 from pedzoo.sim.make import usual_physics
 
 CELLS = ((2, 3), (2, 5), (3, 3), (3, 5), (5, 3))

@@ -24,7 +24,7 @@ from pedzoo.eval.suite import (
     walked,
 )
 from pedzoo.eval.trained_on import for_fold, has_seen
-from pedzoo.maps.named_plans import load_plan
+from pedzoo.maps.plans import load_plan
 from pedzoo.metrics.realism.crowds import TAIL
 from pedzoo.metrics.realism.features import FEATURES
 from pedzoo.policies.load import load_policy

@@ -1,21 +1,42 @@
 """Floor plans from a seed: apartments and offices, with everything within reach of everything else."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from types import ModuleType
+from typing import NamedTuple
 
 import numpy as np
 
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
-from pedzoo.maps.procedural import apartment, office
-from pedzoo.maps.procedural.doors import draw_doors
 from pedzoo.maps.procedural.furniture import CLEARANCE, Piece, furnish
-from pedzoo.maps.procedural.portable_random import PortableRandom
-from pedzoo.maps.procedural.shapes import UNIT, Door, Rect, Room, placed, units
+from pedzoo.maps.procedural.rooms import (
+    APARTMENT_SIDES,
+    OFFICE_SIDES,
+    apartment_rooms,
+    apartment_size,
+    office_rooms,
+    office_size,
+)
+from pedzoo.maps.procedural.shapes import UNIT, Door, PortableRandom, Rect, Room, draw_doors, placed, units
 
-KINDS: dict[str, ModuleType] = {"apartment": apartment, "office": office}
-"""The generators: each module has the possible sides, and draws a size and the rooms."""
+
+class Kind(NamedTuple):
+    """A kind of floor plan."""
+
+    sides: tuple[float, float]
+    """Least and largest outer width and height, metres."""
+    draw_size: Callable[[PortableRandom], tuple[float, float]]
+    """Returns the outer width and height, metres."""
+    draw_rooms: Callable[[PortableRandom, Rect], list[Room] | None]
+    """Returns the rooms inside the outer walls, the longer side along x; None for a bad draw."""
+
+
+KINDS = {
+    "apartment": Kind(APARTMENT_SIDES, apartment_size, apartment_rooms),
+    "office": Kind(OFFICE_SIDES, office_size, office_rooms),
+}
+"""The generators by name."""
 
 DOORS = (0.7, 1.5)
 """Least and largest width of a door, metres."""
@@ -183,7 +204,7 @@ def _checked(
     """Return how many cells are as long as a unit. Raises UserError: a setting is out of range."""
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise UserError(f"{kind}: seed {seed!r}: expected a whole number of at least 0")
-    low, high = KINDS[kind].SIDES
+    low, high = KINDS[kind].sides
     if size is not None and (len(size) != 2 or not all(low <= side <= high for side in size)):
         raise UserError(f"{kind}: size {size}: expected width and height from {low:g} to {high:g} m")
     if not 0 <= furnished <= 1:

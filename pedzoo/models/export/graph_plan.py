@@ -70,7 +70,7 @@ class PlanInput(MapBank):
         return self.read(points)[..., 0]
 
     def read(self, points: Tensor) -> Tensor:
-        """Return the image's values (N, n, C) at positions (N, n, 2), as `pedzoo.maps.atlas.Atlas` does."""
+        """Return the image's values (N, n, C) at positions (N, n, 2), as `pedzoo.maps.bank.Atlas` does."""
         pixel = points @ self._affine[:, :2].t() + self._affine[:, 2]
         rows, columns = self._image.shape[1:]
         where = torch.stack((2 * pixel[..., 0] / (columns - 1), 2 * pixel[..., 1] / (rows - 1)), -1) - 1

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.named_plans import load_plan
+from pedzoo.maps.plans import load_plan
 
 PREF_SPEED = 1.3
 """Preferred speed of people without a given one, m/s."""

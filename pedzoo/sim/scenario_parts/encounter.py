@@ -21,8 +21,8 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.randomness import Draws
-from pedzoo.maps.from_rectangles import Rectangle, rectangles
 from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.plans import Rectangle, rectangles
 from pedzoo.sim.scenario_parts.lanes import ABREAST, APART, SPACING, Lane, Places
 from pedzoo.sim.scenario_parts.scenario import SLOWEST, WARM_SECONDS, Layout, PreparedScenario, Scenario
 from pedzoo.sim.scenario_parts.variants import Numbers, Variant, Variants

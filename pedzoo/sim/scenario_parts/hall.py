@@ -9,8 +9,8 @@ from dataclasses import replace
 import torch
 
 from pedzoo.core.errors import UserError
-from pedzoo.maps.from_rectangles import Point, Rectangle, rectangles
 from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.plans import Point, Rectangle, rectangles
 from pedzoo.sim.scenario_parts.encounter import CELL
 from pedzoo.sim.scenario_parts.scenario import PreparedScenario, Scenario
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from pedzoo.maps.from_rectangles import Point
+from pedzoo.maps.plans import Point
 
 SPACING = 0.9
 """Metres between people one behind the other."""

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.randomness import Draws
-from pedzoo.maps.from_rectangles import check_lengths
+from pedzoo.maps.plans import check_lengths
 
 Numbers = float | Sequence[float]
 """A number, or several of which every scene draws one: ``hallway:width=[1.5,2,3]``."""

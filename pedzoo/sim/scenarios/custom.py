@@ -17,9 +17,9 @@ from pedzoo.core.randomness import Draws
 from pedzoo.core.types import BODY_RADIUS, OBS_LEN, STEP_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.named_plans import load_plan
 from pedzoo.maps.planning.graph import format_point
 from pedzoo.maps.planning.planner import Planner
+from pedzoo.maps.plans import load_plan
 from pedzoo.sim.replay.script import SceneStarts
 from pedzoo.sim.scenario_parts.scenario import SLOWEST, WARM_SECONDS, Layout, PreparedScenario, Scenario
 from pedzoo.sim.state import PAST_LEN

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.randomness import Draws
-from pedzoo.maps.from_rectangles import rectangles, room, wall
 from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.plans import rectangles, room, wall
 from pedzoo.sim.scenario_parts.ranges import Drawn, Range
 from pedzoo.sim.scenario_parts.scenario import (
     SLOWEST,

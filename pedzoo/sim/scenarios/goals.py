@@ -12,10 +12,9 @@ from pedzoo.core.errors import UserError, as_integer
 from pedzoo.core.geometry import identity_pose
 from pedzoo.core.randomness import Draws
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.free_space import spread_points
-from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.named_plans import load_plan
+from pedzoo.maps.grid import OccupancyGrid, spread_points
 from pedzoo.maps.planning.planner import Planner
+from pedzoo.maps.plans import load_plan
 from pedzoo.sim.scenario_parts.scenario import LEAST_WAY, Layout, PreparedScenario, Scenario
 
 SPACING = 0.8

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.randomness import Draws
-from pedzoo.maps.from_rectangles import Point, Rectangle, check_lengths, room, wall
+from pedzoo.maps.plans import Point, Rectangle, check_lengths, room, wall
 from pedzoo.sim.scenario_parts.encounter import BEHIND, CELL, WALL, whole_cells
 from pedzoo.sim.scenario_parts.hall import Hall
 from pedzoo.sim.scenario_parts.scenario import WARM_SECONDS, Layout, PreparedScenario, door_at_origin

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.randomness import Draws
-from pedzoo.maps.from_rectangles import Point, Rectangle, room
+from pedzoo.maps.plans import Point, Rectangle, room
 from pedzoo.sim.scenario_parts.encounter import BEHIND, WALL, whole_cells
 from pedzoo.sim.scenario_parts.hall import Hall
 from pedzoo.sim.scenario_parts.ranges import Drawn, Range

@@ -17,8 +17,8 @@ from pedzoo.data.own_files import OwnFiles
 from pedzoo.data.recordings import OpenFold, Scene, find_fold, open_fold
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
-from pedzoo.maps.named_plans import load_plan
 from pedzoo.maps.planning.planner import Planner
+from pedzoo.maps.plans import load_plan
 from pedzoo.sim.recorded_rollout import real_parts
 from pedzoo.sim.replay.people import RecordedPeople, SpeedOf, people_of, top_speed_of
 from pedzoo.sim.replay.script import Script, ScriptScenes

@@ -7,7 +7,7 @@ import math
 import torch
 
 from pedzoo.core.randomness import Draws
-from pedzoo.maps.from_rectangles import Point, Rectangle, check_lengths, room
+from pedzoo.maps.plans import Point, Rectangle, check_lengths, room
 from pedzoo.sim.scenario_parts.encounter import BEHIND, CELL, WALL, whole_cells
 from pedzoo.sim.scenario_parts.hall import Hall
 from pedzoo.sim.scenario_parts.lanes import APART, FREE

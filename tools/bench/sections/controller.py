@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from tensordict import TensorDictBase
 
 from pedzoo.core.types import OBS_LEN, PRED_LEN, STEP_SECONDS
-from pedzoo.maps.free_space import free_points
-from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.named_plans import load_plan
+from pedzoo.maps.grid import OccupancyGrid, free_points
+from pedzoo.maps.plans import load_plan
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.loading import load
 from pedzoo.policies.controller import controller

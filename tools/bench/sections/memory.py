@@ -11,7 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from pedzoo.core.errors import UserError
-from pedzoo.maps.named_plans import load_plan
+from pedzoo.maps.plans import load_plan
 from tools.bench.figures import Measured, Row, Verdict
 from tools.bench.section import NotGivenError, Section
 

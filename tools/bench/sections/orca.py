@@ -11,8 +11,7 @@ from torch import Tensor
 
 from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.free_space import free_points
-from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.grid import OccupancyGrid, free_points
 from pedzoo.maps.walls.segments import WallSegments
 from pedzoo.policies.orca.settings import OrcaSettings
 from pedzoo.policies.orca.velocity import orca_velocity

@@ -12,8 +12,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose
 from pedzoo.core.registry import PHYSICS
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.free_space import free_points
-from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.grid import OccupancyGrid, free_points
 from pedzoo.sim.dynamics import integrate
 from pedzoo.sim.make import physics_class
 from pedzoo.sim.physics.torch import Torch

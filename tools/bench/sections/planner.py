@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.from_rectangles import rectangles, room, wall
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.named_plans import load_plan
 from pedzoo.maps.planning import planner
+from pedzoo.maps.plans import load_plan, rectangles, room, wall
 from tools.bench.figures import Measured, Row
 from tools.bench.section import Section
 from tools.bench.turns import seconds_of, versus

@@ -8,7 +8,7 @@ from typing import ClassVar
 from pedzoo.core.spec import Spec
 from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite
 from pedzoo.eval.suites.goals import CELLS, EPISODES, GIVEN, POOL
-from pedzoo.maps.named_plans import load_plan
+from pedzoo.maps.plans import load_plan
 from pedzoo.metrics import arrival_functions
 from pedzoo.metrics.ratios import Ratio, ratio
 from pedzoo.sim.rollout import Rollout

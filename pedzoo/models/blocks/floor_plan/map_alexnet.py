@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from pedzoo.maps.atlas import Atlas
-from pedzoo.maps.bank import MapBank
+from pedzoo.maps.bank import Atlas, MapBank
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.models.blocks.floor_plan import alexnet
 from pedzoo.models.blocks.floor_plan.map_encoder import MapEncoder

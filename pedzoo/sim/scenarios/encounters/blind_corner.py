@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pedzoo.maps.from_rectangles import Rectangle, room
+from pedzoo.maps.plans import Rectangle, room
 from pedzoo.sim.scenario_parts.encounter import BEHIND, CELL, WALL, Encounter, EncounterSettings, whole_cells
 from pedzoo.sim.scenario_parts.lanes import BEYOND, Lane, abreast, beside, lanes_in
 from pedzoo.sim.scenario_parts.variants import Numbers, Variant

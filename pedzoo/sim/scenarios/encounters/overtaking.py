@@ -6,7 +6,7 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.randomness import Draws
-from pedzoo.maps.from_rectangles import Rectangle, room
+from pedzoo.maps.plans import Rectangle, room
 from pedzoo.sim.scenario_parts.encounter import BEHIND, CELL, WALL, Encounter, EncounterSettings, whole_cells
 from pedzoo.sim.scenario_parts.lanes import SPACING, Lane, abreast, beside, lanes_in
 from pedzoo.sim.scenario_parts.variants import Numbers, Variant

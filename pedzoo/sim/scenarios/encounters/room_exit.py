@@ -8,7 +8,7 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.randomness import Draws
-from pedzoo.maps.from_rectangles import Rectangle, room, wall
+from pedzoo.maps.plans import Rectangle, room, wall
 from pedzoo.sim.scenario_parts.encounter import BEHIND, CELL, WALL, Encounter, EncounterSettings, whole_cells
 from pedzoo.sim.scenario_parts.lanes import BEYOND, Lane, abreast, beside, lanes_in
 from pedzoo.sim.scenario_parts.scenario import door_at_origin

@@ -1,1 +1,0 @@
-"""Floor plans in files: images, ROS, iGibson."""
