@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from pedzoo.policies.load import list_policies, list_scenarios, load
     from pedzoo.sim.make import make_env
     from pedzoo.sim.robot_parts.make import make_robot_env
-    from pedzoo.viz.plot import plot
-    from pedzoo.viz.shown_rollout import rollout
+    from pedzoo.viz.episodes import plot, rollout
 
 __version__ = "0.1.0"
 
@@ -43,8 +42,8 @@ _HOME = {
     "make_env": "pedzoo.sim.make",
     "make_robot_env": "pedzoo.sim.robot_parts.make",
     "measure": "pedzoo.metrics.closed_loop",
-    "plot": "pedzoo.viz.plot",
-    "rollout": "pedzoo.viz.shown_rollout",
+    "plot": "pedzoo.viz.episodes",
+    "rollout": "pedzoo.viz.episodes",
 }
 
 

@@ -7,8 +7,7 @@ from typing import Any
 from pedzoo.cli.output import print_tables, write_json
 from pedzoo.cli.progress import progress_bar
 from pedzoo.core.machine import versions
-from pedzoo.eval.cards.numbers import ComparedNumber, RepeatedReport, again, compare
-from pedzoo.eval.cards.reports import about
+from pedzoo.eval.cards import ComparedNumber, RepeatedReport, about, again, compare
 from pedzoo.eval.results import ResultTable
 from pedzoo.models.zoo.card import ModelCard
 from pedzoo.models.zoo.store import find, no_model

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 if TYPE_CHECKING:
-    from pedzoo.eval.workers.progress_meter import ProgressReport
+    from pedzoo.eval.work_units import ProgressReport
 
 
 def plain_console(stderr: bool = False, width: int = 120) -> Console:

@@ -13,6 +13,8 @@ from pedzoo.metrics.arrival_functions import arrived_in_time, finish_seconds
 from pedzoo.metrics.closed_loop import closed_loop, named, own_metrics, time_ratio_median
 from pedzoo.metrics.contact_functions import contact_events, least_distance, nearest
 from pedzoo.metrics.ratios import Ratio, summarised
+from pedzoo.policies.learned.walker import Walker
+from pedzoo.policies.policy import Policy
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import CLEARANCE, make_scenario, usual_physics
 from pedzoo.sim.rollout import Rollout, joined
@@ -90,7 +92,7 @@ class Comparison:
         self.refusal: UserError | None = None
         settings = {"warm_start": warm_start, "clearance": clearance}
         settings |= {"decision_dt": decision_dt, "device": device, "deadline": deadline}
-        self._prepared = {}
+        self._prepared: dict[str, tuple[Policy | Walker, PedestrianEnv]] = {}
         self.walked: list[PolicyRollout] = []
         made: Scenario | PreparedScenario = make_scenario(scenario)
         recorded = False
@@ -131,11 +133,14 @@ class Comparison:
 
         A metric of one's own that fails is left out, so that no walk is lost, and `refusal` is raised later.
         """
-        rows = [row(one.name, one.rollout, self._own(one.rollout)) for one in self.walked]
-        if not self._kept:
-            return {"protocol": self._protocol, "seeds": [self._seed], "rows": rows}
-        rows, plans = self.with_episodes(rows, self._kept)
-        return {"protocol": self._protocol, "seeds": [self._seed], "rows": rows, "plans": plans}
+        rows, plans = [], {}
+        for one in self.walked:
+            rows.append(row(one.name, one.rollout, self._own(one.rollout)))
+            if self._kept:
+                rows[-1]["episodes"], its = packed_episodes(one.rollout, one.env.bank, self._kept, self._seed)
+                plans |= its
+        report = {"protocol": self._protocol, "seeds": [self._seed], "rows": rows}
+        return report | ({"plans": plans} if self._kept else {})
 
     def _own(self, rollout: Rollout) -> dict[str, Ratio]:
         result: dict[str, Ratio] = {}
@@ -145,17 +150,6 @@ class Comparison:
             except UserError as error:
                 self.refusal = self.refusal or error
         return result
-
-    def with_episodes(
-        self, rows: Sequence[Mapping[str, Any]], number: int
-    ) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-        """Return the rows of `report` with the positions of their first episodes, and the floor plans."""
-        result, plans = [], {}
-        for one, walked in zip(rows, self.walked, strict=True):
-            episodes, its = packed_episodes(walked.rollout, walked.env.bank, number, self._seed)
-            result.append({**one, "episodes": episodes})
-            plans |= its
-        return result, plans
 
 
 def row(

@@ -13,13 +13,10 @@ from pedzoo.core.errors import UserError, as_integer, at_least_one
 from pedzoo.core.machine import usable
 from pedzoo.core.registry import SUITES
 from pedzoo.eval.packed_episodes import without_plans
-from pedzoo.eval.results import SuiteColumns
+from pedzoo.eval.parallel import Backend, finished
+from pedzoo.eval.results import SuiteColumns, summary
 from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, OwnRecordings, Suite, WorkUnit, check_names
-from pedzoo.eval.summary import summary
-from pedzoo.eval.work_units import digest, work
-from pedzoo.eval.workers.journal import Journal, Rows
-from pedzoo.eval.workers.pool import Backend, finished
-from pedzoo.eval.workers.progress_meter import Progress, ProgressMeter
+from pedzoo.eval.work_units import Journal, Progress, ProgressMeter, Rows, digest, work
 from pedzoo.metrics.closed_loop import NAMES, named
 from pedzoo.sim.arrival import check_deadline
 from pedzoo.sim.make import physics_class
@@ -96,17 +93,31 @@ def evaluate(
     Raises:
         UserError: An unknown name, or a setting that cannot be, before anything has walked.
     """
-    plans = (maps,) if isinstance(maps, str | Path) else maps
-    folder = None if root is None else str(root)
-    columns, recorded, walkers = (
-        (one,) if isinstance(one, str) else tuple(one) for one in (metrics, folds, people)
+    options = EvaluationOptions(
+        episodes=episodes,
+        quick=quick,
+        physics=physics,
+        maps=_texts(maps),
+        root=None if root is None else str(root),
+        rollouts=rollouts,
+        device=device,
+        metrics=_texts(metrics),
+        folds=_texts(folds),
+        people=_texts(people),
+        robot=robot,
+        own=own,
+        keep_episodes=keep_episodes,
+        clearance=clearance,
+        deadline=deadline,
     )
-    given = episodes, quick, physics, tuple(map(str, plans)), folder, rollouts, device
-    more = robot, own, keep_episodes, clearance, deadline
-    options = EvaluationOptions(*given, columns, recorded, walkers, *more)
     evaluation = Evaluation(policies, suites, options, seeds, deterministic, resume)
     evaluation.run(workers, backend, progress)
     return evaluation.report()
+
+
+def _texts(given: str | Path | Sequence[str | Path]) -> tuple[str, ...]:
+    """Return one or several names or paths as texts."""
+    return tuple(map(str, (given,) if isinstance(given, str | Path) else given))
 
 
 class Evaluation:
@@ -130,18 +141,19 @@ class Evaluation:
         resume: str | Path | None = None,
     ) -> None:
         """Say what is to be done; wrong names are refused here. Arguments and errors as of `evaluate`."""
-        self.options = options or EvaluationOptions()
-        usable(self.options.device)
-        if self.options.own and self.options.folds:
+        asked = options or EvaluationOptions()
+        usable(asked.device)
+        if asked.own and asked.folds:
             raise UserError("--data.files are instead of --data.fold: leave one of them out")
-        if self.options.physics is not None:
-            self.options = self.options._replace(physics=renamed.backend(self.options.physics))
-        if (kept := as_integer("keep_episodes", self.options.keep_episodes)) < 0:
+        if asked.physics is not None:
+            asked = asked._replace(physics=renamed.backend(asked.physics))
+        if (kept := as_integer("keep_episodes", asked.keep_episodes)) < 0:
             raise UserError(f"keep_episodes {kept}: expected 0 or more")
-        self.options = self.options._replace(keep_episodes=kept)
+        asked = asked._replace(keep_episodes=kept)
         for key in ("episodes", "rollouts"):
-            if (number := getattr(self.options, key)) is not None:
-                self.options = self.options._replace(**{key: at_least_one(key, number)})
+            if (number := getattr(asked, key)) is not None:
+                asked = asked._replace(**{key: at_least_one(key, number)})
+        self.options = asked
         self._policies = check_names("policies", policies)
         self._seeds = tuple(dict.fromkeys(as_integer("seeds", seed) for seed in seeds))
         if not self._seeds:
@@ -150,20 +162,19 @@ class Evaluation:
         self._suites = [
             _suite(name) for name in dict.fromkeys(map(renamed.suite, check_names("suites", suites)))
         ]
-        _check_use(self.options, self._suites)
-        asked = self.options.metrics
-        given = {"device": self.options.device, "metrics": asked, "keep_episodes": self.options.keep_episodes}
-        self._columns = (*(name for name in asked if name in NAMES), *named(asked))
+        _check_use(asked, self._suites)
+        given = {"device": asked.device, "metrics": asked.metrics, "keep_episodes": asked.keep_episodes}
+        self._columns = (*(name for name in asked.metrics if name in NAMES), *named(asked.metrics))
         for suite, policy in product(self._suites, self._policies):
             suite.check(policy)
         self.units: list[WorkUnit] = []
         for suite in self._suites:
-            for case in _cases(suite, self.options):
+            for case in _cases(suite, asked):
                 physics_class(case.physics).check()
-                if self.options.clearance is not None:
-                    case = case._replace(clearance=self.options.clearance)
+                if asked.clearance is not None:
+                    case = case._replace(clearance=asked.clearance)
                 if suite.warm_start != "recorded":  # people of recordings have the time that they took there
-                    case = case._replace(deadline=self.options.deadline)
+                    case = case._replace(deadline=asked.deadline)
                 units = suite.units(case, self._policies, self._seeds, deterministic)
                 self.units += [unit._replace(**given) for unit in units]
         self._digests = [digest(unit) if resume else "" for unit in self.units]
@@ -183,7 +194,7 @@ class Evaluation:
         missing = [number for number in range(len(self.units)) if number not in self._rows]
         units = [self.units[number] for number in missing]
         alone = workers == 1 and backend == "processes"
-        do = partial(_with_progress, meter) if alone else work
+        do = (lambda unit: work(unit, partial(meter.within, unit))) if alone else work
         if units:
             meter.within(units[0], 0.0)
         with closing(finished(units, do, workers, backend, lambda unit: unit.group)) as results:
@@ -221,16 +232,11 @@ class Evaluation:
     @property
     def shown(self) -> dict[str, SuiteColumns]:
         """What tables show of each suite."""
-        more = self._columns
-        return {
-            suite.name: SuiteColumns(
-                suite.headline,
-                list(dict.fromkeys((*suite.columns, *more))),
-                suite.counted,
-                suite.legend,
-            )
-            for suite in self._suites
-        }
+        result = {}
+        for suite in self._suites:
+            columns = list(dict.fromkeys((*suite.columns, *self._columns)))
+            result[suite.name] = SuiteColumns(suite.headline, columns, suite.counted, suite.legend)
+        return result
 
 
 def _suite(name: str) -> Suite:
@@ -261,24 +267,20 @@ def _cases(suite: Suite, options: EvaluationOptions) -> list[EvaluationCase]:
     return cases
 
 
-def _with_progress(meter: ProgressMeter, unit: WorkUnit) -> Rows:
-    return work(unit, partial(meter.within, unit))
-
-
 def _check_use(options: EvaluationOptions, suites: Sequence[Suite]) -> None:
+    robots = any("robot" in suite.accepted_options for suite in suites)
     if options.clearance is not None:
-        if any("robot" in suite.accepted_options for suite in suites):
+        if robots:
             raise UserError("clearance: ways beside robots keep that of the bodies: leave it or robots out")
         if options.clearance < 0:
             raise UserError(f"clearance {options.clearance}: expected at least 0 m")
     if options.deadline is not None:
-        if any("robot" in suite.accepted_options for suite in suites):
+        if robots:
             raise UserError("deadline: robots have their own times: leave it or robots out")
         check_deadline(options.deadline)
     for key in ("episodes", "maps", "rollouts", "folds", "people", "robot", "own"):
         if getattr(options, key) and not any(key in suite.accepted_options for suite in suites):
-            own = [
-                name for name in SUITES.names() if key in getattr(SUITES.get(name), "accepted_options", ())
-            ]
+            others = {name: getattr(SUITES.get(name), "accepted_options", ()) for name in SUITES.names()}
+            users = ", ".join(name for name, accepted in others.items() if key in accepted)
             given = ", ".join(suite.name for suite in suites)
-            raise UserError(f"{key}: no use for them in {given}; {', '.join(own)} would have")
+            raise UserError(f"{key}: no use for them in {given}; {users} would have")

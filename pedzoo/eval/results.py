@@ -1,5 +1,6 @@
-"""The tables of an evaluation, for a terminal and for a page of Markdown."""
+"""The tables of an evaluation: the mean of several cases, a terminal's tables, a page of Markdown."""
 
+import math
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -55,6 +56,50 @@ def legend() -> dict[str, str]:
     """Return what each metric is: the first line of its function, or a text."""
     texts = {name: METRICS.describe(name).rstrip(".") for name in METRICS.names()}
     return {name: text[:1].lower() + text[1:] for name, text in texts.items()} | _LEGEND
+
+
+def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return one row for every policy and table: each case counts the same, however many people it has.
+
+    A metric that a case has no value of (no arrivals, no meetings) has none in the summary either: a mean
+    over the other cases could not be compared with those of other policies.
+    """
+    groups: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault((row["table"], row["name"]), []).append(row)
+    result = []
+    for (table, name), cases in groups.items():
+        metrics, intervals = {}, {}
+        for key in cases[0]["metrics"]:
+            if all(key in case["metrics"] for case in cases):
+                values = [case["metrics"][key] for case in cases]
+                ends = [case["ci95"].get(key, (case["metrics"][key],) * 2) for case in cases]
+                metrics[key] = sum(values) / len(values)
+                low, high = mean_interval(values, ends)
+                if low < high:
+                    intervals[key] = low, high
+        where = {key: cases[0]["case"][key] for key in ("suite", "physics")}
+        seen = {SEEN: "yes"} if any(SEEN in case["case"] for case in cases) else {}
+        seconds = {key: round(sum(case["seconds"][key] for case in cases), 2) for key in ("wall", "cpu")}
+        counts = {"n": sum(case["n"] for case in cases), "cases": len(cases)}
+        row = {"name": name, "table": table, "case": where | seen, **counts}
+        result.append(row | {"metrics": metrics, "ci95": intervals, "seconds": seconds})
+    return result
+
+
+def mean_interval(values: Sequence[float], intervals: Sequence[Sequence[float]]) -> tuple[float, float]:
+    """Return the interval of the mean of independent estimates, each with an interval of its own.
+
+    The method of variance estimates recovery (Zou and Donner, "Construction of confidence limits about effect
+    measures", Statistics in Medicine 27, 2008): the squares of deviations to either side add up. So it
+    stays longer towards the middle where the intervals are Wilson's.
+    """
+    mean = sum(values) / len(values)
+    below, above = (
+        math.sqrt(sum((value - ends[side]) ** 2 for value, ends in zip(values, intervals, strict=True)))
+        for side in (0, 1)
+    )
+    return mean - below / len(values), mean + above / len(values)
 
 
 class ResultTable(NamedTuple):
@@ -124,13 +169,12 @@ def markdown(report: Mapping[str, Any], shown: Mapping[str, SuiteColumns], comma
     ]
     for page in pages(report, shown):
         lines += [f"## {page.title}\n", markdown_table(page.head, page.rows)]
-    lines_of: dict[str, None] = {}
+    explained: dict[str, None] = {}
     for suite, one in shown.items():
-        rows = [row for row in report["summary"] if row["case"]["suite"] == suite]
-        known = {key for row in rows for key in row["metrics"]}
+        known = {key for row in report["summary"] if row["case"]["suite"] == suite for key in row["metrics"]}
         texts = one.legend or legend()
-        lines_of |= {f"* `{key}`: {text}.": None for key, text in texts.items() if key in known}
-    return "\n".join([*lines, "## What the numbers are\n", *lines_of]).rstrip() + "\n"
+        explained |= {f"* `{key}`: {text}.": None for key, text in texts.items() if key in known}
+    return "\n".join([*lines, "## What the numbers are\n", *explained]).rstrip() + "\n"
 
 
 INTERVALS = (

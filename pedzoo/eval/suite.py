@@ -9,16 +9,20 @@ from pedzoo.core.spec import Spec
 from pedzoo.eval.comparison import row
 from pedzoo.eval.packed_episodes import packed_episodes
 from pedzoo.eval.rollout import joined, prepare, walk
-from pedzoo.eval.scenario_cache import prepared
 from pedzoo.metrics.ratios import Ratio
 from pedzoo.policies.load import load_policy
 from pedzoo.sim.env import PedestrianEnv
-from pedzoo.sim.make import CLEARANCE
+from pedzoo.sim.make import CLEARANCE, make_scenario, prepare_scenario
 from pedzoo.sim.rollout import Rollout
-from pedzoo.sim.scenario_parts.scenario import PreparedScenario
+from pedzoo.sim.scenario_parts.scenario import PreparedScenario, Scenario
 
 QUICK = 10
 """A quick run has one in so many episodes."""
+
+KEPT = 6
+"""Scenarios that a process keeps; more than the cases that share a floor plan."""
+
+_kept: dict[tuple[str, str, float], PreparedScenario] = {}
 
 _EXAMPLES = {"policies": "['orca', 'go_to_goal']", "suites": "['door', 'goals']"}
 
@@ -43,25 +47,7 @@ class OwnRecordings(NamedTuple):
 
 
 class EvaluationOptions(NamedTuple):
-    """Options of an evaluation by which suites differ.
-
-    Attributes:
-        episodes: Per case; None for the suite's own number.
-        quick: A tenth of everything.
-        physics: For all cases; None for the suite's own.
-        maps: Floor plans beside the suite's own.
-        root: Folder with recordings; None for the variable ``PEDZOO_DATA``.
-        rollouts: Of a policy with noise, on recordings; None for the suite's own number.
-        device: Where scenes and policies are.
-        metrics: More columns of all tables: names of metrics, or ``path/to/file.py:f``.
-        folds: Of recordings; none for all that leave recordings out and are found.
-        people: Policies of people beside robots, with settings, and ``replay``; empty for the suite's own.
-        robot: The body of robots, with settings; None for the suite's own.
-        own: Recordings of one's own instead of folds.
-        keep_episodes: So many episodes of every row keep their positions, for ``pedzoo report``.
-        clearance: Metres that planned ways keep from walls; None for the suites' own.
-        deadline: Seconds that people have for every goal; None as `pedzoo.make_env` says. Not of recordings.
-    """
+    """Options of an evaluation by which suites differ; `pedzoo.evaluate` explains them."""
 
     episodes: int | None = None
     quick: bool = False
@@ -199,6 +185,20 @@ class Suite(ABC):
             UserError: Something asked for cannot be.
         """
 
+    def case(
+        self,
+        options: EvaluationOptions,
+        name: str,
+        scenario: str | Spec,
+        episodes: int,
+        case: dict[str, str],
+        physics: str = "compiled",
+        **more: Any,
+    ) -> EvaluationCase:
+        """Return a case of this suite with the physics and number of episodes of ``options``, else these."""
+        physics, episodes = options.physics or physics, options.number(episodes)
+        return EvaluationCase(self.name, name, scenario, physics, episodes, case, **more)
+
     def check(self, policy: str) -> None:
         """Check the name of a policy before anything walks; errors as of `evaluate`."""
         load_policy(policy)
@@ -231,6 +231,31 @@ class Suite(ABC):
             seed, person["episode"] = divmod(person["episode"], case.episodes)
             person["seed"] = unit.seeds[seed]
         return [result | kept_episodes(unit, *parts[0])]
+
+
+def prepared(name: str | Spec, inputs: str = "", clearance: float = CLEARANCE) -> PreparedScenario:
+    """Return the prepared scenario of a name with settings; errors as of `pedzoo.make_env`.
+
+    Its ways keep ``clearance`` metres from walls.
+
+    One that was made before is returned again, and one whose paths were planned for another takes those. It
+    is made anew where ``inputs``, the digest of the files that it reads, has changed.
+    """
+    key = repr(name), inputs, clearance
+    result = _kept.pop(key, None)
+    if result is None:
+        made = make_scenario(name)
+        result = _adapted(made, clearance) or prepare_scenario(made, clearance)
+    _kept[key] = result  # the latest is the last
+    if len(_kept) > KEPT:
+        del _kept[next(iter(_kept))]
+    return result
+
+
+def _adapted(made: Scenario, clearance: float) -> PreparedScenario | None:
+    """Return the scenario with the floor plans and ways of one that is kept, None where none has them."""
+    alike = (kept for kept in _kept.values() if kept.planner.clearance == clearance)
+    return next(filter(None, map(made.adapted, alike)), None)
 
 
 def walked(

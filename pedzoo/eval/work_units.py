@@ -1,25 +1,29 @@
-"""Units of an evaluation: the function that does one in any process, and the digest of a unit."""
+"""Units of an evaluation: doing one, its cache key, a file of finished ones, and progress."""
 
 import ast
 import hashlib
 import json
+import os
 import sys
 import sysconfig
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from types import CodeType
-from typing import Any
+from typing import Any, NamedTuple
 
+from pedzoo.core.errors import UserError
 from pedzoo.core.fetch import sha256_of
 from pedzoo.core.machine import versions
+from pedzoo.core.paths import write_atomically
 from pedzoo.core.registry import ROOT, SUITES, folder_of, names_code
 from pedzoo.core.spec import Spec, parse, unquoted
 from pedzoo.eval.suite import Tell, WorkUnit
 from pedzoo.models.zoo.store import find
 from pedzoo.policies.crowd_names import parts
+
+Rows = list[dict[str, Any]]
 
 _CODE_FILES = (".py", ".csv", ".yaml", ".png")
 _OF_OTHERS = tuple(
@@ -31,13 +35,11 @@ _OF_OTHERS = tuple(
 )
 """Folders whose code is no user's: versions stand for it."""
 
-_HAS_DOCSTRING = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
-
 _IGNORED_PACKAGES = ("cli", "train", "viz", "configs")
 """Packages whose code changes no number of an evaluation."""
 
 
-def work(unit: WorkUnit, tell: Tell | None = None) -> list[dict[str, Any]]:
+def work(unit: WorkUnit, tell: Tell | None = None) -> Rows:
     """Do a unit and return its rows, as they are in JSON; ``tell`` gets the share that is done."""
     wall, cpu = time.perf_counter(), time.process_time()
     rows = SUITES.get(unit.case.suite)(unit.case.suite).rows(unit, tell)
@@ -53,10 +55,10 @@ def work(unit: WorkUnit, tell: Tell | None = None) -> list[dict[str, Any]]:
 
 
 def digest(unit: WorkUnit) -> str:
-    """Return a unit's digest: units whose rows may differ have different ones.
+    """Return the cache key of a unit: units whose rows may differ have different ones.
 
-    That is the unit itself, pedzoo's code, the versions of its dependencies, and the files that the unit
-    names: weights, or a policy, suite, scenario or physics from a file.
+    It depends on the unit itself, pedzoo's code, the versions of its dependencies, and the files that the
+    unit names: weights, or a policy, suite, scenario or physics from a file.
     """
     known = {**unit._asdict(), "case": unit.case._asdict()}
     walking = [_model_sum(policy) for who in (unit.walks, unit.case.people) for policy in parts(who)]
@@ -101,35 +103,20 @@ def _sum_of(value: Any) -> str:
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
 
+class _WithoutTexts(ast.NodeTransformer):
+    """Removes docstrings, also those of attributes."""
+
+    def visit_Expr(self, node: ast.Expr) -> ast.AST | None:  # ast's name
+        return None if isinstance(node.value, ast.Constant) else node
+
+
 def code_sum(content: bytes) -> str:
-    """Return the sha256 of what code does: of docstrings, comments and its form nothing is in it."""
-    result = hashlib.sha256()
+    """Return the sha256 of what code does: docstrings, comments and layout do not change it."""
     try:
-        tree = ast.parse(content)
-        for node in ast.walk(tree):
-            if isinstance(node, _HAS_DOCSTRING) and ast.get_docstring(node, clean=False) is not None:
-                node.body[:1] = [] if node.body[1:] else [ast.copy_location(ast.Pass(), node.body[0])]
-        waiting: list[Any] = [compile(tree, "", "exec", dont_inherit=True)]
+        content = ast.dump(_WithoutTexts().visit(ast.parse(content))).encode()
     except (SyntaxError, ValueError):
-        return hashlib.sha256(content).hexdigest()
-    while waiting:
-        code = waiting.pop()
-        inner = [one for one in code.co_consts if isinstance(one, CodeType)]
-        plain = [_written(one) for one in code.co_consts if not isinstance(one, CodeType)]
-        names = code.co_name, code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars
-        numbers = code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags
-        result.update(repr((names, numbers, plain, len(inner))).encode())
-        result.update(code.co_code + code.co_exceptiontable)
-        waiting += inner
-    return result.hexdigest()
-
-
-def _written(constant: Any) -> str:
-    """Return a constant as text that is the same in every process."""
-    if isinstance(constant, tuple | frozenset):
-        parts = [_written(one) for one in constant]
-        return str(parts if isinstance(constant, tuple) else sorted(parts))
-    return repr(constant)
+        pass  # no Python: as it is
+    return hashlib.sha256(content).hexdigest()
 
 
 def _imported(file: Path, content: bytes) -> Iterator[Path]:
@@ -139,47 +126,43 @@ def _imported(file: Path, content: bytes) -> Iterator[Path]:
     except (SyntaxError, ValueError):
         return
     for node in nodes:
-        names: list[str] = []
-        if isinstance(node, ast.Import):
-            names = [one.name for one in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            above = "." * node.level
-            inner = [f"{node.module}.{one.name}" if node.module else one.name for one in node.names]
-            names = [above + one for one in (node.module or "", *inner)]
-        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("import_module", "__import__")):
-            names = [
-                one.value for one in node.args if isinstance(one, ast.Constant) and isinstance(one.value, str)
-            ]
-        for name in names:
-            yield from _files_of(name, file)
+        match node:
+            case ast.Import(names=names):
+                for one in names:
+                    yield from _files_of(one.name, file)
+            case ast.ImportFrom(module=module, names=names, level=level):
+                for one in names:
+                    yield from _files_of(".".join(filter(None, (module, one.name))), file, level)
+            case ast.Call(args=args) if ast.unparse(node.func).endswith(("import_module", "__import__")):
+                for one in args:
+                    if isinstance(one, ast.Constant) and isinstance(one.value, str):
+                        name = one.value.lstrip(".")
+                        yield from _files_of(name, file, len(one.value) - len(name))
 
 
-def _files_of(name: str, importer: Path) -> Iterator[Path]:
+def _files_of(name: str, importer: Path, level: int = 0) -> Iterator[Path]:
     """Yield the files of a module and of the packages around it, if it is a user's."""
-    parts = [part for part in name.split(".") if part]
-    dots = len(name) - len(name.lstrip("."))
-    places = [importer.parents[dots - 1]] if 0 < dots <= len(importer.parents) else [importer.parent]
-    if parts and not dots and parts[0] not in sys.stdlib_module_names:
+    names = name.split(".") if name else []
+    places = [importer.parents[max(0, min(level, len(importer.parents)) - 1)]]
+    if names and not level and names[0] not in sys.stdlib_module_names:
         try:
-            spec = find_spec(parts[0])
+            spec = find_spec(names[0])
         except (ImportError, ValueError, AttributeError):
             spec = None
-        where = [*(spec.submodule_search_locations or [])] if spec else []
-        places += [Path(one).parent for one in (where or [spec.origin] if spec and spec.origin else where)]
+        if spec:
+            found = spec.submodule_search_locations or ([spec.origin] if spec.origin else [])
+            places += [Path(one).parent for one in found]
     for place in places:
-        for depth in range(len(parts) + 1):
-            stem = place.joinpath(*parts[:depth])
-            for file in (stem.with_suffix(".py"), stem / "__init__.py") if depth else (stem / "__init__.py",):
+        for depth in range(len(names) + 1):
+            stem = place.joinpath(*names[:depth])
+            for file in (stem / "__init__.py", *([stem.with_suffix(".py")] if depth else [])):
                 if file.is_file() and not any(file.resolve().is_relative_to(one) for one in _OF_OTHERS):
                     yield file.resolve()
 
 
 @cache
 def _code_sum() -> str:
-    """Return the sha256 of what all code does that numbers depend on, and of the embedded recordings.
-
-    Commits of anything else leave it as it is.
-    """
+    """Return the sha256 of what all code does that numbers depend on, and of the embedded recordings."""
     result = hashlib.sha256()
     for base in (Path(__file__).parents[1], folder_of("tools.paper")):  # a checkout's suites and tables
         for path in sorted(base.rglob("*")):
@@ -194,3 +177,124 @@ def _code_sum() -> str:
 @cache
 def _versions() -> dict[str, str]:
     return {name: result for name, result in versions().items() if name not in ("commit", "pedzoo")}
+
+
+def _entry(line: bytes) -> tuple[str, Rows] | None:
+    """Return the unit and the rows of a line, None for one that was not written whole."""
+    try:
+        entry = json.loads(line) if line.endswith(b"\n") else None
+    except (ValueError, RecursionError):
+        return None
+    match entry:
+        case {"unit": str(unit), "rows": [*rows]} if all(isinstance(row, dict) for row in rows):
+            return unit, rows
+    return None
+
+
+class Journal:
+    """An append-only file with one line of JSON per finished unit.
+
+    Attributes:
+        path: The file; None keeps nothing.
+        done: Rows of the units that were there when it was opened, by the units' digests.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        """Read the file, if there is one; lines that are torn are dropped, and said.
+
+        Raises:
+            UserError: It is no such file, or cannot be read or mended.
+        """
+        self.path = path
+        self.done: dict[str, Rows] = {}
+        if path is None or not path.exists():
+            return
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise UserError(f"cannot read {str(path)!r}: {error.strerror}") from error
+        lines = content.splitlines(keepends=True)
+        whole = [line for line in lines if (entry := _entry(line)) and not self.done.update([entry])]
+        if not whole and not content.startswith(b'{"unit": "'[: len(content)]):
+            raise UserError(
+                f"{str(path)!r} holds no finished parts of an evaluation: name another file, or remove it"
+            )
+        if torn := len(lines) - len(whole):
+            parts = f"{torn} finished part{'s' * (torn > 1)}"
+            print(f"pedzoo: {path} was cut off in a write: {parts} will be done once more", file=sys.stderr)
+            try:
+                write_atomically(path, b"".join(whole))
+            except OSError as error:
+                raise UserError(f"cannot write {str(path)!r}: {error.strerror}") from error
+
+    def add(self, digest: str, rows: Rows) -> None:
+        """Append a finished unit.
+
+        Raises:
+            UserError: The file cannot be written.
+        """
+        if self.path is None:
+            return
+        line = json.dumps({"unit": digest, "rows": rows}, allow_nan=False) + "\n"
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            with self.path.open("a") as file:
+                file.write(line)
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise UserError(f"cannot write {str(self.path)!r}: {error.strerror}") from error
+
+
+class ProgressReport(NamedTuple):
+    """How far an evaluation is.
+
+    Attributes:
+        label: What has just been done, or is going on.
+        done: Share of the whole, by the work that it is expected to be.
+        units: Finished ones.
+        total: All of them.
+        seconds: That the unit took; None while it is going on.
+        left: Seconds that the rest is expected to take; None while that is unknown.
+    """
+
+    label: str
+    done: float
+    units: int
+    total: int
+    seconds: float | None
+    left: float | None
+
+
+Progress = Callable[[ProgressReport], None]
+
+
+class ProgressMeter:
+    """Reports how far an evaluation is, and estimates how long the rest takes."""
+
+    def __init__(self, units: list[WorkUnit], done: set[int], progress: Progress | None) -> None:
+        """Start with all ``units``, of which those numbered ``done`` are finished."""
+        self._units, self._done, self._progress = units, set(done), progress
+        self._weights = [unit.case.episodes * len(unit.seeds) * unit.case.effort for unit in units]
+        self._before = sum(self._weights[number] for number in done)
+        self._start = time.perf_counter()
+
+    def within(self, unit: WorkUnit, share: float) -> None:
+        """Tell that a share of a unit is done."""
+        number = self._units.index(unit)
+        self._tell(number, share * self._weights[number], None)
+
+    def ended(self, number: int, seconds: float) -> None:
+        """Tell that a unit is done, which took so long."""
+        self._done.add(number)
+        self._tell(number, 0.0, seconds)
+
+    def _tell(self, number: int, more: float, seconds: float | None) -> None:
+        if self._progress is None:
+            return
+        done = more + sum(self._weights[one] for one in self._done)
+        total, mine = sum(self._weights), done - self._before
+        passed = time.perf_counter() - self._start
+        left = passed / mine * (total - done) if mine > 0 else None
+        label, units = self._units[number].label, len(self._units)
+        self._progress(ProgressReport(label, done / total, len(self._done), units, seconds, left))

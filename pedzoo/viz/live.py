@@ -29,7 +29,7 @@ from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.physics_parts.bullet.figure import Figure
 from pedzoo.sim.physics_parts.bullet.looks import BulletLooks
 from pedzoo.sim.physics_parts.stance import Stance
-from pedzoo.viz.report.page import page
+from pedzoo.viz.page import page
 
 HOST = "127.0.0.1"
 """Only this machine can ask."""

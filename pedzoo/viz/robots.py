@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -38,28 +39,11 @@ RECENT = 30
 
 
 def film_robots(
-    rollout: RobotRollout,
-    env: RobotEnv,
-    path: str | Path,
-    title: str = "",
-    episode: int = 0,
-    beams: int = 180,
-    reach: float = 4.0,
-    size: tuple[int, int] = (420, 360),
-    seconds: float | None = None,
+    rollout: RobotRollout, env: RobotEnv, path: str | Path, title: str = "", episode: int = 0, **settings: Any
 ) -> None:
     """Write a moving picture in real time of one episode, from above.
 
-    Args:
-        rollout: What happened.
-        env: Where; its physics must not be closed.
-        path: ``.gif``, ``.webm`` or ``.mp4``.
-        title: Stands above it.
-        episode: Its number.
-        beams: Of the lidars, all around, of which every sixth is drawn; 0 for none.
-        reach: Of these lidars, metres.
-        size: Width and height in pixels, even numbers.
-        seconds: Of the episode, at most; all of it by default.
+    Arguments are those of `robot_frames`, beside ``path``: ``.gif``, ``.webm`` or ``.mp4``.
 
     Raises:
         UserError: No such episode, another suffix, or the file cannot be written.
@@ -67,7 +51,7 @@ def film_robots(
     moving = Path(path).suffix.lower() == ".gif"
     if not moving:
         check_video_path(path)
-    frames = robot_frames(rollout, env, title, episode, beams, reach, size, seconds)
+    frames = robot_frames(rollout, env, title, episode, **settings)
     if moving:
         _write_gif(Path(path), list(frames))
     else:
@@ -84,16 +68,27 @@ def robot_frames(
     size: tuple[int, int] = (420, 360),
     seconds: float | None = None,
 ) -> Iterator[Image]:
-    """Yield the pictures (H, W, 3) uint8 RGB of every 0.1 s; arguments and errors as of `film_robots`."""
+    """Yield the pictures (H, W, 3) uint8 RGB of every 0.1 s of an episode.
+
+    Args:
+        rollout: What happened.
+        env: Where; its physics must not be closed.
+        title: Stands above it.
+        episode: Its number.
+        beams: Of the lidars, all around, of which every sixth is drawn; 0 for none.
+        reach: Of these lidars, metres.
+        size: Width and height in pixels, even numbers.
+        seconds: Of the episode, at most; all of it by default.
+
+    Raises:
+        UserError: No such episode.
+    """
     episodes = len(rollout.walked.failed)
     if not 0 <= episode < episodes:
         raise UserError(f"episode {episode}: there are {episodes}, 0 to {episodes - 1}")
-    one = rollout.episodes(slice(episode, episode + 1))
-    scene = _Scene(one, env, beams, reach, size)
-    frames = scene.points + 1
-    if seconds is not None:
-        frames = min(frames, round(seconds / TRACE_SECONDS) + 1)
-    for frame in range(frames):
+    scene = _Scene(rollout.episodes(slice(episode, episode + 1)), env, beams, reach, size)
+    frames = scene.points if seconds is None else min(scene.points, round(seconds / TRACE_SECONDS))
+    for frame in range(frames + 1):
         yield labelled(scene.draw(frame), title, frame * TRACE_SECONDS)
 
 
@@ -166,11 +161,9 @@ class _Scene:
                 facing, color = float(self.facing[frame, agent]), person_color(agent)
                 draw_person(image, self.to_pixel, place, facing, wide, color)
         for number, robot in enumerate(robots):
-            angle = self.heading[number, frame]
-            ahead = direction_of(angle) * self.radius[robot]
-            tip = torch.stack((self.path[robot, frame], self.path[robot, frame] + ahead))
-            ends = self._pixels(tip).reshape(-1, 1, 2)
-            cv2.polylines(image, [ends], False, ROBOT_FRONT, 2 * FINER, cv2.LINE_AA, 4)
+            ahead = direction_of(self.heading[number, frame]) * self.radius[robot]
+            tip = self._pixels(torch.stack((self.path[robot, frame], self.path[robot, frame] + ahead)))
+            cv2.polylines(image, [tip.reshape(-1, 1, 2)], False, ROBOT_FRONT, 2 * FINER, cv2.LINE_AA, 4)
         return cv2.resize(image, self.size, interpolation=cv2.INTER_AREA).astype(np.uint8)
 
     def _lidar(self, image: Image, origin: Tensor, ends: Tensor) -> None:
@@ -181,12 +174,11 @@ class _Scene:
         area = image.copy()
         cv2.fillPoly(area, [points.reshape(-1, 1, 2)], ROBOT_FRONT, cv2.LINE_AA, 4)
         image[:] = cv2.addWeighted(area, 0.22, image, 0.78, 0)
-        beams = area
-        beams[:] = image
+        area[:] = image
         middle = self._pixels(origin.unsqueeze(0))[0]
         lines = [np.stack((middle, end)).reshape(-1, 1, 2) for end in points[::SHOWN]]
-        cv2.polylines(beams, lines, False, ROBOT_FRONT, 1, cv2.LINE_AA, 4)
-        image[:] = cv2.addWeighted(beams, 0.5, image, 0.5, 0)
+        cv2.polylines(area, lines, False, ROBOT_FRONT, 1, cv2.LINE_AA, 4)
+        image[:] = cv2.addWeighted(area, 0.5, image, 0.5, 0)
 
     def _pixels(self, places: Tensor) -> NDArray[np.int32]:
         """Return places (N, 2), metres, in sixteenths of pixels."""
@@ -209,13 +201,8 @@ def _write_gif(path: Path, frames: Sequence[Image]) -> None:
     pictures = [picture.quantize(palette=palette, dither=Pillow.Dither.NONE) for picture in pictures]
     try:
         with atomic_write(path) as part:
-            pictures[0].save(
-                part,
-                save_all=True,
-                append_images=pictures[1:],
-                duration=round(1000 * TRACE_SECONDS),
-                loop=0,
-                optimize=False,
-            )
+            every = round(1000 * TRACE_SECONDS)
+            more = {"append_images": pictures[1:], "duration": every, "loop": 0, "optimize": False}
+            pictures[0].save(part, save_all=True, **more)
     except OSError as error:
         raise UserError(f"cannot write {str(path)!r}: {error.strerror}") from error

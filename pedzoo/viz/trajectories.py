@@ -25,8 +25,7 @@ from pedzoo.metrics.contact_functions import begins
 from pedzoo.sim.physics_parts.camera import person_color
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.state import TRACE_PER_STEP
-from pedzoo.viz.figure_files import check_plot_path, write_figure
-from pedzoo.viz.forecast_plots import draw_floor_plan
+from pedzoo.viz.plots import check_plot_path, draw_floor_plan, write_figure
 from pedzoo.viz.video import check_episode
 
 STEPS_BEFORE = 3

@@ -20,7 +20,7 @@ from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import shipped
 from pedzoo.data.provenance import licence, provenance, together
-from pedzoo.eval.cards import numbers as card_numbers
+from pedzoo.eval import cards as card_numbers
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.base import Forecaster
 from pedzoo.models.export.publish import describe

@@ -17,7 +17,7 @@ from pedzoo.cli.output import check_outputs, print_report, print_tables, write_a
 from pedzoo.cli.progress import plain_console
 from pedzoo.core.errors import UserError
 from pedzoo.eval.results import ResultTable
-from pedzoo.eval.workers.progress_meter import ProgressReport
+from pedzoo.eval.work_units import ProgressReport
 from pedzoo.maps.formats import write_ros
 from pedzoo.maps.plans import flat
 from tools.bench.tables import print_bench

@@ -20,8 +20,7 @@ from pedzoo.core import renamed
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import find_config, weight_files
-from pedzoo.eval.cards.numbers import compare
-from pedzoo.eval.cards.reports import Job, report_of
+from pedzoo.eval.cards import Job, compare, report_of
 from pedzoo.eval.comparison import Comparison
 from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.rollout import rollout

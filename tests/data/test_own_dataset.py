@@ -13,7 +13,7 @@ from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.data.provenance import provenance
 from pedzoo.data.recordings import find_fold, open_fold
-from pedzoo.eval.cards import numbers as card_numbers
+from pedzoo.eval import cards as card_numbers
 from pedzoo.eval.trained_on import has_seen
 from pedzoo.models.export.publish import publish, zoo_name
 from pedzoo.models.zoo.card import read_card

@@ -19,14 +19,11 @@ from pedzoo.metrics.displacement import displacement_error
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.zoo.loading import save_weights
 
-SAMPLED = (
-    {"ade_sampled_m", "fde_sampled_m", "sample_distance_m", "calibration_error"}
-    | {
-        "fde_of_min_ade_3_agent_m",
-        "miss_rate_3",
-    }
-    | {f"min_{name}_3_{over}_m" for name in ("ade", "fde") for over in ("scene", "agent")}
-)
+SAMPLED = {
+    *("ade_sampled_m", "fde_sampled_m", "sample_distance_m", "calibration_error"),
+    *("fde_of_min_ade_3_agent_m", "miss_rate_3"),
+    *(f"min_{name}_3_{over}_m" for name in ("ade", "fde") for over in ("scene", "agent")),
+}
 
 
 @pytest.fixture(scope="module")
@@ -54,13 +51,8 @@ def test_models_stand_between_the_baselines_under_one_protocol(weights: dict[str
     names = [weights["plain"], weights["goal"]]
     report = forecast(names, data, samples=3, seed=5, progress=lambda *step: seen.append(step))
     rows = report["rows"]
-    assert [row["name"] for row in rows] == [
-        "constant_velocity",
-        *names,
-        "straight_line",
-        "bent_line",
-        "anchors",
-    ]
+    order = ["constant_velocity", *names, "straight_line", "bent_line", "anchors"]
+    assert [row["name"] for row in rows] == order
     assert report["protocol"] == data.protocol | {"split": "test", "samples": 3}
     assert report["protocol"]["goal"] == "destination" and report["protocol"]["fold"] == "embedded"
     assert report["seeds"] == [5]
@@ -79,9 +71,8 @@ def test_without_goals_there_are_no_lines_to_them(weights: dict[str, str]) -> No
     rows = forecast([weights["plain"]], make_data(), samples=0)["rows"]
     assert [row["name"] for row in rows] == ["constant_velocity", weights["plain"]]
     assert all(set(row["metrics"]) == {"ade_m", "fde_m", "next_step_m"} for row in rows)
-    assert [row["name"] for row in forecast(["constant_velocity"], make_data(), 0)["rows"]] == [
-        "constant_velocity"
-    ]
+    (row,) = forecast(["constant_velocity"], make_data(), 0)["rows"]
+    assert row["name"] == "constant_velocity"
 
 
 def test_constant_velocity_by_hand() -> None:
@@ -118,10 +109,8 @@ def test_samples_count_and_repeat_with_their_seed(weights: dict[str, str]) -> No
         assert first[key] != other[key]
     assert first["sample_distance_m"] > 1e-3
     assert first["min_ade_3_agent_m"] < first["min_ade_3_scene_m"] < first["ade_sampled_m"]
-    assert (
-        forecast(["bent_line", name], make_data("window_end", batch_size=64), 3)["rows"][2]["metrics"]
-        == first
-    )
+    among = forecast(["bent_line", name], make_data("window_end", batch_size=64), 3)["rows"]
+    assert among[2]["metrics"] == first
 
 
 def test_mode_and_samples_are_those_of_the_model(weights: dict[str, str]) -> None:
@@ -141,12 +130,6 @@ def test_mode_and_samples_are_those_of_the_model(weights: dict[str, str]) -> Non
         assert metrics[name] == pytest.approx(error.mean().item(), rel=1e-5)
 
 
-def test_a_model_asked_for_another_goal_says_so(weights: dict[str, str]) -> None:
-    rows = {row["name"]: row for row in forecast(list(weights.values()), make_data("window_end"), 1)["rows"]}
-    assert rows[weights["goal"]]["case"] == {"note": "trained for destination goals"}
-    assert rows[weights["plain"]]["case"] == {} and rows["bent_line"]["case"] == {}
-
-
 def test_lines_know_whether_the_goal_is_timed() -> None:
     timed, free = (
         {row["name"]: row["metrics"] for row in forecast([], make_data(goal), 0)["rows"]}
@@ -156,6 +139,12 @@ def test_lines_know_whether_the_goal_is_timed() -> None:
         assert timed[name]["fde_m"] < 1e-5 < free[name]["fde_m"]
     assert timed["bent_line"]["ade_m"] < timed["straight_line"]["ade_m"]
     assert timed["constant_velocity"] == free["constant_velocity"]
+
+
+def test_a_model_asked_for_another_goal_says_so(weights: dict[str, str]) -> None:
+    rows = {row["name"]: row for row in forecast(list(weights.values()), make_data("window_end"), 1)["rows"]}
+    other = {weights["goal"]: {"note": "trained for destination goals"}}
+    assert {name: row["case"] for name, row in rows.items()} == {name: {} for name in rows} | other
 
 
 @pytest.mark.parametrize("split", ["train", "val", "test"])
@@ -175,16 +164,15 @@ def test_unknown_positions_do_not_count(weights: dict[str, str]) -> None:
 
 
 def test_what_cannot_be_forecast_is_refused(weights: dict[str, str]) -> None:
-    with pytest.raises(UserError, match=r"goal\.safetensors needs a goal.*trained on destination"):
-        forecast([weights["goal"]], make_data())
-    with pytest.raises(UserError, match="bent_line needs a goal"):
-        forecast(["bent_line"], make_data())
-    with pytest.raises(UserError, match="random_future goals are for training"):
-        forecast([], make_data("random_future"))
-    with pytest.raises(UserError, match="unknown model 'bent_lime': did you mean 'bent_line'"):
-        forecast(["bent_lime"], make_data())
-    with pytest.raises(UserError, match="samples -1: expected at least 0"):
-        forecast([], make_data(), samples=-1)
+    for names, goal, samples, message in (
+        ([weights["goal"]], "none", 20, r"goal\.safetensors needs a goal.*trained on destination"),
+        (["bent_line"], "none", 20, "bent_line needs a goal"),
+        ([], "random_future", 20, "random_future goals are for training"),
+        (["bent_lime"], "none", 20, "unknown model 'bent_lime': did you mean 'bent_line'"),
+        ([], "none", -1, "samples -1: expected at least 0"),
+    ):
+        with pytest.raises(UserError, match=message):
+            forecast(names, make_data(goal), samples)
 
 
 def test_the_command_writes_what_the_function_returns(
@@ -192,10 +180,8 @@ def test_the_command_writes_what_the_function_returns(
 ) -> None:
     out = tmp_path / "out.json"
     argv = ["forecast", weights["goal"], "--data.fold", "embedded", "--data.goal", "window_end"]
-    assert (
-        main([*argv, "--data.loading.batch_size", "256", "--samples", "3", "--seed", "4", "--json", str(out)])
-        == 0
-    )
+    argv += ["--data.loading.batch_size", "256", "--samples", "3", "--seed", "4"]
+    assert main([*argv, "--json", str(out)]) == 0
     written = json.loads(out.read_text())
     direct = forecast([weights["goal"]], make_data("window_end"), 3, 4)
     assert written["command"] == "forecast" and "torch" in written["versions"]

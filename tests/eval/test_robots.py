@@ -13,8 +13,8 @@ import torch
 
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
-from pedzoo.eval.cards import numbers as card_numbers
-from pedzoo.eval.cards.reports import Job, report_of
+from pedzoo.eval import cards as card_numbers
+from pedzoo.eval.cards import Job, report_of
 from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.robots import robot_rollout, robot_row
 from pedzoo.eval.suite import EvaluationOptions

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from contextlib import nullcontext
 from dataclasses import fields
 from pathlib import Path
 
@@ -64,10 +65,10 @@ def test_paths_with_commas_are_written_in_quotes(tmp_path: Path, capsys: pytest.
     file = tmp_path / "a,b" / "plan.yaml"
     file.parent.mkdir()
     write_ros(load_plan("flat"), file)
-    how = ["--physics", "compiled", "--episodes", "1", "--scenario"]
+    how = ["go_to_goal", "--physics", "compiled", "--episodes", "1", "--scenario"]
     for plan in (f"'{file}'", f"['{file}',flat]"):
-        assert main(["rollout", "go_to_goal", *how, f"goals:map={plan},people=2,goals=1,pool=4"]) == 0
-    assert main(["rollout", "go_to_goal", *how, f"goals:map={file},people=2"]) == 2
+        assert main(["rollout", *how, f"goals:map={plan},people=2,goals=1,pool=4"]) == 0
+    assert main(["rollout", *how, f"goals:map={file},people=2"]) == 2
     assert f"a value with commas needs quotes: map='{file}'" in capsys.readouterr().err
 
 
@@ -89,15 +90,10 @@ def test_episodes_are_the_same_however_many_walk_together(
     in_parts, env = rollout("orca:dt=0.4", scenario, "compiled", 3, seed=3)
     assert env.batch_size[0] == 2 and len(set(together.length.tolist())) > 1
     assert_same(together, in_parts, 1e-5)
-
-
-@pytest.mark.parametrize("scenario", ["door", "goals:people=3,goals=1,pool=8"])
-def test_nothing_changes_after_the_end(scenario: str) -> None:
-    walked, _ = rollout("go_to_goal", scenario, "compiled", 4, seed=3)
-    for episode, length in enumerate(walked.length.tolist()):
-        assert not walked.present[episode, :, length:].any()
-        assert not walked.agent_contact[episode, :, length:].any()
-        for value in (walked.trace, walked.goal, walked.reached):
+    for episode, length in enumerate(together.length.tolist()):  # nothing changes after the end
+        assert not together.present[episode, :, length:].any()
+        assert not together.agent_contact[episode, :, length:].any()
+        for value in (together.trace, together.goal, together.reached):
             after = value[episode, :, length - 1 :]
             assert torch.equal(after, after[:, :1].expand_as(after))
 
@@ -111,7 +107,7 @@ def test_trace_goes_on_from_the_warm_start_at_possible_speeds() -> None:
     assert (walked.reached[:, :, 0] == 0).all() and walked.goals == env.scenario.goals == 1
 
 
-def test_rollout_knows_whom_the_policy_moves_and_what_ways_were_planned() -> None:
+def test_rollout_knows_who_moves_and_what_ways_were_planned() -> None:
     walked, _ = rollout("go_to_goal", "goals:people=3,goals=2,pool=8", "compiled", 3)
     assert not walked.replayed and walked.gate is None
     assert torch.equal(walked.scored, walked.present) and torch.equal(walked.met, walked.present)
@@ -124,7 +120,7 @@ def test_rollout_knows_whom_the_policy_moves_and_what_ways_were_planned() -> Non
     assert abs(int((more > 0).sum()) - int(hit.sum())) <= walked.mask.sum()  # goals of the last decision
 
 
-def test_a_lone_person_walks_the_planned_way_in_the_time_that_it_takes() -> None:
+def test_a_lone_person_takes_as_long_as_the_planned_way() -> None:
     walked, _ = rollout("go_to_goal", "door:people=1", "compiled", 6)
     assert walked.gate is not None
     assert walked.gate.tolist() == [pytest.approx([0.0, 0.0, 1.0, 0.0, 0.85])] * 6
@@ -135,7 +131,7 @@ def test_a_lone_person_walks_the_planned_way_in_the_time_that_it_takes() -> None
     assert "symmetry_index" not in metrics and "specific_flow_per_m_s" not in metrics
 
 
-def test_both_worlds_see_the_same_walk() -> None:
+def test_both_physics_see_the_same_walk() -> None:
     pytest.importorskip("pybullet")
     grid, _ = rollout("go_to_goal", "door", "compiled", 3, seed=1)
     bullet, env = rollout("go_to_goal", "door", "bullet", 3, seed=1)
@@ -202,31 +198,15 @@ def test_progress_reaches_all_episodes() -> None:
 def test_command_prints_what_it_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "out.json"
     policies = ["orca:radius=0.1,dt=0.4", "go_to_goal"]
-    words = [
-        "rollout",
-        *policies,
-        "--physics",
-        "compiled",
-        "--episodes",
-        "3",
-        "--seed",
-        "2",
-        "--json",
-        str(file),
-    ]
+    words = ["rollout", *policies, "--physics", "compiled", "--episodes", "3", "--seed", "2"]
+    words += ["--json", str(file)]
     assert main([*words, "--warm-start", "static", "--deterministic"]) == 0
     printed = capsys.readouterr().out
     report = json.loads(file.read_text())
     assert report["command"] == "rollout" and report["seeds"] == [2] and "torch" in report["versions"]
-    assert report["protocol"] == {
-        "scenario": "door",
-        "physics": "compiled",
-        "episodes": 3,
-        "noise": "none",
-        "device": "cpu",
-        "warm_start": "static",
-        "clearance": 0.25,
-    }
+    where = {"scenario": "door", "physics": "compiled", "episodes": 3}
+    how = {"noise": "none", "device": "cpu", "warm_start": "static", "clearance": 0.25}
+    assert report["protocol"] == where | how
     assert [result["name"] for result in report["rows"]] == policies
     shown = [cell.strip() for line in printed.splitlines() for cell in line.split("│")]
     for result in report["rows"]:
@@ -247,13 +227,7 @@ def test_interrupted_command_prints_what_is_over(
         if name == "go_to_goal:dt=0.2" and done == 2:
             raise KeyboardInterrupt
 
-    class Quiet:
-        def __enter__(self):
-            return interrupt
-
-        def __exit__(self, *error: object) -> None: ...
-
-    monkeypatch.setattr("pedzoo.cli.progress.progress_bar", Quiet)
+    monkeypatch.setattr("pedzoo.cli.progress.progress_bar", lambda: nullcontext(interrupt))
     monkeypatch.setattr(Compiled, "scenes_at_once", 1)
     file = tmp_path / "out.json"
     words = ["rollout", "go_to_goal", "go_to_goal:dt=0.2", "orca", "--physics", "compiled", "--episodes", "2"]
@@ -287,13 +261,8 @@ def test_interrupted_command_prints_what_is_over(
     ],
 )
 def test_mistakes_on_the_command_line_are_one_line(
-    words: list[str],
-    expected: str,
-    capsys: pytest.CaptureFixture[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    words: list[str], expected: str, capsys: pytest.CaptureFixture[str], elsewhere: Path
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     if "--physics" not in words:
         words = [*words, "--physics", "compiled"]
     assert main(["rollout", *words]) == 2
@@ -308,24 +277,15 @@ def test_overview_names_scenarios_and_policies(capsys: pytest.CaptureFixture[str
         assert f"  {name}" in text.partition("policies (and every model):")[2]
 
 
-def test_a_misspelt_policy_is_found_before_any_has_walked() -> None:
-    with pytest.raises(UserError, match="orka"):
+def test_a_comparison_checks_names_and_closes_its_physics() -> None:
+    with pytest.raises(UserError, match="orka"):  # before any has walked
         Comparison(["go_to_goal", "orka"], "door", "compiled", 1)
-
-
-def test_comparison_closes_its_worlds() -> None:
-    with Comparison(["go_to_goal"], "door", "compiled", 1) as comparison:
+    with Comparison(["go_to_goal", "go_to_goal"], "door", "compiled", 1) as comparison:
         comparison.run()
         (walked,) = comparison.walked
         closed = []
         walked.env.physics.close = lambda: closed.append(True)
-    assert closed == [True]
-
-
-def test_same_policy_twice_is_one_row() -> None:
-    with Comparison(["go_to_goal", "go_to_goal"], "door", "compiled", 1) as comparison:
-        comparison.run()
-    assert len(comparison.report()["rows"]) == 1
+    assert closed == [True] and len(comparison.report()["rows"]) == 1  # the same policy twice is one row
 
 
 def test_make_env_takes_what_a_rollout_passes_on() -> None:
@@ -342,7 +302,5 @@ def test_what_rollout_returns_is_measured_as_it_is() -> None:
 
 
 def test_models_have_a_short_repr() -> None:
-    assert re.fullmatch(
-        r"SGAN\('sgan_goal_map\.indoor', goal \w+, [\d,]+ weights\)",
-        repr(pedzoo.load("sgan_goal_map.indoor")),
-    )
+    shown = repr(pedzoo.load("sgan_goal_map.indoor"))
+    assert re.fullmatch(r"SGAN\('sgan_goal_map\.indoor', goal \w+, [\d,]+ weights\)", shown)

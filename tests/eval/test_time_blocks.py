@@ -9,8 +9,7 @@ import torch
 
 from pedzoo.core.batch import agents_of
 from pedzoo.data.datamodule import Loading, TrajectoryDataModule
-from pedzoo.eval.forecast import forecast_row
-from pedzoo.eval.time_blocks import BlockSums, blocks
+from pedzoo.eval.forecast import BlockSums, blocks, forecast_row
 from pedzoo.metrics.forecast import ForecastScore
 from pedzoo.metrics.forecast_nll import NegativeLogLikelihood
 from pedzoo.metrics.statistics.intervals import ratio_interval

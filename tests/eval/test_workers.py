@@ -1,4 +1,7 @@
-"""Many workers do what one does, and no way of ending leaves anything behind."""
+"""Many workers do what one does, and no way of ending leaves anything behind.
+
+A worker takes 2.5 s to start, so few tests have any.
+"""
 
 from __future__ import annotations
 
@@ -12,18 +15,22 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib.util import find_spec
+from multiprocessing import resource_tracker
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
+import cloudpickle
 import pytest
 import torch
-from helpers.errands import answer, complain, fail, lock, pause, process_of
+from helpers.errands import answer, fail, pause, process_of
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from pedzoo.core.errors import UserError
-from pedzoo.eval.workers.pool import JobQueue, finished, grouped
+from pedzoo.eval import parallel
+from pedzoo.eval.parallel import JobQueue, finished
 
 needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="needs Ray")
 BACKENDS = ["processes", pytest.param("ray", marks=[needs_ray, pytest.mark.slow])]
@@ -51,86 +58,98 @@ def is_alive(process: int) -> bool:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_many_workers_give_what_one_gives_and_do_nothing_twice(
+def test_two_workers_give_what_one_gives_and_leave_nothing(
     backend, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    resource_tracker.ensure_running()  # the first processes would leave it open
+    monkeypatch.chdir(tmp_path)
     if backend == "processes":
         monkeypatch.setenv("PEDZOO_HOME", "elsewhere")
-    monkeypatch.chdir(tmp_path)
-    if backend == "processes":  # a worker does not look into the working directory
+        # a worker does not look into the working directory
         Path("multiprocessing.py").write_text("raise SystemExit(3)")
     torch.set_num_threads(2)
+    gc.collect()  # what other tests left open is closed before it is counted
+    opened = set(os.listdir("/proc/self/fd"))
+    jobs, together = [(seed, str(tmp_path)) for seed in range(9)], {}
     try:
-        jobs = [(seed, str(tmp_path)) for seed in range(9)]
-        with set_exploration_type(ExplorationType.MEAN):
+        with set_exploration_type(ExplorationType.MEAN), pytest.warns(UserWarning, match="is odd") as caught:
+            for number, result in finished(jobs, answer, 2, backend, group=lambda job: job[0] // 2):
+                time.sleep(0 if together else 0.5)  # a busy caller loses no result
+                together[number] = result
+        if backend == "processes":
+            assert set(os.listdir("/proc/self/fd")) == opened
+            assert not any(Path(file.read_text()).exists() for file in tmp_path.glob("lock*"))
+        with set_exploration_type(ExplorationType.MEAN), pytest.warns(UserWarning, match="is odd"):
             alone = dict(finished(jobs, answer))
-            together = dict(finished(jobs, answer, 2, backend, group=lambda job: job[0] // 2))
         assert torch.get_num_threads() == 2
     finally:
         torch.set_num_threads(1)
     assert together == alone
     assert sorted(alone) == list(range(9)) and alone[0]["state"] == (1, True, "MEAN", str(tmp_path))
+    assert {str(one.message) for one in caught} == {f"job {seed} is odd" for seed in range(9)}
     done = Counter((tmp_path / "done").read_text().split())
     assert done == {str(seed): 2 for seed in range(9)}  # once alone, once together
 
 
-def test_results_come_one_by_one_from_other_processes_which_end_with_the_iterator() -> None:
-    results = finished(range(4), process_of, 2)
-    processes = {next(results)[1][1] for _ in range(2)}
+def test_workers_are_processes_that_end_with_the_iterator() -> None:
+    results = finished([0, 0, 100, 100], pause, 2)
+    processes = {next(results)[1] for _ in range(2)}
     assert os.getpid() not in processes and all(map(is_alive, processes))
+    shared = os.listdir("/dev/shm")  # torch puts a number of the process into the names of shared tensors
+    assert not [name for name in shared if any(f"_{process}_" in name for process in processes)]
     results.close()
     assert not any(map(is_alive, processes))
 
 
-def test_nothing_stays_open() -> None:
-    list(finished(range(4), process_of, 2))
-    gc.collect()  # what other tests left open is closed before it is counted
-    before = set(os.listdir("/proc/self/fd"))
-    processes = {process for _, (_, process) in finished(range(4), process_of, 2)}
-    assert set(os.listdir("/proc/self/fd")) == before
-    shared = os.listdir("/dev/shm")  # torch puts a number of the process into the names of shared tensors
-    assert not [name for name in shared if any(f"_{process}_" in name for process in processes)]
-    results = finished(range(2), lock, 2)
-    file = Path(next(results)[1])
-    assert file.exists()
-    results.close()
-    assert not file.exists()
+def test_a_killed_worker_is_named_while_others_are_busy() -> None:
+    message = r"^worker \d of 2 is killed by SIGKILL \(in job 1, 'kill'\); .* fewer workers"
+    with pytest.raises(RuntimeError, match=message):
+        list(finished(["long", "kill"], fail, 2))
+    with parallel._processes(b"", 1) as (worker,):
+        assert worker.death(SystemExit(7)) == "gone with exit code 7"
 
 
-def test_no_result_is_lost_while_the_caller_is_busy(tmp_path: Path) -> None:
-    jobs = [(seed, str(tmp_path)) for seed in range(6)]
-    numbers = []
-    for number, _ in finished(jobs, answer, 3):
-        if not numbers:
-            time.sleep(1.3)
-        numbers.append(number)
-    assert sorted(numbers) == list(range(6))
-    assert len((tmp_path / "done").read_text().split()) == 6
+@pytest.fixture
+def do(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., tuple[Any, Any, Any]]]:
+    """A function that does in this process what a worker does with the only job of a function."""
+
+    def done(work: Callable[[Any], Any], job: Any) -> tuple[Any, Any, Any]:
+        monkeypatch.setattr(parallel, "_payload", cloudpickle.dumps(([job], work, True)))
+        parallel._sent.cache_clear()
+        return cloudpickle.loads(parallel._do(0))
+
+    yield done
+    parallel._sent.cache_clear()
 
 
 @pytest.mark.parametrize(
     ("job", "kind", "message"),
     [
-        ("user", UserError, r"^no map 'x': expected a file"),
-        ("own", RuntimeError, r"^OwnError: cannot be rebuilt"),
-        (
-            "kill",
-            RuntimeError,
-            r"^worker \d of 2 is killed by SIGKILL \(in job 1, 'kill'\); .* fewer workers",
-        ),
-        ("exit", RuntimeError, r"^worker \d of 2 is gone with exit code 7 \(in job 1, 'exit'\)"),
+        ("user", UserError, "no map 'x': expected a file"),
+        ("own", RuntimeError, "OwnError: cannot be rebuilt"),
     ],
 )
-def test_errors_of_a_worker_reach_the_caller_while_others_are_busy(job, kind, message) -> None:
-    with pytest.raises(kind, match=message) as caught:
-        list(finished(["long", job], fail, 2))
-    if job in ("user", "own"):
-        assert "in fail" in "".join(caught.value.__notes__)  # where it was raised
+def test_an_error_says_where_in_the_worker_it_was(do, job: str, kind: type, message: str) -> None:
+    result, error, _ = do(fail, job)
+    assert result == b"" and type(error) is kind and str(error) == message
+    assert "in job 0 in a worker" in error.__notes__[0] and "in fail" in error.__notes__[0]
+
+
+def test_a_function_that_a_worker_cannot_load_is_a_mistake(do, monkeypatch: pytest.MonkeyPatch) -> None:
+    gone = ModuleType("gone")
+    exec("def work(job): return job", gone.__dict__)
+    monkeypatch.setitem(sys.modules, "gone", gone)
+    payload = cloudpickle.dumps(gone.work)
+    monkeypatch.delitem(sys.modules, "gone")
+    monkeypatch.setattr(cloudpickle, "dumps", lambda value: payload)
+    with pytest.raises(UserError, match=r"cannot load the jobs or their function: No module named 'gone'"):
+        monkeypatch.setattr(parallel, "_payload", payload)
+        parallel._sent()
 
 
 @needs_ray
 @pytest.mark.slow
-def test_ray_tells_of_errors_and_of_actors_that_die_and_its_cluster_stays() -> None:
+def test_ray_tells_of_errors_and_dead_actors_and_its_cluster_stays() -> None:
     import ray  # pyright: ignore[reportMissingImports]
 
     ray.init(address="local", num_cpus=2, include_dashboard=False, log_to_driver=False)
@@ -166,7 +185,7 @@ EARLY = """
 import os, signal, threading
 from multiprocessing.context import SpawnProcess
 from helpers.errands import process_of
-from pedzoo.eval.workers.pool import finished
+from pedzoo.eval.parallel import finished
 
 pressed = threading.Timer(0.3, os.killpg, (0, signal.SIGINT))
 
@@ -183,7 +202,7 @@ except KeyboardInterrupt:
 """
 
 
-def test_ctrl_c_while_workers_are_started_leaves_no_word() -> None:
+def test_ctrl_c_while_workers_start_leaves_no_word() -> None:
     command, folder = [sys.executable, "-c", EARLY], Path(__file__).parents[1]
     done = subprocess.run(
         command, cwd=folder, capture_output=True, text=True, timeout=100, start_new_session=True
@@ -191,43 +210,38 @@ def test_ctrl_c_while_workers_are_started_leaves_no_word() -> None:
     assert (done.stdout, done.stderr) == ("interrupted\n", "")
 
 
-@pytest.mark.parametrize("count", [1, 2])
-def test_warnings_of_jobs_reach_the_caller(count) -> None:
-    with pytest.warns(UserWarning, match="is odd") as caught:
-        assert dict(finished(range(2), complain, count)) == {0: 0, 1: 1}
-    assert sorted(str(warning.message) for warning in caught) == ["job 0 is odd", "job 1 is odd"]
+SCRIPT = """
+class Job:
+    size = 2
+class Odd(Exception): pass
+def work(job):
+    if job.size > 2: raise Odd('size')
+    return helper(job)
+def helper(job): return job.size
+"""
 
 
-def test_jobs_and_functions_of_a_script_or_a_notebook_need_no_guard(
+def test_jobs_of_a_script_or_a_notebook_need_no_guard(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     script = tmp_path / "script.py"
     script.write_text("raise RuntimeError('a worker runs the script')")
-    for file in (str(script), None):
-        main = ModuleType("__main__")
-        if file:
-            main.__file__ = file
-        code = "class Job:\n  size = 2\nclass Odd(Exception): pass\n"
-        code += "def work(job):\n  if job.size > 2: raise Odd('size')\n  return helper(job)\n"
-        exec(code + "def helper(job): return job.size", main.__dict__)
-        with monkeypatch.context() as patch:
-            patch.setitem(sys.modules, "__main__", main)
-            jobs = [main.Job(), main.Job()]
-            if file:
-                assert dict(finished(jobs, main.work, 2)) == {0: 2, 1: 2}
-            jobs[1].size = 3
-            with pytest.raises(main.Odd, match="size"):
-                list(finished(jobs, main.work, 2))
+    main = ModuleType("__main__")
+    main.__file__ = str(script)
+    exec(SCRIPT, main.__dict__)
+    monkeypatch.setitem(sys.modules, "__main__", main)
+    jobs = [main.Job(), main.Job(), main.Job()]
+    jobs[2].size = 3
+    seen = {}
+    with pytest.raises(main.Odd, match="size"):
+        for number, result in finished(jobs, main.work, 2):
+            seen[number] = result
+    assert seen and set(seen.values()) == {2}
 
 
-def test_what_other_processes_cannot_have_is_a_clear_mistake(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_cannot_be_done_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(UserError, match=r"cannot be sent these jobs .*lock.*workers=1"):
         list(finished([threading.Lock()] * 2, str, 2))
-    gone = ModuleType("gone")
-    exec("def work(job): return job", gone.__dict__)
-    monkeypatch.setitem(sys.modules, "gone", gone)
-    with pytest.raises(UserError, match=r"cannot load the jobs or their function: No module named 'gone'"):
-        list(finished(range(2), gone.work, 2))
     with pytest.raises(UserError, match=r"^workers 0: expected at least 1"):
         finished([1], process_of, 0)
     with pytest.raises(UserError, match=r"unknown backend 'rat': did you mean 'ray'"):
@@ -237,35 +251,31 @@ def test_what_other_processes_cannot_have_is_a_clear_mistake(monkeypatch: pytest
         finished([1], process_of, 2, "ray")
 
 
-def test_no_jobs_are_no_work() -> None:
-    assert list(finished([], process_of, 4)) == []
-
-
 def test_one_worker_goes_from_group_to_group() -> None:
     order = [number for number, _ in finished([5, 6, 7, 8], process_of, group=lambda job: job % 2)]
     assert order == [0, 2, 1, 3]
+    assert list(finished([], process_of, 4)) == []
 
 
-def test_a_worker_stays_with_its_group_and_then_helps_where_most_is_left() -> None:
-    shares = JobQueue(grouped(list("abacaba")))  # a: 0 2 4 6, b: 1 5, c: 3
-    assert shares.take(None) == (0, 0)
-    assert shares.take(None) == (1, 1)
-    assert shares.take(1) == (5, 1)
-    assert shares.take(1) == (3, 2)
-    assert shares.take(2) == (2, 0)  # nothing but a is left
-    assert [shares.take(0), shares.take(0), shares.take(0)] == [(4, 0), (6, 0), None]
+def test_a_worker_stays_with_its_group_and_then_helps() -> None:
+    queue = JobQueue(list("abacaba"))  # a: 0 2 4 6, b: 1 5, c: 3
+    assert queue.take() == (0, "a")
+    assert queue.take() == (1, "b")
+    assert queue.take("b") == (5, "b")
+    assert queue.take("b") == (3, "c")
+    assert queue.take("c") == (2, "a")  # nothing but a is left
+    assert [queue.take("a"), queue.take("a"), queue.take("a")] == [(4, "a"), (6, "a"), None]
 
 
-def test_every_job_is_handed_out_once_who_asks() -> None:
+def test_every_job_is_handed_out_once_whoever_asks() -> None:
     draw = random.Random(0)
     for _ in range(50):
         keys = [draw.randrange(5) for _ in range(draw.randrange(1, 30))]
-        groups = grouped(keys)
-        shares = JobQueue(groups)
+        queue = JobQueue(keys)
         last: list[int | None] = [None] * 4
         taken = []
-        while (share := shares.take(last[worker := draw.randrange(4)])) is not None:
-            assert keys[share[0]] == keys[groups[share[1]][0]]
-            taken.append(share[0])
-            last[worker] = share[1]
+        while (job := queue.take(last[worker := draw.randrange(4)])) is not None:
+            assert keys[job[0]] == job[1]
+            taken.append(job[0])
+            last[worker] = keys[job[0]]
         assert sorted(taken) == list(range(len(keys)))

@@ -11,7 +11,7 @@ from pedzoo.cli.main import main, overview
 from pedzoo.core.paths import CARD, shipped, weight_files
 from pedzoo.core.registry import SUITES, Registry, folder_of
 from pedzoo.core.renamed import new_keys
-from pedzoo.eval.cards.reports import about
+from pedzoo.eval.cards import about
 from pedzoo.models.zoo.card import read_card
 
 

@@ -34,26 +34,10 @@ def test_the_page_and_what_happens_are_served() -> None:
         assert "connect-src &#x27;self&#x27;" in text and '"live":"/live"' in text
         with pytest.raises(urllib.error.HTTPError, match="404"):
             urllib.request.urlopen(f"{address}/../etc/passwd")
-        for name, status in (
-            *(
-                (f"127.0.0.1:{port}", 200),
-                (f"LocalHost:{port}", 200),
-                ("localhost:9000", 200),
-                ("[::1]", 200),
-            ),
-            *(
-                (f"evil.example:{port}", 403),
-                ("", 403),
-                ("localhost.evil.example", 403),
-                ("127.0.0.1.nip.io", 403),
-            ),
-            *(
-                ("evil.example#localhost", 403),
-                ("localhost@evil.example", 403),
-                ("0.0.0.0", 403),
-                ("[::1", 403),
-            ),
-        ):
+        here = [f"127.0.0.1:{port}", f"LocalHost:{port}", "localhost:9000", "[::1]"]
+        elsewhere = [f"evil.example:{port}", "", "localhost.evil.example", "127.0.0.1.nip.io"]
+        elsewhere += ["evil.example#localhost", "localhost@evil.example", "0.0.0.0", "[::1"]
+        for name, status in [*((one, 200) for one in here), *((one, 403) for one in elsewhere)]:
             for path in ("/", "/live"):
                 asked = HTTPConnection(HOST, int(port))
                 asked.request("GET", path, headers={"Host": name})

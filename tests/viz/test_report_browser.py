@@ -15,8 +15,8 @@ import pytest
 
 from pedzoo.eval.packed_episodes import _differences, _text, packed_plan
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.viz.report.content import content_of
-from pedzoo.viz.report.page import page
+from pedzoo.viz.page import page
+from pedzoo.viz.report import content_of
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -37,19 +37,9 @@ def crowd(people: int, seed: int, touch: bool = False) -> dict[str, Any]:
         radius = 2.0 + 6 * (i % 7) / 7
         tracks.append(np.stack((10 + radius * np.cos(angle), 10 + radius * np.sin(angle)), 1))
     tracks[0] = np.ones_like(tracks[0])
-    entries = [
-        {
-            "slot": i,
-            "person": i,
-            "robot": i == 1,
-            "radius": 0.15,
-            "first": 0,
-            "goals": [[0, 10.0, 10.0]],
-            "touch": [[100, 104]] if touch and i == 0 else [],
-            "wall": [],
-        }
-        for i in range(people)
-    ]
+    common = {"radius": 0.15, "first": 0, "goals": [[0, 10.0, 10.0]], "wall": []}
+    entries = [{"slot": i, "person": i, "robot": i == 1, "touch": [], **common} for i in range(people)]
+    entries[0]["touch"] = [[100, 104]] if touch else []
     return {
         "episode": 0, "seed": seed, "plan": "1", "points": POINTS, "dt": 0.1, "people": entries,
         "counts": [POINTS + 1] * people, "xy": _text(np.concatenate([_differences(one) for one in tracks])),
@@ -114,7 +104,7 @@ def test_playing_advances_until_it_is_stopped(tab: Any) -> None:
     assert seconds(tab) == stopped
 
 
-def test_fifty_people_on_both_sides_stay_at_30_frames_per_second(tab: Any) -> None:
+def test_fifty_people_on_both_sides_are_30_frames_per_second(tab: Any) -> None:
     """Counted in time of the page's own thread: other work on the machine does not matter."""
     tools = tab.context.new_cdp_session(tab)
     tools.send("Performance.enable", {"timeDomain": "threadTicks"})
@@ -133,13 +123,8 @@ def test_fifty_people_on_both_sides_stay_at_30_frames_per_second(tab: Any) -> No
 
 def test_scrubbing_keys_and_layers(tab: Any) -> None:
     tab.evaluate("document.activeElement.blur()")
-    for key, time in (
-        ("ArrowRight", 0.1),
-        ("Shift+ArrowRight", 1.1),
-        ("ArrowLeft", 1.0),
-        ("End", 60),
-        ("Home", 0),
-    ):
+    keys = {"ArrowRight": 0.1, "Shift+ArrowRight": 1.1, "ArrowLeft": 1.0, "End": 60, "Home": 0}
+    for key, time in keys.items():
         tab.keyboard.press(key)
         assert seconds(tab) == pytest.approx(time)
     before = tab.evaluate("document.querySelector('canvas').toDataURL()")
@@ -152,14 +137,11 @@ def test_scrubbing_keys_and_layers(tab: Any) -> None:
     assert tab.input_value("#speed") == "2"
 
 
-def test_a_click_on_a_number_shows_the_episode_that_failed(tab: Any) -> None:
+def test_tables_sort_mark_the_best_and_lead_to_episodes(tab: Any) -> None:
     tab.locator("td button").first.click()
-    assert tab.input_value("#episode") == "0.0"
+    assert tab.input_value("#episode") == "0.0"  # the one that failed
     assert tab.input_value(".stage select") == "<b>orca</b>"
     tab.keyboard.press("Space")
-
-
-def test_sorting_and_the_best(tab: Any) -> None:
     names = "[...document.querySelectorAll('tbody th')].map((one) => one.textContent)"
     assert tab.evaluate(names)[0] == "<b>orca</b>"
     tab.locator("thead th button", has_text="success").click()

@@ -48,33 +48,28 @@ def drawn(walked: PolicyRollout, point: int) -> Axes:
     return axes
 
 
-@pytest.mark.parametrize("at", [5, 12])
-def test_meeting_is_when_two_are_nearest(walked: PolicyRollout, at: int) -> None:
-    assert meeting(passing(walked.rollout, at), 0) == at
-
-
-def test_people_who_stop_before_each_other_meet_when_they_stop(walked: PolicyRollout) -> None:
+def test_meeting_is_when_two_are_first_nearest(walked: PolicyRollout) -> None:
+    for at in (5, 12):
+        assert meeting(passing(walked.rollout, at), 0) == at
     both = passing(walked.rollout, 12)
-    trace = both.trace.clone()
+    trace = both.trace.clone()  # they stop before each other
     trace[0, :, 6:] = trace[0, :, 6:7] + 0.001 * torch.arange(trace.shape[2] - 6).unsqueeze(-1)
     assert meeting(replace(both, trace=trace), 0) == 6
-
-
-def test_who_is_alone_meets_no_person(walked: PolicyRollout) -> None:
     present = torch.zeros_like(walked.rollout.present)
-    present[0, 0, :20] = True
+    present[0, 0, :20] = True  # who is alone meets no person
     assert meeting(replace(walked.rollout, present=present), 0) == 10
+
+
+def points(axes: Axes, marker: str, fill: str = "full") -> list[np.ndarray]:
+    """Return the points of all lines that have a marker."""
+    lines = [one for one in axes.lines if one.get_marker() == marker and one.get_fillstyle() == fill]
+    return [np.asarray(line.get_xydata()) for line in lines]
 
 
 def test_star_dots_and_coloured_way(walked: PolicyRollout) -> None:
     path = torch.cat((walked.rollout.past[:, :, -1:], walked.rollout.trace), dim=2)[0].numpy()
     axes = drawn(walked, 20)
-    stars = [np.asarray(line.get_xydata()) for line in axes.lines if line.get_marker() == "*"]
-    dots = [
-        np.asarray(line.get_xydata())
-        for line in axes.lines
-        if line.get_marker() == "o" and line.get_fillstyle() == "full"
-    ]
+    stars, dots = points(axes, "*"), points(axes, "o")
     paths = [lines for lines in axes.collections if isinstance(lines, LineCollection)]
     assert len(stars) == len(dots) == len(paths) == 2
     for person in (0, 1):
@@ -85,17 +80,15 @@ def test_star_dots_and_coloured_way(walked: PolicyRollout) -> None:
         np.testing.assert_allclose(segments[:, 1], path[person, 1:21])
     grey = [np.asarray(line.get_xydata()) for line in axes.lines if line.get_color() == "0.6"]
     np.testing.assert_allclose(grey[0], walked.rollout.past[0, 0])
-    goals = [np.asarray(line.get_xydata()) for line in axes.lines if line.get_marker() == "x"]
-    np.testing.assert_allclose(np.concatenate(goals), walked.rollout.goal[0, :, 20])
+    np.testing.assert_allclose(np.concatenate(points(axes, "x")), walked.rollout.goal[0, :, 20])
 
 
-def test_who_has_left_stays_where_they_left_and_has_no_goal(walked: PolicyRollout) -> None:
+def test_who_has_left_stays_there_without_a_goal(walked: PolicyRollout) -> None:
     present = walked.rollout.present.clone()
     present[0, 1, 15:] = False
     axes = drawn(walked._replace(rollout=replace(walked.rollout, present=present)), 30)
-    stars = [np.asarray(line.get_xydata()) for line in axes.lines if line.get_marker() == "*"]
-    np.testing.assert_allclose(stars[1], walked.rollout.trace[0, 1, 14:15])
-    assert len([line for line in axes.lines if line.get_marker() == "x"]) == 1
+    np.testing.assert_allclose(points(axes, "*")[1], walked.rollout.trace[0, 1, 14:15])
+    assert len(points(axes, "x")) == 1
 
 
 def test_scenes_are_drawn_as_their_map_lies(walked: PolicyRollout) -> None:
@@ -107,17 +100,15 @@ def test_scenes_are_drawn_as_their_map_lies(walked: PolicyRollout) -> None:
         np.testing.assert_allclose(np.asarray(mine.get_xydata()), np.asarray(other.get_xydata()), atol=1e-5)
 
 
-def test_all_policies_are_shown_at_the_same_moments() -> None:
+def test_all_policies_are_shown_at_the_same_moments(walked: PolicyRollout) -> None:
     assert common_moments([20, 30], [50, 60]) == [12, 25, 38, 60]
     assert common_moments([2], [20]) == [0, 5, 10, 20]
     assert common_moments([19, 19], [20, 18]) == [11, 16, 20]  # no moment twice
-
-
-def test_most_have_met_at_the_first_moment_and_all_are_over_at_the_last(walked: PolicyRollout) -> None:
     present = walked.rollout.present.clone()
     present[:, :, 10:] = False
     shorter = walked._replace(rollout=replace(walked.rollout, present=present))
     met = 1 + meeting(walked.rollout, 0)
+    # most have met at the first moment, and all are over at the last
     assert meeting_and_end([walked, shorter, walked]) == (met, int(walked.rollout.length[0]))
     axes = Figure().subplots()
     draw_episode(axes, shorter, 0, 20)
@@ -130,9 +121,8 @@ def test_touches_are_marked_where_they_begin(walked: PolicyRollout) -> None:
     none = torch.zeros_like(contact)
     touched = replace(walked.rollout, wall_contact=contact, agent_contact=none)
     axes = drawn(walked._replace(rollout=touched), 20)
-    rings = [line for line in axes.lines if line.get_fillstyle() == "none"]
-    points = np.concatenate([np.asarray(line.get_xydata()) for line in rings])
-    np.testing.assert_allclose(points, walked.rollout.trace[0, 1, 7:8])
+    rings = np.concatenate(points(axes, "o", "none"))
+    np.testing.assert_allclose(rings, walked.rollout.trace[0, 1, 7:8])
 
 
 @pytest.mark.parametrize("suffix", [".png", ".pdf", ".svg"])

@@ -17,9 +17,8 @@ from typing import Any
 
 from pedzoo.cli.output import write_text
 from pedzoo.eval.evaluate import Evaluation
-from pedzoo.eval.results import markdown
+from pedzoo.eval.results import markdown, summary
 from pedzoo.eval.suite import EvaluationOptions
-from pedzoo.eval.summary import summary
 
 COMMAND = re.compile(r"Made by `(.*?)`")
 

@@ -34,7 +34,7 @@ from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
 from pedzoo.sim.physics_parts.camera import person_color
 from pedzoo.sim.scenario_parts.encounter import Encounter
-from pedzoo.viz.forecast_plots import draw_floor_plan
+from pedzoo.viz.plots import draw_floor_plan
 
 WINDOW = (14.6, 10.8)
 """Metres that a panel shows, unless a scene is larger."""

@@ -22,7 +22,7 @@ from playwright.sync_api import sync_playwright
 
 from pedzoo.core.paths import write_atomically
 from pedzoo.eval.comparison import Comparison
-from pedzoo.viz.report.episode import Replay
+from pedzoo.viz.episodes import Replay
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

@@ -10,10 +10,9 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any, ClassVar
 
+from pedzoo.eval.parallel import finished
 from pedzoo.eval.results import ResultTable, markdown_table
-from pedzoo.eval.workers.journal import Journal
-from pedzoo.eval.workers.pool import finished
-from pedzoo.eval.workers.progress_meter import Progress, ProgressReport
+from pedzoo.eval.work_units import Journal, Progress, ProgressReport
 
 
 class Reproduction(ABC):
@@ -81,7 +80,7 @@ class Jobs(Reproduction):
             digests: One of each job.
             work: Does a job and returns its rows, or why they cannot be made (``missing``).
             journal: A file that keeps finished jobs.
-            group: See `pedzoo.eval.workers.pool.finished`.
+            group: See `pedzoo.eval.parallel.finished`.
         """
         self.jobs, self._digests, self._journal = list(jobs), list(digests), Journal(journal)
         self._work, self._group, done = work, group, self._journal.done

@@ -6,7 +6,7 @@ import statistics
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pedzoo.eval.summary import mean_interval
+from pedzoo.eval.results import mean_interval
 from pedzoo.metrics.statistics.intervals import FEWEST
 from tools.paper.paper import Errors
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from pedzoo.core.batch import agents_of
 from pedzoo.data.datamodule import TrajectoryDataModule
-from pedzoo.eval.time_blocks import BlockSums
+from pedzoo.eval.forecast import BlockSums
 from pedzoo.metrics.forecast_nll import NegativeLogLikelihood
 from pedzoo.metrics.statistics.intervals import Interval
 from pedzoo.models.base import known_displacements, true_displacements

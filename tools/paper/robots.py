@@ -11,7 +11,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from pedzoo.core.paths import write_atomically
-from pedzoo.eval.cards.reports import only
+from pedzoo.eval.cards import only
 from pedzoo.eval.results import ResultTable
 from tools.paper.suites.transfer import PLACES, REACTING, RECORDED, Transfer
 from tools.paper.walked import Walked

@@ -13,10 +13,9 @@ from typing import Any, ClassVar, NamedTuple, cast
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import GoalProtocol
 from pedzoo.data.datamodule import TrajectoryDataModule
-from pedzoo.eval.forecast import BASELINES, FLOOR, forecast_row
+from pedzoo.eval.forecast import BASELINES, FLOOR, BlockSums, forecast_row
 from pedzoo.eval.results import ResultTable
 from pedzoo.eval.suites.replay import digest_of
-from pedzoo.eval.time_blocks import BlockSums
 from pedzoo.eval.work_units import fingerprint
 from pedzoo.models.zoo.loading import load
 from pedzoo.models.zoo.store import find

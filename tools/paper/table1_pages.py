@@ -6,8 +6,8 @@ import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from pedzoo.eval.forecast import FEW
 from pedzoo.eval.results import ResultTable
-from pedzoo.eval.time_blocks import FEW
 from tools.paper.base import interval_text
 from tools.paper.folds import mean_errors
 from tools.paper.line_density import NATS

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.results import INTERVALS, legend, protocol_line
 from pedzoo.eval.suite import EvaluationOptions
-from pedzoo.eval.workers.progress_meter import Progress
+from pedzoo.eval.work_units import Progress
 from pedzoo.models.zoo.store import names as zoo_names
 from tools.paper.base import Reproduction
 

@@ -22,7 +22,7 @@ from pedzoo.core.registry import SCENARIOS
 from pedzoo.core.spec import build
 from pedzoo.data.own_files import OwnFiles
 from pedzoo.data.tracks import Tracks
-from pedzoo.eval.workers.journal import Journal
+from pedzoo.eval.work_units import Journal
 from pedzoo.maps.formats import read_igibson, read_image, read_ros
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.zoo.card import read_card

@@ -40,9 +40,8 @@ ATTACKS: dict[str, tuple[str, ...]] = {
         f"{_RUN}::test_the_checkpoint_of_another_run_is_not_continued",
     ),
     "a dead worker": (
-        f"{_EVALUATE}::test_what_is_done_is_told_when_a_worker_dies",
-        f"{_EVALUATE}::test_a_killed_worker_is_named_and_what_others_finished_is_kept",
-        f"{_WORKERS}::test_ray_tells_of_errors_and_of_actors_that_die_and_its_cluster_stays",
+        f"{_EVALUATE}::test_a_killed_worker_is_named_and_finished_parts_are_kept",
+        f"{_WORKERS}::test_ray_tells_of_errors_and_dead_actors_and_its_cluster_stays",
     ),
     "a dead client of pybullet": (
         "tests/sim/test_physics.py::test_a_closed_physics_and_a_lost_client_say_what_to_do",
@@ -56,7 +55,7 @@ ATTACKS: dict[str, tuple[str, ...]] = {
         f"{_FETCH}::test_an_interrupted_download_is_continued_by_the_next",
     ),
     "a torn journal": (
-        f"{_EVALUATE}::test_a_journal_drops_a_line_that_was_cut_off_and_refuses_other_files",
+        f"{_EVALUATE}::test_a_journal_is_on_the_disk_and_refuses_other_files",
         f"{_EVALUATE}::test_a_journal_does_again_what_is_torn",
     ),
     "a small file with huge demands": ("tests/reliability/test_limits.py",),

@@ -24,7 +24,7 @@ from safetensors.torch import save
 
 from pedzoo.core.fetch import sha256_of
 from pedzoo.core.paths import CARD, WEIGHTS, shipped, write_atomically
-from pedzoo.eval.cards.numbers import measure_robot
+from pedzoo.eval.cards import measure_robot
 from pedzoo.models.zoo.card import ModelCard, read_card, write_card
 from pedzoo.policies.robot_weights import PREFIX
 from pedzoo.train.run import RunFolder

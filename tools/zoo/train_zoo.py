@@ -23,7 +23,7 @@ from forecast_table import table
 from zoo_recipes import RECIPES, Recipe
 
 from pedzoo.core.paths import CARD, shipped, weight_files
-from pedzoo.eval.cards.numbers import measure
+from pedzoo.eval.cards import measure
 from pedzoo.models.export.publish import publish
 from pedzoo.models.zoo.card import read_card, write_card
 

@@ -109,7 +109,7 @@ def _announce(number: int, total: int, title: str, command: str) -> None:
 def _in_python(tuned: Path, picture: Path) -> None:
     import pedzoo
     from pedzoo.data.datamodule import TrajectoryDataModule
-    from pedzoo.viz.forecast_plots import plot_forecasts
+    from pedzoo.viz.plots import plot_forecasts
 
     print(f'>>> walker = pedzoo.load("{CONTROLLER}").controller()')
     print('>>> walker.step({"anna": (0, 0), "ben": (4, 0.2)}, {"anna": (6, 0), "ben": (-2, 0)})')

@@ -117,7 +117,7 @@ def run(argv: list[str]) -> int:
         check_outputs(json=options.json)
         return redo(options.policies, options.data.root, options.workers, options.json)
     if options.plot:
-        from pedzoo.viz.figure_files import check_plot_path
+        from pedzoo.viz.plots import check_plot_path
 
         check_plot_path(options.plot)
         if "replay" not in _listed(options.suite):
@@ -161,7 +161,7 @@ def run(argv: list[str]) -> int:
                 command = ["pedzoo", "evaluate", *argv]
                 write_text(options.markdown, markdown(report, evaluation.shown, command))
             if options.plot and not more:
-                from pedzoo.viz.fundamental import plot_density_speed
+                from pedzoo.viz.plots import plot_density_speed
 
                 plot_density_speed(report["rows"], options.plot)
             print_pages(report, evaluation.shown)

@@ -67,7 +67,7 @@ def _zoo(options: argparse.Namespace) -> dict[str, Any]:
     from pedzoo.cli.progress import progress_bar
     from pedzoo.core.errors import UserError
     from pedzoo.core.paths import WEIGHTS
-    from pedzoo.eval.cards.numbers import measure
+    from pedzoo.eval.cards import measure
     from pedzoo.models.export.publish import publish
 
     if not options.model.endswith(".ckpt"):

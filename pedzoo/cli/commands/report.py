@@ -26,8 +26,8 @@ def run(argv: list[str]) -> int:
     check_outputs(out=options.out)
     check_output_ending("out", options.out, PAGES)
 
-    from pedzoo.viz.report.content import content_of
-    from pedzoo.viz.report.page import page
+    from pedzoo.viz.page import page
+    from pedzoo.viz.report import content_of
 
     content = content_of(options.results)
     text = page(content, options.title)

@@ -18,7 +18,7 @@ def run(argv: list[str]) -> int:
     from pedzoo.core.machine import versions
     from pedzoo.core.registry import METRICS, SCENARIOS
     from pedzoo.eval.comparison import Comparison
-    from pedzoo.viz.report.episode import Replay
+    from pedzoo.viz.episodes import Replay
     from pedzoo.viz.video import check_video_path, film
 
     usage = f"pedzoo rollout POLICY... [--scenario SCENARIO] [--physics PHYSICS] [...]\nexample: {EXAMPLE}"
@@ -60,7 +60,7 @@ def run(argv: list[str]) -> int:
     parser.add_argument("--show", type=int, default=0, help="Number of the episode in plot and video.")
     options = parse(parser, argv)
     if options.plot:
-        from pedzoo.viz.figure_files import check_plot_path
+        from pedzoo.viz.plots import check_plot_path
 
         check_plot_path(options.plot)
     if options.video:

@@ -31,8 +31,4 @@ class Door(Suite):
 
     def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
         """Return the one case."""
-        return [
-            EvaluationCase(
-                self.name, "door", "door", options.physics or usual_physics(), options.number(EPISODES), {}
-            )
-        ]
+        return [self.case(options, "door", "door", EPISODES, {}, usual_physics())]

@@ -17,7 +17,4 @@ class Encounters(Suite):
     def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
         """Return a case for each encounter."""
         names = [name for name in SCENARIOS.names() if issubclass(SCENARIOS.get(name), Encounter)]
-        physics, episodes = options.physics or "compiled", options.number(EPISODES)
-        return [
-            EvaluationCase(self.name, name, name, physics, episodes, {"encounter": name}) for name in names
-        ]
+        return [self.case(options, name, name, EPISODES, {"encounter": name}) for name in names]

@@ -41,26 +41,22 @@ class Goals(Suite):
         plans = {"drawn": list(DRAWN)}
         if options.maps:
             plans[Path(options.maps[0]).stem if len(options.maps) == 1 else GIVEN] = list(options.maps)
-        physics, episodes = options.physics or usual_physics(), options.number(EPISODES)
         result = []
         for name, files in plans.items():
             inputs = " ".join(load_plan(file).digest for file in files)
-            table = f"{self.name} {name}"
             for people, goals in CELLS:
-                result.append(
-                    EvaluationCase(
-                        suite=self.name,
-                        name=f"{name} {people}/{goals}",
-                        scenario=Spec(
-                            "goals", {"map": files, "people": people, "goals": goals, "pool": POOL}
-                        ),
-                        physics=physics,
-                        episodes=episodes,
-                        case={"map": name, "people": str(people), "goals": str(goals)},
-                        inputs=inputs,
-                        effort=people * goals,
-                        table=table,
-                        shares=name,
-                    )
+                settings = {"map": files, "people": people, "goals": goals, "pool": POOL}
+                case = self.case(
+                    options,
+                    name=f"{name} {people}/{goals}",
+                    scenario=Spec("goals", settings),
+                    episodes=EPISODES,
+                    case={"map": name, "people": str(people), "goals": str(goals)},
+                    physics=usual_physics(),
+                    inputs=inputs,
+                    effort=people * goals,
+                    table=f"{self.name} {name}",
+                    shares=name,
                 )
+                result.append(case)
         return result

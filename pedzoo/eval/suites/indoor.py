@@ -39,13 +39,9 @@ class Indoor(Suite):
 
     def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
         """Return a case for each scenario."""
-        physics, episodes = options.physics or "compiled", options.number(EPISODES)
+        effort, table = 10.0, f"{self.name} {{}}".format
         return [
-            EvaluationCase(
-                *(self.name, name, name, physics, episodes, {"scenario": name}),
-                effort=10.0,
-                table=f"{self.name} {name}",
-            )
+            self.case(options, name, name, EPISODES, {"scenario": name}, effort=effort, table=table(name))
             for name in SCENARIOS
         ]
 

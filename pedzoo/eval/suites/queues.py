@@ -39,14 +39,12 @@ class Queues(Suite):
 
     def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
         """Return a case for each width and each number of people."""
-        physics, episodes = options.physics or "compiled", options.number(EPISODES)
         return [
-            EvaluationCase(
-                suite=self.name,
+            self.case(
+                options,
                 name=f"{people} at {width:g} m",
                 scenario=f"room_exit:people={people},entering=0,width={width:g}",
-                physics=physics,
-                episodes=episodes,
+                episodes=EPISODES,
                 case={"people": str(people), "width": f"{width:g}"},
                 effort=float(people**2),
                 table=f"{self.name} of {people}",

@@ -12,7 +12,6 @@ from pedzoo.data.recordings import Fold, find_fold, open_fold
 from pedzoo.eval.packed_episodes import packed_episodes
 from pedzoo.eval.realism import HALVES, REAL, SPLITS, reference_rows, replay_row
 from pedzoo.eval.results import SEEN
-from pedzoo.eval.scenario_cache import prepared
 from pedzoo.eval.suite import (
     EvaluationCase,
     EvaluationOptions,
@@ -21,6 +20,7 @@ from pedzoo.eval.suite import (
     Tell,
     WorkUnit,
     kept_episodes,
+    prepared,
     walked,
 )
 from pedzoo.eval.trained_on import for_fold, has_seen
@@ -88,82 +88,65 @@ class Replay(Suite):
         Raises:
             UserError: A folder was asked for that has none, or a file is refused.
         """
+        sources: list[tuple[str, str, dict[str, Any], str, float]] = []
         if options.own:
-            source = options.own._asdict() | {"files": [*options.own.files], "speed": "estimated"}
-            source = {key: value for key, value in source.items() if value is not None}
-            return self._cases(options, OWN, source, _digest_of_own(options.own), OWN, {})
+            given = options.own._asdict() | {"files": [*options.own.files], "speed": "estimated"}
+            settings = {key: value for key, value in given.items() if value is not None}
+            sources = [(OWN, OWN, settings, _digest_of_own(options.own), 1.0)]
+        for fold, known in {} if options.own else _folds(options).items():
+            where = {} if options.root is None or fold == EMBEDDED else {"root": options.root}
+            inputs, share = digest_of(fold, options.root), _share(known)
+            sources.append((known.name, fold, {"fold": fold} | where, inputs, share))
         result = []
-        for fold, known in _folds(options).items():
-            source = {"fold": fold}
-            if options.root is not None and fold != EMBEDDED:
-                source["root"] = options.root
-            shares = {"one": known.constant("REPLAY_SHARE", {}).get(known.name, 1.0)}
-            result += self._cases(options, known.name, source, digest_of(fold, options.root), fold, shares)
-        return result
-
-    def _cases(
-        self,
-        options: EvaluationOptions,
-        name: str,
-        source: dict[str, Any],
-        inputs: str,
-        together: str,
-        shares: dict[str, float],
-    ) -> list[EvaluationCase]:
-        """Return the cases of one source of recordings, which is given as settings of the scenario."""
-        result, usual = [], 1 if options.quick else ROLLOUTS
-        for simulated in self.simulated:
-            settings: dict[str, Any] = source | {"simulated": simulated}
-            share = shares.get(simulated, 1.0)
-            share = round(share * QUICK_SHARE, 3) if options.quick else share
-            if share < 1:
-                settings["share"] = share
-            case = EvaluationCase(
-                suite=self.name,
-                name=f"{name} {simulated}",
-                scenario=Spec("replay", settings),
-                physics=options.physics or "compiled",
-                episodes=options.rollouts or (usual if simulated == "all" else 1),
-                case={"fold": name, "simulated": simulated},
-                inputs=inputs,
-                effort=100.0 * share,
-                table=f"{self.name} {simulated}",
-                shares=together,
-            )
-            result.append(case)
+        for name, together, settings, inputs, share_of_one in sources:
+            for simulated in self.simulated:
+                share = share_of_one if simulated == "one" else 1.0
+                share = round(share * QUICK_SHARE, 3) if options.quick else share
+                first = {"share": share} if share < 1 else {}
+                case = EvaluationCase(
+                    suite=self.name,
+                    name=f"{name} {simulated}",
+                    scenario=Spec("replay", settings | {"simulated": simulated} | first),
+                    physics=options.physics or "compiled",
+                    episodes=_rounds(options)[simulated],
+                    case={"fold": name, "simulated": simulated},
+                    inputs=inputs,
+                    effort=100.0 * share,
+                    table=f"{self.name} {simulated}",
+                    shares=together,
+                )
+                result.append(case)
         return result
 
     def notes(self, options: EvaluationOptions, policies: Sequence[str]) -> list[str]:
         """Return what the real rows are, what is missing, and which weights walk where."""
-        folds = {} if options.own else _folds(options)
-        result = [
-            f"{self.name}: {REAL} are the recorded people; {HALVES} one half of them against the other, mean "
-            f"and 95 % of {SPLITS} random splits: the noise floor"
-        ]
-        rounds, alone = options.rollouts or (1 if options.quick else ROLLOUTS), options.rollouts or 1
-        each = {"all": f"{rounds} x where all are simulated", "one": f"{alone} x where one is"}
+        folds, rounds = {} if options.own else _folds(options), _rounds(options)
+        each = {"all": f"{rounds['all']} x where all are simulated", "one": f"{rounds['one']} x where one is"}
         often = ", ".join(each[simulated] for simulated in self.simulated)
-        result.append(f"{self.name}: models with noise walk {often}; others once")
-        if [*folds] == [EMBEDDED]:
-            missing = "no recordings of ETH/UCY (get them: pedzoo download eth_ucy): the embedded ones alone"
-            return [*result, f"{self.name}: {missing}"]
-        result += [
-            f"{self.name}: one of those who come in the first {share:.0%} of {fold}"
-            for fold, known in folds.items()
-            if (share := known.constant("REPLAY_SHARE", {}).get(known.name))
-            and "one" in self.simulated
-            and not options.quick
+        result = [
+            f"{REAL} are the recorded people; {HALVES} one half of them against the other, mean "
+            f"and 95 % of {SPLITS} random splits: the noise floor",
+            f"models with noise walk {often}; others once",
         ]
+        if [*folds] == [EMBEDDED]:
+            result.append(
+                "no recordings of ETH/UCY (get them: pedzoo download eth_ucy): the embedded ones alone"
+            )
+            folds = {}
+        if "one" in self.simulated and not options.quick:
+            shares = {fold: _share(known) for fold, known in folds.items()}
+            result += [
+                f"one of those who come in the first {share:.0%} of {fold}"
+                for fold, share in shares.items()
+                if share < 1
+            ]
         for policy in policies:
             walks = {fold: for_fold(policy, fold) for fold in folds}
-            others = [name for name in dict.fromkeys(walks.values()) if name != policy]
-            if others:
-                result.append(
-                    f"{self.name}: {policy} is {', '.join(others)} on the folds that these did not see"
-                )
+            if others := [name for name in dict.fromkeys(walks.values()) if name != policy]:
+                result.append(f"{policy} is {', '.join(others)} on the folds that these did not see")
             if seen := [fold for fold, name in walks.items() if has_seen(name, fold)]:
-                result.append(f"{self.name}: {policy} was trained on {', '.join(seen)}: marked *")
-        return result
+                result.append(f"{policy} was trained on {', '.join(seen)}: marked *")
+        return [f"{self.name}: {note}" for note in result]
 
     def units(
         self, case: EvaluationCase, policies: Sequence[str], seeds: tuple[int, ...], deterministic: bool
@@ -200,6 +183,17 @@ class Replay(Suite):
         if has_seen(unit.walks, _walked_fold(case)):
             row["case"] = row["case"] | {SEEN: "yes"}
         return [row | {"people": scenario.persons.counts}]
+
+
+def _rounds(options: EvaluationOptions) -> dict[str, int]:
+    """Return how often a policy with noise walks, by who is simulated."""
+    usual = 1 if options.quick else ROLLOUTS
+    return {"all": options.rollouts or usual, "one": options.rollouts or 1}
+
+
+def _share(fold: Fold) -> float:
+    """Return the first part of a fold's recordings of which each person is simulated alone."""
+    return fold.constant("REPLAY_SHARE", {}).get(fold.name, 1.0)
 
 
 def _folds(options: EvaluationOptions) -> dict[str, Fold]:

@@ -12,8 +12,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.eval.rollout import joined, prepare, walk
-from pedzoo.eval.scenario_cache import prepared
-from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite, Tell, WorkUnit
+from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite, Tell, WorkUnit, prepared
 from pedzoo.metrics.closed_loop import closed_loop
 from pedzoo.metrics.ratios import Ratio, ratio, summarised
 from pedzoo.policies.load import load_policy

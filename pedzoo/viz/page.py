@@ -26,7 +26,7 @@ def page(content: Mapping[str, Any], title: str = "pedzoo report", live: str | N
 
     Args:
         content: ``about``, ``cases``, ``plans``, ``tables``, ``charts`` and ``notes``, as of
-            `pedzoo.viz.report.content.content_of`.
+            `pedzoo.viz.report.content_of`.
         title: In the head of the page.
         live: Where people who walk now are asked for, on the server that the page is from.
     """
@@ -65,7 +65,7 @@ def _embedded(content: Mapping[str, Any]) -> str:
 
 
 def _asset(name: str) -> str:
-    return (resources.files("pedzoo.viz.report") / "assets" / name).read_text(encoding="utf-8")
+    return (resources.files("pedzoo.viz") / "assets" / name).read_text(encoding="utf-8")
 
 
 def _hash(text: str) -> str:

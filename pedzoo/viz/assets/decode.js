@@ -1,4 +1,4 @@
-// Reads what pedzoo/eval/episodes.py packs.
+// Reads what pedzoo/eval/packed_episodes.py packs.
 
 function numbers(text) {
   const bytes = atob(text), result = [];

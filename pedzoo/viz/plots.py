@@ -1,10 +1,13 @@
-"""Pictures of forecasts: what was seen, what happened, and what a model expected, on the floor plan."""
+"""Plots as files: forecasts on floor plans, and density and speed of crowds beside the real ones."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
 import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -12,16 +15,52 @@ from matplotlib.lines import Line2D
 from matplotlib.transforms import Affine2D
 from torch import Tensor
 
+from pedzoo.core.errors import UserError
+from pedzoo.core.paths import PLOTS, check_ending, write_atomically
+from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.eval.realism import REAL
 from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
 from pedzoo.metrics.displacement import positions
 from pedzoo.models.base import Forecaster
-from pedzoo.viz.figure_files import write_figure
-
-if TYPE_CHECKING:
-    from pedzoo.data.datamodule import TrajectoryDataModule
 
 MARGIN = 2.0
 """Metres around people that a panel shows."""
+
+CURVE = "density_speed"
+"""Key of the curves in rows of a replay."""
+
+RARE = 0.005
+"""Densities that a smaller share of the real steps has are not drawn: their means are of a few people."""
+
+PANEL = (2.2, 1.5)
+"""Inches."""
+
+LEAST = (3.4, 2.9)
+"""Inches that the words along the sides of the whole picture take."""
+
+LOOK: dict[str, Any] = {"color": "tab:red", "marker": ".", "lw": 1.4}
+REAL_LOOK: dict[str, Any] = {"color": "black", "lw": 2.2}
+"""Lines of the policy and of the real crowd."""
+
+
+def check_plot_path(path: str | Path) -> None:
+    """Raise the error that a file name gives which no plot can have."""
+    check_ending(f"plot {str(path)!r}", path, PLOTS)
+
+
+def write_figure(figure: Figure, path: str | Path, dpi: int = 130) -> None:
+    """Write a picture, whole or not at all; its folder is made where it is missing.
+
+    Raises:
+        UserError: Another ending than `pedzoo.core.paths.PLOTS`, or the file cannot be written.
+    """
+    check_plot_path(path)
+    data = BytesIO()
+    figure.savefig(data, format=Path(path).suffix[1:].lower(), dpi=dpi)
+    try:
+        write_atomically(Path(path), data.getvalue())
+    except OSError as error:
+        raise UserError(f"cannot write {str(path)!r}: {error.strerror}") from error
 
 
 @torch.no_grad()
@@ -134,3 +173,48 @@ def _legend(samples: int, goal: bool) -> list[Line2D]:
     if goal:
         handles.append(Line2D([], [], color="tab:blue", marker="x", linestyle="none", label="goal"))
     return handles
+
+
+def plot_density_speed(rows: Sequence[Mapping[str, Any]], path: str | Path, simulated: str = "all") -> None:
+    """Draw the mean speed at every density: a row of panels for each policy, a column for each recording.
+
+    The real crowd is the black line; bars say how often a density occurs in it. Of the rows of
+    `pedzoo.evaluate` those of replays are drawn, with ``all`` or ``one`` person simulated.
+
+    Raises:
+        UserError: No row is of a replay, or the file cannot be written.
+    """
+    mine = [row for row in rows if CURVE in row and row["case"].get("simulated") == simulated]
+    if not mine:
+        raise UserError("there is no density and speed to draw: evaluate the suite replay")
+    folds = list(dict.fromkeys(row["case"]["fold"] for row in mine))
+    names = [name for name in dict.fromkeys(row["name"] for row in mine) if name != REAL] or [REAL]
+    size = PANEL[0] * len(folds) + 0.6, PANEL[1] * len(names) + 0.6
+    figure = Figure(figsize=(max(size[0], LEAST[0]), max(size[1], LEAST[1])), layout="constrained")
+    panels = figure.subplots(len(names), len(folds), squeeze=False, sharex="col", sharey="col")
+    curves = {(row["name"], row["case"]["fold"]): row[CURVE] for row in mine}
+    for i, name in enumerate(names):
+        for axes, fold in zip(panels[i], folds, strict=True):
+            _draw(axes, curves.get((name, fold), []))
+            axes.set_title(fold if i == 0 else "", fontsize=9)
+        panels[i][0].set_ylabel(name.replace(":", ":\n"), fontsize=8)
+    for column in panels.T:
+        column[0].set_ylim(0, 1.05 * max(axes.dataLim.y1 for axes in column))
+    figure.supxlabel("people per m² within 2 m; bars: how often", fontsize=8)
+    figure.supylabel("mean speed, m/s; black: the real crowd", fontsize=8)
+    write_figure(figure, path)
+
+
+def _draw(axes: Axes, curve: Sequence[Mapping[str, Any]]) -> None:
+    """Draw one policy in one recording, beside the real crowd."""
+    often = [point for point in curve if point["real_share"] >= RARE]
+    density = [point["density_per_m2"] for point in often]
+    share = axes.twinx()
+    share.bar(density, [point["real_share"] for point in often], width=0.06, color="0.9")
+    share.set_axis_off()
+    axes.set_zorder(share.get_zorder() + 1)
+    axes.patch.set_visible(False)
+    for key, look in (("real_speed_m_per_s", REAL_LOOK), ("speed_m_per_s", LOOK)):
+        speeds = [np.nan if point[key] is None else point[key] for point in often]
+        axes.plot(density, speeds, **look)
+    axes.tick_params(labelsize=7)

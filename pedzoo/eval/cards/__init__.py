@@ -1,1 +1,0 @@
-"""Numbers on model cards: measured, and measured again on request."""

@@ -1,0 +1,350 @@
+"""Jobs done in this process, in several processes of this machine, or on a Ray cluster."""
+
+import os
+import signal
+import sys
+import threading
+import time
+import traceback
+import warnings
+from collections.abc import Callable, Generator, Hashable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from functools import cache, partial
+from multiprocessing import active_children, get_context, parent_process
+from pathlib import Path
+from pickle import PicklingError
+from reprlib import repr as short_repr
+from types import ModuleType
+from typing import Any, Literal, TypeVar, get_args
+
+import cloudpickle
+import torch
+
+from pedzoo.core.errors import UserError, at_least_one, need, unknown
+
+J = TypeVar("J")
+R = TypeVar("R")
+Backend = Literal["processes", "ray"]
+
+PATIENCE = 5.0
+"""Seconds that a process has to end after it was asked to."""
+
+_warned: dict[Any, Any] = {}  # warnings of jobs that have been shown, as Python keeps them for a module
+
+
+def finished(
+    jobs: Sequence[J],
+    work: Callable[[J], R],
+    workers: int = 1,
+    backend: Backend = "processes",
+    group: Callable[[J], Hashable] | None = None,
+) -> Generator[tuple[int, R], None, None]:
+    """Do all jobs, each once, and yield the number and result of each as soon as it is there.
+
+    A job has one thread of torch, and the caller's exploration type and gradient mode. So results are equal
+    to the bit for any number of workers, as long as a job draws random numbers from seeds that it brings.
+    Its warnings are given in the caller's process. Closing the iterator, an error and Ctrl-C end all workers.
+
+    Args:
+        jobs: What to do; taken in this order. Must be picklable.
+        work: What to do with a job; what it returns must be picklable. It and the jobs may be defined in a
+            script, which needs no ``if __name__ == "__main__"`` for it, or in a notebook.
+        workers: Processes or Ray actors, at most one for each job. Each takes seconds to start. With one,
+            ``processes`` stays in the caller's own.
+        backend: ``processes`` of this machine, or ``ray``: the cluster this process is connected to, else
+            the one that ``RAY_ADDRESS`` names or that runs on this machine, else one that is started for
+            the time. pedzoo and the files that jobs read must be on all its machines.
+        group: Jobs for which it returns the same share something that takes time to prepare. They come one
+            after the other, and stay with one worker as long as others have something to do. Without it
+            every job stands alone.
+
+    Raises:
+        UserError: No such backend or number of workers, Ray is absent or its cluster too small, or something
+            cannot be sent to another process. This and any other error of a job is raised as it is.
+        RuntimeError: A worker was killed.
+    """
+    if backend not in get_args(Backend):
+        raise unknown("backend", backend, get_args(Backend))
+    workers = min(at_least_one("workers", workers), len(jobs))
+    if backend == "ray":
+        need("ray", "the backend ray")
+    queue = JobQueue(range(len(jobs)) if group is None else [group(job) for job in jobs])
+    if not jobs or (workers == 1 and backend == "processes"):
+        return _here(jobs, work, queue)
+    return _there(jobs, work, queue, workers, _processes if backend == "processes" else _ray_actors)
+
+
+class JobQueue:
+    """Hands out jobs: no worker waits while there is work, and jobs of a group stay together.
+
+    A worker goes on with its group, then begins the first one that no worker has begun. If all are begun, it
+    helps with the group that has most left, and prepares once more what that group shares.
+    """
+
+    def __init__(self, keys: Sequence[Hashable]) -> None:
+        """Take the key of each job's group; groups come in the order in which keys are first seen."""
+        self._left: dict[Hashable, list[int]] = {key: [] for key in keys}
+        self._begun: set[Hashable] = set()
+        for number, key in enumerate(keys):
+            self._left[key].append(number)
+
+    def take(self, last: Hashable = None) -> tuple[int, Hashable] | None:
+        """Return the next job and its group for a worker whose last one was of ``last``; None at the end."""
+        if not self._left.get(last):
+            fresh = (key for key in self._left if key not in self._begun)
+            last = next(fresh, max(self._left, key=lambda key: len(self._left[key]), default=None))
+        if not self._left.get(last):
+            return None
+        self._begun.add(last)
+        return self._left[last].pop(0), last
+
+
+def _here(jobs: Sequence[J], work: Callable[[J], R], queue: JobQueue) -> Generator[tuple[int, R], None, None]:
+    taken = queue.take()
+    while taken:
+        threads = torch.get_num_threads()
+        torch.set_num_threads(1)
+        try:
+            result = work(jobs[taken[0]])
+        finally:
+            torch.set_num_threads(threads)
+        yield taken[0], result
+        taken = queue.take(taken[1])
+
+
+def _there(
+    jobs: Sequence[J], work: Callable[[J], R], queue: JobQueue, count: int, start: Callable[..., Any]
+) -> Generator[tuple[int, R], None, None]:
+    """Keep every worker busy, yield the results, show the jobs' warnings and raise their errors."""
+    from tensordict.nn.probabilistic import interaction_type  # torchrl's own takes 1.3 s more
+
+    kind = interaction_type()  # without one, a worker is ready 1.6 s earlier: it needs no tensordict
+    does = work if kind is None else partial(_exploring, kind, work)
+    try:
+        payload = cloudpickle.dumps((jobs, does, torch.is_grad_enabled()))
+    except (TypeError, AttributeError, PicklingError) as error:
+        raise UserError(
+            f"other processes cannot be sent these jobs or their function: {error}; use workers=1, or give "
+            "them names and files in place of what is open or running"
+        ) from error
+    running: dict[Future[bytes], tuple[int, int, Hashable]] = {}
+
+    def outcome(future: Future[bytes], worker: int, job: int) -> tuple[Any, Exception | None, list[Any]]:
+        try:
+            return cloudpickle.loads(future.result())
+        except pool[worker].deaths as death:
+            error = RuntimeError(
+                f"worker {worker} of {count} is {pool[worker].death(death)} "
+                f"(in job {job}, {getattr(jobs[job], 'label', short_repr(jobs[job]))}); "
+                "if the memory was too small for so many at once, use fewer workers"
+            )
+            error.__cause__ = death
+            return None, error, []
+
+    with start(payload, count) as pool:
+        idle: list[tuple[int, Hashable]] = [(worker, None) for worker in range(count)]
+        while idle:
+            for worker, last in idle:
+                if taken := queue.take(last):
+                    running[pool[worker].submit(taken[0])] = worker, *taken
+            ended = [(future, *running.pop(future)) for future in wait(running, None, FIRST_COMPLETED).done]
+            idle = [(worker, group) for _, worker, _, group in ended]
+            outcomes = [(job, *outcome(future, worker, job)) for future, worker, job, _ in ended]
+            for job, result, error, warned in sorted(outcomes, key=lambda one: one[2] is not None):
+                for text, category, file, line in warned:
+                    warnings.warn_explicit(text, category, file, line, registry=_warned)
+                if error is not None:
+                    raise error
+                yield job, cloudpickle.loads(result)
+
+
+_payload = b""  # of a worker
+
+
+def _begin(payload: bytes, folder: str = ".", path: Sequence[str] = ()) -> None:
+    """Prepare a worker. A process ends in good order when it is terminated, and when its parent is gone."""
+    global _payload
+    _payload = payload
+    torch.set_num_threads(1)
+    if parent_process():
+        os.environ.pop("PYTHONSAFEPATH", None)  # it was for the start alone
+        threading.Thread(target=_follow_parent, daemon=True).start()
+        signal.signal(signal.SIGTERM, _leave)
+    elif Path(folder).is_dir():  # an actor may be on another machine
+        os.chdir(folder)
+    sys.path += [entry for entry in path if entry not in sys.path and Path(entry).exists()]
+
+
+def _leave(*_: Any) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the executor may send another one
+    sys.exit()
+
+
+def _follow_parent() -> None:
+    parent = parent_process()
+    assert parent is not None
+    parent.join()
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(PATIENCE)
+    os._exit(1)  # the signal ended a job, and the executor waits for the next one
+
+
+@cache
+def _sent() -> tuple[Any, ...]:
+    try:
+        return cloudpickle.loads(_payload)
+    except (ImportError, AttributeError) as error:
+        raise UserError(
+            f"a worker cannot load the jobs or their function: {error}; define them in a file that "
+            "can be imported there, or in the script or notebook itself"
+        ) from error
+
+
+def _exploring(kind: Any, work: Callable[[Any], Any], job: Any) -> Any:
+    from tensordict.nn.probabilistic import set_interaction_type
+
+    with set_interaction_type(kind):
+        return work(job)
+
+
+def _do(number: int) -> bytes:
+    """Do a job; return its pickled result, its error, and what it warned of: text, category, file, line."""
+    result, error = b"", None
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("default")
+        try:
+            jobs, work, gradients = _sent()
+            with torch.set_grad_enabled(gradients):
+                result = cloudpickle.dumps(work(jobs[number]))
+        except Exception as raised:  # the caller gets any error of a job
+            error, note = raised, "".join(traceback.format_exception(raised)).rstrip()
+            try:
+                cloudpickle.loads(cloudpickle.dumps(error))
+            except Exception:  # rebuilding an exception calls its class, which may raise anything
+                error = RuntimeError(f"{type(error).__qualname__}: {error}")
+            error.add_note(f"in job {number} in a worker:\n{note}")
+    warned = [(str(one.message), one.category, one.filename, one.lineno) for one in caught]
+    return cloudpickle.dumps((result, error, warned))
+
+
+@contextmanager
+def _processes(payload: bytes, count: int) -> Iterator[list["_Process"]]:
+    """Yield executors of one process each: each job goes to a worker that is chosen here."""
+    pool: list[_Process] = []
+    late = threading.Timer(PATIENCE, lambda: [one.process.kill() for one in pool if one.process])
+    try:
+        pool += [_Process(payload) for _ in range(count)]
+        yield pool
+    finally:
+        started = [one.process for one in pool if one.process]
+        for process in started:
+            process.terminate()
+        late.start()
+        for one in pool:
+            one.executor.shutdown(cancel_futures=True)
+        late.cancel()
+        late.join()
+        for process in started:
+            process.close()
+
+
+class _Process:
+    """An executor with one spawned process: a forked one would inherit torch's threads."""
+
+    deaths = BrokenProcessPool, SystemExit
+
+    def __init__(self, payload: bytes) -> None:
+        with _starting():  # Python starts a process that cleans up after semaphores
+            self.executor = ProcessPoolExecutor(1, get_context("spawn"), _begin, (payload,))
+        self.process: Any = None
+
+    def submit(self, job: int) -> Future[bytes]:
+        try:
+            if self.process:
+                return self.executor.submit(_do, job)
+            known = set(active_children())
+            with _starting():
+                future = self.executor.submit(_do, job)
+            self.process = next(iter(set(active_children()) - known), None)
+        except BrokenProcessPool as error:  # it died while it had no job
+            future = Future()
+            future.set_exception(error)
+        return future
+
+    def death(self, error: BaseException) -> str:
+        """Return how the process ended."""
+        self.executor.shutdown()
+        code = error.code if isinstance(error, SystemExit) else self.process and self.process.exitcode
+        if isinstance(code, int) and code < 0:
+            return f"killed by {signal.Signals(-code).name}"
+        return f"gone with exit code {code}"
+
+
+@contextmanager
+def _starting() -> Iterator[None]:
+    """Let processes start with one thread, without the caller's script and what lies beside it.
+
+    What a terminal or Slurm sends to all processes is left to the caller's.
+    """
+    given = {"PYTHONSAFEPATH": "1"} | {f"{name}_NUM_THREADS": "1" for name in ("OMP", "MKL", "OPENBLAS")}
+    before, main = {name: os.environ.get(name) for name in given}, sys.modules["__main__"]
+    os.environ |= given
+    sys.modules["__main__"] = ModuleType("__main__")
+    signals = set() if os.name == "nt" else {signal.SIGINT, signal.SIGHUP, signal.SIGUSR1}
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, signals) if signals else None
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
+        for name, value in before.items():
+            os.environ.pop(name) if value is None else os.environ.update({name: value})
+        if blocked is not None:
+            signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+
+
+@contextmanager
+def _ray_actors(payload: bytes, count: int) -> Iterator[list["_RayActor"]]:
+    """Yield pools of one actor each, on the cluster there is, or on one that is started for the time."""
+    import ray  # pyright: ignore[reportMissingImports]  # optional
+
+    own = not ray.is_initialized()
+    pool: list[_RayActor] = []
+    try:
+        if own:
+            quiet = {"log_to_driver": False, "logging_level": "error"}
+            try:
+                ray.init(address="auto", **quiet)
+            except ConnectionError:
+                os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # it would report to its makers
+                ray.init(address="local", num_cpus=count, include_dashboard=False, **quiet)
+        if (processors := int(ray.cluster_resources().get("CPU", 0))) < count:
+            raise UserError(f"workers {count}: the Ray cluster has {processors} processors")
+        with ThreadPoolExecutor(count) as threads:  # each waits until its actor is ready
+            pool += threads.map(_RayActor, [payload] * count)
+        yield pool
+    finally:
+        for one in pool:
+            one.actors.terminate()
+        if own:
+            ray.shutdown()
+
+
+class _RayActor:
+    """A pool of Ray with one actor."""
+
+    def __init__(self, payload: bytes) -> None:
+        from ray.exceptions import RayError  # pyright: ignore[reportMissingImports]
+        from ray.util.multiprocessing import Pool  # pyright: ignore[reportMissingImports]
+
+        begin = payload, os.getcwd(), [str(Path(entry).resolve()) for entry in sys.path]
+        self.actors, self.deaths = Pool(1, _begin, begin, ray_remote_args={"num_cpus": 1}), RayError
+
+    def submit(self, job: int) -> Future[bytes]:
+        future: Future[bytes] = Future()
+        self.actors.apply_async(_do, (job,), callback=future.set_result, error_callback=future.set_exception)
+        return future
+
+    def death(self, error: BaseException) -> str:
+        return f"dead: {str(error).splitlines()[0]}"

@@ -1,1 +1,0 @@
-"""Many evaluations at once: processes, Ray, journals."""

@@ -1,0 +1,131 @@
+"""Episodes of policies that have just walked: in a notebook, as a page, as a plot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
+from pathlib import Path
+from typing import Any, NamedTuple, ParamSpec
+
+from pedzoo.core.errors import UserError, need
+from pedzoo.core.paths import PAGES, check_ending, write_atomically
+from pedzoo.eval import rollout as walked
+from pedzoo.eval.comparison import PolicyRollout, row
+from pedzoo.eval.packed_episodes import packed_episodes
+from pedzoo.sim.env import PedestrianEnv
+from pedzoo.sim.rollout import Rollout
+from pedzoo.viz.page import framed, page
+from pedzoo.viz.report import add_report, shorten
+
+P = ParamSpec("P")
+
+Walked = tuple[Rollout, PedestrianEnv]
+"""What `pedzoo.rollout` returns."""
+
+
+class Replay:
+    """Episodes to look at: a notebook shows them, `save` writes them as a page of their own.
+
+    Attributes:
+        name: What stands above them.
+    """
+
+    def __init__(self, walked: Sequence[PolicyRollout], name: str = "episodes", seed: int = 0) -> None:
+        """Take what policies did in the same scenes.
+
+        Raises:
+            UserError: There is nothing.
+        """
+        if not walked:
+            raise UserError("nothing to show: expected at least one rollout")
+        self.name, self._walked, self._seed = name, list(walked), seed
+
+    def __repr__(self) -> str:
+        names = ", ".join(one.name for one in self._walked)
+        return f"Replay({self.name!r}: {names}; {len(self._walked[0].rollout.failed)} episodes)"
+
+    def _repr_html_(self) -> str:
+        return framed(self._content(), self.name)
+
+    def save(self, path: str | Path) -> None:
+        """Write the page, whole or not at all.
+
+        Raises:
+            UserError: It does not end in .html or .htm, or cannot be written.
+        """
+        check_ending(f"page {str(path)!r}", path, PAGES)
+        try:
+            write_atomically(Path(path).resolve(), page(self._content(), self.name).encode())
+        except OSError as error:
+            raise UserError(f"cannot write {str(path)!r}: {error.strerror}") from error
+
+    def _content(self) -> dict[str, Any]:
+        report: dict[str, Any] = {"command": "rollout", "rows": [], "plans": {}, "seeds": [self._seed]}
+        report["protocol"] = {"scenario": self.name}
+        for one in self._walked:
+            episodes, plans = packed_episodes(one.rollout, one.env.bank, len(one.rollout.failed), self._seed)
+            report["rows"].append(row(one.name, one.rollout) | {"episodes": episodes})
+            report["plans"] |= plans
+        content: dict[str, Any] = {"cases": [], "plans": {}, "tables": [], "charts": [], "notes": []}
+        add_report(content, report)
+        shorten(content)
+        return {**content, "about": f"seed {self._seed}"}
+
+
+class ShownRollout(NamedTuple):
+    """What a policy did. It unpacks into its two parts, and a notebook shows its episodes.
+
+    Attributes:
+        rollout: The episodes.
+        env: Where they were walked.
+    """
+
+    rollout: Rollout
+    env: PedestrianEnv
+
+    def __repr__(self) -> str:
+        return f"ShownRollout({self.env.policy_name!r}: {len(self.rollout.failed)} episodes)"
+
+    def _repr_html_(self) -> str:
+        return self._replay()._repr_html_()
+
+    def save(self, path: str | Path) -> None:
+        """Write the episodes as a page, whole or not at all.
+
+        Raises:
+            UserError: It does not end in .html or .htm, or cannot be written.
+        """
+        self._replay().save(path)
+
+    def _replay(self) -> Replay:
+        name = self.env.policy_name
+        return Replay([PolicyRollout(name, *self)], name, self.env.seed)
+
+
+def _shown(function: Callable[P, tuple[Rollout, PedestrianEnv]]) -> Callable[P, ShownRollout]:
+    @wraps(function)
+    def shown(*args: P.args, **kwargs: P.kwargs) -> ShownRollout:
+        return ShownRollout(*function(*args, **kwargs))
+
+    return shown
+
+
+rollout = _shown(walked.rollout)
+
+
+def plot(walked: Walked | Mapping[str, Walked], path: str | Path, episode: int = 0) -> None:
+    """Draw an episode at four moments, and the paths of all episodes; a row of panels per policy.
+
+    Args:
+        walked: What `pedzoo.rollout` returned, or several of these by name, all in the same scenario.
+        path: ``.png``, ``.pdf`` or ``.svg``; its folder is made where it is missing.
+        episode: Number of the episode.
+
+    Raises:
+        UserError: No such episode, another suffix, or the file cannot be written.
+    """
+    need("video", "a plot")
+    from pedzoo.viz.trajectories import plot_rollouts
+
+    named = walked if isinstance(walked, Mapping) else {walked[1].policy_name: walked}
+    plot_rollouts([PolicyRollout(name, *one) for name, one in named.items()], path, episode)

@@ -1,1 +1,0 @@
-"""Results as one page that needs nothing else: tables, replays from above, distributions and curves."""
