@@ -12,7 +12,6 @@ from pedzoo.core import renamed
 from pedzoo.core.errors import UserError, as_integer, at_least_one
 from pedzoo.core.machine import usable
 from pedzoo.core.registry import SUITES
-from pedzoo.eval.packed_episodes import without_plans
 from pedzoo.eval.parallel import Backend, finished
 from pedzoo.eval.results import SuiteColumns, summary
 from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, OwnRecordings, Suite, WorkUnit, check_names
@@ -211,7 +210,8 @@ class Evaluation:
 
     def report(self) -> dict[str, Any]:
         """Return protocol, seeds, notes, summary and rows of all that is done."""
-        rows, plans = without_plans([row for number in sorted(self._rows) for row in self._rows[number]])
+        rows = [dict(row) for number in sorted(self._rows) for row in self._rows[number]]
+        plans = {name: plan for row in rows for name, plan in row.pop("plans", {}).items()}
         asked = self.options
         protocol = {
             "suites": [suite.name for suite in self._suites],

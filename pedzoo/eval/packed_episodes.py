@@ -8,7 +8,6 @@ the sign in the lowest bit, and stand as base64 in JSON. A person who walks take
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -88,12 +87,6 @@ def packed_episode(rollout: Rollout, episode: int, seed: int = 0) -> dict[str, A
         "xy": _text(np.concatenate([_differences(track) for track in tracks])) if tracks else "",
         "values": _values(one),
     }
-
-
-def without_plans(rows: Sequence[Mapping[str, Any]]) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """Return rows without their floor plans, and these once, by name."""
-    plans = {name: plan for row in rows for name, plan in row.get("plans", {}).items()}
-    return [{key: value for key, value in row.items() if key != "plans"} for row in rows], plans
 
 
 def packed_plan(grid: OccupancyGrid) -> dict[str, Any]:

@@ -20,11 +20,10 @@ from torchrl.envs.utils import step_mdp
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import move_to_map
 from pedzoo.core.types import TRACE_SECONDS
-from pedzoo.eval.packed_episodes import packed_episode, packed_plan
+from pedzoo.eval.packed_episodes import packed_episodes
 from pedzoo.eval.rollout import Recorder, prepare
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.walls.boxes import boxes
-from pedzoo.policies.policy import Policy
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.physics_parts.bullet.figure import Figure
 from pedzoo.sim.physics_parts.bullet.looks import BulletLooks
@@ -41,21 +40,6 @@ FINEST = 50
 def has_display() -> bool:
     """Return whether a window can be opened here."""
     return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY"))
-
-
-def decisions(policy: Policy | Any, env: PedestrianEnv, speed: float = 1.0) -> Iterator[Recorder]:
-    """Yield what is recorded of an episode after each decision, in its own time divided by ``speed``."""
-    with torch.no_grad():
-        now = env.reset()
-        recorder = Recorder(env)
-        due = time.monotonic()
-        while recorder.alive.any():
-            result = env.step(policy(now))
-            recorder.add(result["next"])
-            due = max(due + env.decision_dt / speed, time.monotonic())
-            yield recorder
-            time.sleep(max(0.0, due - time.monotonic()))
-            now = step_mdp(result)
 
 
 class Live:
@@ -79,27 +63,39 @@ class Live:
     def walk(self, episodes: int | None = None, shown: Callable[[Recorder], None] | None = None) -> None:
         """Walk so many episodes, None for without end; ``shown`` is called after each decision."""
         for number in islice(count(), episodes):
-            for recorder in decisions(self._policy, self.env, self._speed):
+            for recorder in self._decisions():
                 if shown:
                     shown(recorder)
                 else:
-                    self._keep(recorder, number, over=False)
+                    self._keep(recorder, number)
         self.over = True
         if not shown:
             with self._lock:
                 self._answer = json.dumps(json.loads(self._answer) | {"over": True}).encode()
+
+    def _decisions(self) -> Iterator[Recorder]:
+        """Yield what is recorded of an episode after each decision, in its own time divided by the speed."""
+        with torch.no_grad():
+            now = self.env.reset()
+            recorder = Recorder(self.env)
+            due = time.monotonic()
+            while recorder.alive.any():
+                result = self.env.step(self._policy(now))
+                recorder.add(result["next"])
+                due = max(due + self.env.decision_dt / self._speed, time.monotonic())
+                yield recorder
+                time.sleep(max(0.0, due - time.monotonic()))
+                now = step_mdp(result)
 
     def latest(self) -> bytes:
         """Return the present episode as JSON: ``episode``, ``plans`` and whether it is all ``over``."""
         with self._lock:
             return self._answer
 
-    def _keep(self, recorder: Recorder, number: int, over: bool) -> None:
-        rollout = recorder.rollout()
-        episode = packed_episode(rollout, 0, self._seed) | {"episode": number}
-        identity = int(rollout.map_id[0])
-        plans = {str(one.map_id): packed_plan(one) for one in self.env.bank.grids if one.map_id == identity}
-        answer = json.dumps({"episode": episode, "plans": plans, "over": over}).encode()
+    def _keep(self, recorder: Recorder, number: int) -> None:
+        episodes, plans = packed_episodes(recorder.rollout(), self.env.bank, 1, self._seed)
+        content = {"episode": episodes[0] | {"episode": number}, "plans": plans, "over": False}
+        answer = json.dumps(content).encode()
         with self._lock:
             self._answer = answer
 
