@@ -22,7 +22,6 @@ from pedzoo.cli.file_checks import (
 from pedzoo.cli.main import PAGES
 from pedzoo.cli.output import check_outputs
 from pedzoo.cli.suggestions import NO_POLICIES, given, split_names, unknown_option, without_model
-from pedzoo.core import renamed
 from pedzoo.core.configs import read_config
 from pedzoo.core.errors import UserError, at_least_one, need, unknown
 from pedzoo.core.paths import expanded, find_config
@@ -74,7 +73,6 @@ def check(command: str, argv: list[str]) -> None:
             _check_policy(name) if place else _check_scenario("", name)
     if command not in known()["options"]:
         return
-    argv = renamed.new_options(argv)
     _check_options(command, argv)
     if command in ("rollout", "evaluate") and all(word.startswith("-") for word in argv):
         raise UserError(NO_POLICIES)
@@ -162,7 +160,7 @@ def _check_policy(text: str, command: str = "rollout") -> None:
             continue
         else:
             check_model(spec.name, "policy", POLICIES.names())
-            _check_known("walker", "", spec.name, renamed.new_settings(settings))
+            _check_known("walker", "", spec.name, settings)
 
 
 def check_model(name: str, kind: str = "model", others: Sequence[str] = ()) -> None:
@@ -215,12 +213,12 @@ def _check_plan(option: str, text: str) -> None:
 
 
 def _check_physics(option: str, text: str) -> None:
-    spec = parse(renamed.OLD_BACKENDS.get(text, text))
+    spec = parse(text)
     _check_settings(PHYSICS, spec.name, dict(spec.settings))
 
 
 def _check_suite(option: str, text: str) -> None:
-    _check_name("suite", renamed.OLD_SUITES.get(text, text), SUITES.names())
+    _check_name("suite", text, SUITES.names())
 
 
 def _check_fold(option: str, text: str) -> None:

@@ -13,7 +13,6 @@ from pathlib import Path
 
 from pedzoo import __version__
 from pedzoo.cli.signals import EndedBySignal, exit_code, handle_signals
-from pedzoo.core import renamed
 from pedzoo.core.errors import NO_ROOM, UserError, lacks_memory, missing_extra
 from pedzoo.core.paths import config_names, weight_files
 from pedzoo.core.registry import (
@@ -95,7 +94,6 @@ def _dispatch(argv: list[str]) -> int:
         if rest in (["--help"], ["-h"]) and page.is_file():  # without the seconds that its imports take
             print(page.read_text(), end="", flush=True)
             raise SystemExit(0)
-        rest = renamed.new_words(rest)
         import_module("pedzoo.cli.checks").check(name, rest)
         return import_module(f"{package}.{name}").run(rest)
     return COMMANDS.get(name)(rest)  # a plugin's function, or the error with the nearest name

@@ -9,16 +9,14 @@ import re
 from argparse import ArgumentError
 from collections.abc import Iterable
 from difflib import get_close_matches
-from itertools import pairwise, takewhile
+from itertools import takewhile
 from pydoc import locate
 from typing import Any, get_args, get_origin
 
 from jsonargparse import ArgumentParser, Namespace
 
 from pedzoo.cli.suggestions import NO_POLICIES, shipped_configs, split_names, unknown_option, without_model
-from pedzoo.core import renamed
 from pedzoo.core.adapters import option_types
-from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import find_config
 from pedzoo.core.spec import homes, split
@@ -42,22 +40,9 @@ def parse(parser: ArgumentParser, argv: list[str], classes: Iterable[tuple[str, 
         UserError: An option or value is refused.
     """
     try:
-        return parser.parse_args(_written_out(parser, _config_files(renamed.new_options(argv))))
+        return parser.parse_args(_written_out(parser, _config_files(argv)))
     except ArgumentError as error:
         raise UserError(explain(str(error), known_options(parser, classes))) from error
-
-
-def classes_named(argv: list[str]) -> dict[str, str]:
-    """Return the classes that a command line and its config files name, by their place in a configuration."""
-    result: dict[str, str] = {}
-    for flag, value in pairwise([part for word in argv for part in word.split("=", 1)]):
-        place = flag.removeprefix("--").replace(".init_args", "").removesuffix(".class_path")
-        if flag in ("--config", "-c"):
-            result |= renamed.class_paths(load_config(value))
-        elif place in ("model", "model.generator"):
-            path = re.search(r'"class_path": "([^"]*)"', value)
-            result[place] = path[1] if path else value
-    return result
 
 
 def explain(message: str, known: list[str]) -> str:

@@ -16,7 +16,7 @@ from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.cli import LightningArgumentParser
 
 from pedzoo.cli.output import check_outputs, write_json
-from pedzoo.cli.parsing import classes_named, parse
+from pedzoo.cli.parsing import parse
 from pedzoo.cli.progress import duration
 from pedzoo.cli.robot_training import RobotTrainingCLI, trains_robots
 from pedzoo.cli.starting import Command, expand
@@ -24,7 +24,6 @@ from pedzoo.cli.training_parser import ConfigParser, ProgressBar, RunCLI, Signal
 from pedzoo.core.errors import NO_ROOM, UserError
 from pedzoo.core.machine import versions
 from pedzoo.core.registry import import_path, names_code
-from pedzoo.core.renamed import new_options
 from pedzoo.core.spec import setting_groups, spelled
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.data.recordings import find_fold
@@ -113,11 +112,10 @@ class TrainingCLI(RunCLI):
     def parse_arguments(self, parser: LightningArgumentParser, args: Any) -> None:
         """Parse, with errors in one line."""
         files = cast("ConfigParser", parser)
-        files.classes = classes = classes_named(args)
         files.start = self.start
         args = [
             import_path(word) if before in ("--model", "--model.generator") and names_code(word) else word
-            for before, word in zip(["", *args], new_options(args, classes), strict=False)
+            for before, word in zip(["", *args], args, strict=False)
         ]
         self.config = parse(parser, args, [("model", ForecastModule)])
         check_seed(self.config["seed_everything"])

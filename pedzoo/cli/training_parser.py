@@ -1,12 +1,11 @@
 """What all trainings at the command line share: config files with what they inherit, and a progress bar."""
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from csv import DictReader
 from pathlib import Path
 from traceback import extract_tb
-from types import MappingProxyType
 from typing import Any
 
 import yaml
@@ -63,11 +62,9 @@ class ConfigParser(LightningArgumentParser):
     """Reads config files with what they inherit.
 
     Attributes:
-        classes: Those that the command line and its config files name, by their place.
         start: What the command goes on from. A config that the person did not name is not trusted.
     """
 
-    classes: Mapping[str, str] = MappingProxyType({})
     start: ExpandedCommand = ExpandedCommand([])
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
@@ -76,7 +73,7 @@ class ConfigParser(LightningArgumentParser):
 
     def parse_path(self, path: str | os.PathLike, *args: Any, **kwargs: Any) -> Namespace:
         """Parse a config file; arguments as of jsonargparse's."""
-        settings = load_config(os.fspath(path), self.classes)
+        settings = load_config(os.fspath(path))
         beside, typed = self.start.beside, self.start.typed
         if beside and Path(path).resolve() == beside.resolve():
             if typed is None:

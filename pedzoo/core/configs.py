@@ -2,12 +2,10 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import find_config
-from pedzoo.core.renamed import new_config
 from pedzoo.core.size_limits import check_yaml, read_mapping
 from pedzoo.core.spec import spelled
 
@@ -18,18 +16,16 @@ _OF_COURSE = ("scenario", "scenes", "share")
 """A course's own keys. Its other keys are settings of its scenario."""
 
 
-def load_config(name: str | Path, classes: Mapping[str, str] = MappingProxyType({})) -> dict[str, Any]:
-    """Return the settings of a config with those of its bases; options have the names of today.
+def load_config(name: str | Path) -> dict[str, Any]:
+    """Return the settings of a config with those of its bases.
 
     Args:
         name: A shipped config's name or a file. A base is one of these, or a file beside the config.
-        classes: Classes that other configs name, for settings of theirs; see `renamed.class_paths`.
 
     Raises:
         UserError: There is no such config or base, the bases go in a circle, or a file is no YAML mapping.
     """
-    settings = _loaded(find_config(str(name)), ())
-    return _with_scenarios(new_config(settings, say_so=True, classes=classes))
+    return _with_scenarios(_loaded(find_config(str(name)), ()))
 
 
 def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -66,7 +62,6 @@ def _loaded(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
     settings = read_config(path)
     if (key := _no_text(settings)) is not None:
         raise UserError(f"config {str(path)!r}: {key!r:.60} stands in the place of an option's name")
-    settings = new_config(settings, say_so=True)
     if (base := settings.pop(BASE, None)) is None:
         return settings
     if not isinstance(base, str):
@@ -78,7 +73,7 @@ def _loaded(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
         raise UserError(f"base of config {str(path)!r}: {error}") from error
     except OSError as error:  # no file has so long a name
         raise UserError(f"base of config {str(path)!r}: {base!r:.60}: {error.strerror}") from error
-    return new_config(merged(_loaded(file, chain), settings), say_so=True)
+    return merged(_loaded(file, chain), settings)
 
 
 def _no_text(settings: Any) -> Any:

@@ -11,7 +11,6 @@ from tensordict import TensorDict
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
-from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import OBS_LEN, GoalProtocol, TimeBase
 from pedzoo.data.own_files import OwnFiles
@@ -68,9 +67,6 @@ class ImitationWindows:
     steps: int = 0
     batch_size: int = 64
     one_recording_per_batch: bool = False
-
-
-__getattr__ = renamed.old_classes(globals(), {"Imitated": "ImitationWindows"})
 
 
 class TrajectoryDataModule(L.LightningDataModule):

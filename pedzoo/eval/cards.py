@@ -6,11 +6,9 @@ from typing import Any, NamedTuple, NotRequired, get_args
 
 from typing_extensions import TypedDict
 
-from pedzoo.core import renamed
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.machine import versions
 from pedzoo.core.registry import ROBOT_POLICIES
-from pedzoo.core.renamed import OLD_SUITES
 from pedzoo.core.types import OBS_LEN, GoalProtocol, TimeBase
 from pedzoo.data.datamodule import PROTOCOL, STAGES, TrajectoryDataModule
 from pedzoo.data.recordings import find_fold
@@ -198,8 +196,7 @@ def _short(value: float) -> float:
 
 def _case(row: Report) -> str:
     """Return whose numbers a row has: a table's of the closed loop, or a fold's."""
-    table = row.get("table", "")
-    return str(OLD_SUITES.get(table, table) or " ".join(map(str, row["case"].values())))
+    return str(row.get("table") or " ".join(map(str, row["case"].values())))
 
 
 def _same(card: float, now: float | None, interval: Sequence[float] | None, chance: bool) -> bool | None:
@@ -232,7 +229,6 @@ def report_of(command: str, job: Job) -> Report:
     if command not in _MAKERS:
         raise UserError(f"no way to do {command!r} again: expected {' or '.join(_MAKERS)}")
     form, make = _MAKERS[command]
-    job = job._replace(protocol=renamed.new_keys(job.protocol))
     check(job.protocol, form, f"protocol of {command}:")
     refuse_code(job.protocol, f"protocol of {command}", f"name it yourself, with pedzoo {command}")
     protocol, rows = make(job)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.eval.packed_episodes import packed_episodes
 from pedzoo.eval.rollout import Progress, prepare, walk
@@ -45,7 +44,6 @@ class Comparison:
         refusal: Of `report`: what is wrong with the first metric of one's own that failed, or None.
     """
 
-    @renamed.takes_world
     def __init__(
         self,
         policies: Sequence[str],
@@ -84,7 +82,7 @@ class Comparison:
         Raises:
             UserError: An unknown name or setting, or a decision step that a policy cannot serve.
         """
-        physics = renamed.backend(physics or usual_physics())
+        physics = physics or usual_physics()
         named(metrics)
         if keep_episodes < 0:
             raise UserError(f"keep_episodes {keep_episodes}: expected 0 or more")

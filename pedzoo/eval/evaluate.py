@@ -8,7 +8,6 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from pedzoo.core import renamed
 from pedzoo.core.errors import UserError, as_integer, at_least_one
 from pedzoo.core.machine import usable
 from pedzoo.core.registry import SUITES
@@ -27,7 +26,6 @@ _IF_GIVEN = ("people", "robot", "own", "keep_episodes", "clearance", "deadline")
 """Options that a protocol names only where they are given."""
 
 
-@renamed.takes_world
 def evaluate(
     policies: Sequence[str],
     suites: Sequence[str] = SUITE_NAMES,
@@ -144,8 +142,6 @@ class Evaluation:
         usable(asked.device)
         if asked.own and asked.folds:
             raise UserError("--data.files are instead of --data.fold: leave one of them out")
-        if asked.physics is not None:
-            asked = asked._replace(physics=renamed.backend(asked.physics))
         if (kept := as_integer("keep_episodes", asked.keep_episodes)) < 0:
             raise UserError(f"keep_episodes {kept}: expected 0 or more")
         asked = asked._replace(keep_episodes=kept)
@@ -158,9 +154,7 @@ class Evaluation:
         if not self._seeds:
             raise UserError("no seeds: expected at least one")
         self._deterministic = deterministic
-        self._suites = [
-            _suite(name) for name in dict.fromkeys(map(renamed.suite, check_names("suites", suites)))
-        ]
+        self._suites = [_suite(name) for name in dict.fromkeys(check_names("suites", suites))]
         _check_use(asked, self._suites)
         given = {"device": asked.device, "metrics": asked.metrics, "keep_episodes": asked.keep_episodes}
         self._columns = (*(name for name in asked.metrics if name in NAMES), *named(asked.metrics))

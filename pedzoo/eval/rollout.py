@@ -10,7 +10,6 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
-from pedzoo.core import renamed
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError, at_least_one
 from pedzoo.core.geometry import limit_speed
@@ -34,7 +33,6 @@ Progress = Callable[[str, int, int], None]
 Episodes = TypeVar("Episodes", Rollout, RobotRollout)
 
 
-@renamed.takes_world
 def rollout(
     policy: str,
     scenario: str | Spec | PreparedScenario,
@@ -68,7 +66,6 @@ def rollout(
     return joined(parts), env
 
 
-@renamed.takes_world
 def prepare(
     policy: str,
     scenario: str | Spec | Scenario | PreparedScenario,

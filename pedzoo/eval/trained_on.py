@@ -2,7 +2,6 @@
 
 from typing import Any
 
-from pedzoo.core import renamed
 from pedzoo.core.paths import weight_files
 from pedzoo.core.spec import parse
 from pedzoo.data.recordings import find_fold
@@ -23,15 +22,14 @@ def for_fold(policy: str, fold: str) -> str:
 
 
 def _for_fold(policy: str, fold: str) -> str:
-    written, to, known = parse(policy).name, find_fold(fold), weight_files()
-    name = renamed.weights(written)
+    name, to, known = parse(policy).name, find_fold(fold), weight_files()
     if name not in known or not to or (held_out := find_fold(_held_out(name))) in (None, to):
         return policy
     architecture, _, tag = name.partition(".")
     other = f"{architecture}.{tag.replace(held_out.name, to.name, 1)}"
     if held_out.whole and f"{name}_{to.name}" in known:
         other = f"{name}_{to.name}"
-    return policy.replace(written, other, 1) if other in known else policy
+    return policy.replace(name, other, 1) if other in known else policy
 
 
 def has_seen(policy: str, fold: str) -> bool:

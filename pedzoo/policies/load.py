@@ -4,7 +4,6 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any, cast
 
-from pedzoo.core import renamed
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.machine import usable
 from pedzoo.core.registry import MODELS, POLICIES, ROBOT_POLICIES, SCENARIOS, names_code
@@ -125,7 +124,7 @@ def _one_policy(name: str) -> Policy | Walker:
     if own or spec.name in POLICIES.names():
         kind, cls = "policy", POLICIES.get(spec.name, Policy)
     elif is_file(spec.name) or spec.name in MODELS.names() or find(spec.name):
-        model, settings = spec.name, renamed.new_settings(spec.settings)
+        model, settings = spec.name, dict(spec.settings)
         if its := _settings_of_model(spec):
             model += ":" + ",".join(f"{key}={settings.pop(key)}" for key in sorted(its))  # as it was written
         kind, cls, more = "walker", Walker, {"model": load_model(model)}

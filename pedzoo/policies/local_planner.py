@@ -5,7 +5,6 @@ from typing import NamedTuple, Protocol, cast
 
 from torch import Tensor
 
-from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import ROBOT_POLICIES
 from pedzoo.core.spec import make, parse
@@ -58,8 +57,6 @@ class ObservedPeople(NamedTuple):
     radius: Tensor
     mask: Tensor
 
-
-__getattr__ = renamed.old_classes(globals(), {"People": "ObservedPeople", "Drive": "DriveState"})
 
 Clearance = Callable[[Tensor], Tensor]
 """Distances (B, M) of points (B, M, 2) from the nearest walls, metres."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import torch
 
-from pedzoo.core import renamed
 from pedzoo.core.errors import UserError, installed, known_arguments
 from pedzoo.core.registry import PHYSICS, SCENARIOS
 from pedzoo.core.spec import Spec, build, parse
@@ -20,7 +19,6 @@ CLEARANCE = 0.25
 """Metres that planned ways keep from walls."""
 
 
-@renamed.takes_world
 @known_arguments()
 def make_env(
     scenario: str | Spec | Scenario | PreparedScenario,
@@ -44,7 +42,7 @@ def make_env(
             its `prepare` returned, which environments of the same clearance may share.
         num_envs: Scenes that are run at once.
         physics: ``compiled``, ``torch`` (differentiable alike, on any device), ``bullet`` (pybullet) or
-            ``file.py:Class``, with settings. Called ``world`` before, and ``compiled`` ``grid``.
+            ``file.py:Class``, with settings.
         clearance: Metres that planned ways keep from walls.
         body_radius: Of a person, metres.
         seed: Of all scenes; scene i of a seed is the same however many are run at once. None: 0, and in
@@ -105,7 +103,7 @@ def make_physics(name: str, bank: MapBank, body_radius: float) -> Physics:
     """
     physics_class(name).check()
     given = {"bank": bank, "body_radius": body_radius}
-    return build(PHYSICS, renamed.backend(name), Physics, **given)
+    return build(PHYSICS, name, Physics, **given)
 
 
 def usual_physics() -> str:
@@ -115,4 +113,4 @@ def usual_physics() -> str:
 
 def physics_class(name: str) -> type[Physics]:
     """Return the class of a physics backend; errors as of `make_physics`."""
-    return PHYSICS.get(parse(renamed.backend(name)).name, Physics)
+    return PHYSICS.get(parse(name).name, Physics)

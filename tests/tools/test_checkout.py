@@ -10,7 +10,6 @@ from pedzoo.cli import checkout
 from pedzoo.cli.main import main, overview
 from pedzoo.core.paths import CARD, shipped, weight_files
 from pedzoo.core.registry import SUITES, Registry, folder_of
-from pedzoo.core.renamed import new_keys
 from pedzoo.eval.cards import about
 from pedzoo.models.zoo.card import read_card
 
@@ -42,5 +41,5 @@ def test_cards_name_no_suite_of_a_checkout() -> None:
     package = {path.stem for path in folder_of("pedzoo.eval.suites").glob("*.py")}
     for name in weight_files():
         for report in read_card(shipped("checkpoints") / name / CARD).evaluations:
-            suites = new_keys(report["protocol"]).get("suites", [])
+            suites = report["protocol"].get("suites", [])
             assert package >= set(suites), f"{name}: {about(report['protocol'])}"

@@ -163,7 +163,7 @@ def test_a_run_saves_the_dropout_that_it_ran_with(named: bool, monkeypatch: pyte
 
 
 def as_earlier(run: Path) -> None:
-    """Rewrite a run as earlier versions did: the generator twice, a dropout without use, no groups."""
+    """Rewrite a run as earlier versions did: the generator twice, a dropout without use."""
     file = run / "checkpoints" / "last.ckpt"
     checkpoint = torch.load(file, weights_only=True)
     own = checkpoint["state_dict"]
@@ -174,8 +174,7 @@ def as_earlier(run: Path) -> None:
     written = run / "config.yaml"
     settings = yaml.safe_load(written.read_text())
     generator = settings["model"]["init_args"]["generator"]
-    plain = {key: value for group in generator["init_args"].values() for key, value in group.items()}
-    generator["init_args"] = plain | {"map_dropout": 0.5}
+    generator["init_args"]["losses"]["map_dropout"] = 0.5
     written.write_text(yaml.safe_dump(settings))
 
 

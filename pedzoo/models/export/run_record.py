@@ -9,7 +9,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.core.size_limits import read_mapping
 
@@ -101,7 +100,7 @@ def _record(run: Path, content: dict[str, Any]) -> RunRecord:
 
 
 def _config(run: Path) -> dict[str, Any]:
-    return renamed.new_config(read_mapping(run / "config.yaml", "config", "one that pedzoo fit wrote"))
+    return read_mapping(run / "config.yaml", "config", "one that pedzoo fit wrote")
 
 
 def monitored(run: Path, metric: str) -> dict[int, float]:

@@ -8,7 +8,6 @@ from typing import Annotated, Any
 import yaml
 from typing_extensions import TypedDict
 
-from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import write_atomically
 from pedzoo.core.size_limits import LARGEST_CARD, LARGEST_WEIGHTS, check_limit, load_yaml, read_text
@@ -154,7 +153,7 @@ def read_card(path: str | Path) -> ModelCard:
     try:
         result = load_yaml(read_text(path, LARGEST_CARD))
         check_keys(result, ModelCard)
-        return ModelCard(**result | {"config": renamed.new_init(result["config"])})
+        return ModelCard(**result)
     except UserError as error:
         raise UserError(f"model card {str(path)!r}: {error}") from error
 

@@ -7,7 +7,6 @@ from typing import Any, NotRequired
 from safetensors import SafetensorError, safe_open
 from typing_extensions import TypedDict
 
-from pedzoo.core import renamed
 from pedzoo.core.errors import UserError
 from pedzoo.models.zoo.typed_fields import check, check_plain
 
@@ -53,7 +52,7 @@ def config_in(file: Any, path: Path) -> dict[str, Any]:
         check(config, Config, "config")
     except (ValueError, RecursionError) as error:
         raise UserError(f"weights {str(path)!r} have a pedzoo config that cannot be read: {error}") from error
-    return renamed.new_init(config)
+    return config
 
 
 def read_config(path: str | Path) -> dict[str, Any]:

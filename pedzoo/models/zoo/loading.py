@@ -11,7 +11,6 @@ from typing import Any
 import torch
 from safetensors.torch import save
 
-from pedzoo.core import renamed
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.paths import config_names, write_atomically
@@ -251,7 +250,6 @@ def read_checkpoint(path: str | Path) -> dict[str, Any]:
     state = checkpoint.get("state_dict")
     if not isinstance(state, dict) or not all(isinstance(key, str) for key in state):
         raise UserError(f"checkpoint {str(path)!r} has no weights by name")
-    checkpoint["pedzoo"] = renamed.new_init(checkpoint["pedzoo"])
     return checkpoint
 
 

@@ -8,7 +8,6 @@ from typing import NamedTuple
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
-from pedzoo.core import renamed
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.fetch import fetch, sha256_of
 from pedzoo.core.paths import CARD, expanded, shipped
@@ -185,8 +184,6 @@ def _by_name(name: str) -> ZooEntry | None:
         raise UserError(f"{name!r} was fetched from {len(stored)} places, say which: {' or '.join(stored)}")
     if stored:
         return _fetched(stored[0])
-    if (new := renamed.weights(name)) != name:
-        return _by_name(new)
     failed = [f"no folder {str(folder)!r}" for folder in _folders() if not folder.is_dir()]
     for source in _sources(address=True):
         try:

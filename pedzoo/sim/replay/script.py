@@ -8,7 +8,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from pedzoo.core import renamed
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
 from pedzoo.sim.replay.people import RecordedPeople, top_speed_of
 from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
@@ -63,9 +62,6 @@ class SceneStarts(NamedTuple):
         """Return the opening on a device."""
         moved = (None if value is None else value.to(device) for value in self)
         return SceneStarts(*moved)  # type: ignore[arg-type]  # None only where it may be
-
-
-__getattr__ = renamed.old_classes(globals(), {"Opening": "SceneStarts"})
 
 
 class Script:

@@ -10,7 +10,6 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.optim import Optimizer
 
-from pedzoo.core import renamed
 from pedzoo.core.errors import UserError, at_least_zero
 from pedzoo.core.spec import setting_groups, setting_types
 from pedzoo.metrics.forecast import ForecastScore
@@ -193,7 +192,7 @@ class ForecastModule(L.LightningModule):
         theirs, ours = checkpoint.get("pedzoo"), config_of(self.generator)
         if theirs is None:
             raise UserError("this checkpoint was not written by pedzoo fit")
-        changed = differences(renamed.new_init(theirs), ours)
+        changed = differences(theirs, ours)
         if changed:
             raise UserError(
                 f"the checkpoint is of another architecture ({'; '.join(changed)}); use its own --config"

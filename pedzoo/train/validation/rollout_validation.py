@@ -9,7 +9,6 @@ import torch
 from lightning.pytorch.callbacks import Callback
 from torch import Tensor
 
-from pedzoo.core import renamed
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.types import OBS_LEN
 from pedzoo.metrics.closed_loop import ClosedLoopScore
@@ -64,7 +63,6 @@ class ClosedLoopValidation(Callback):
         deterministic: bool = False,
         picture: bool = True,
         video: bool = False,
-        world: str | None = None,
     ) -> None:
         """Set the scenarios, and how often they run.
 
@@ -77,14 +75,13 @@ class ClosedLoopValidation(Callback):
             deterministic: Without noise.
             picture: Send a picture of the paths to Weights & Biases if that is a logger.
             video: Likewise a video of the first episode.
-            world: The old name of ``physics``.
 
         Raises:
             UserError: An unknown name or setting, or a number out of range.
         """
         if min(every, episodes) < 1:
             raise UserError(f"--rollout.every {every} --rollout.episodes {episodes}: expected at least 1")
-        self.physics = physics if world is None else renamed.old_world(world)
+        self.physics = physics
         physics_class(self.physics).check()
         names = scenarios or []
         if twice := next((name for name in names if names.count(name) > 1), None):
