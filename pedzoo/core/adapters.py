@@ -5,7 +5,6 @@ A test fails where one is used elsewhere. Versions of these libraries are pinned
 
 from __future__ import annotations
 
-from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -13,20 +12,7 @@ if TYPE_CHECKING:
     from jsonargparse import ArgumentParser
     from lightning import Trainer
     from tensordict import NonTensorData, TensorDict, TensorDictBase
-    from torch import Tensor, nn
-
-tensor_version = attrgetter("_version")
-"""torch: how often a tensor was written in place. Only autograd reads it; there is no public counter."""
-
-
-def submodules_of(module: nn.Module) -> dict[str, nn.Module | None]:
-    """Return the table of a module's children. torch: ``children()`` takes five times as long."""
-    return module._modules
-
-
-def parameters_of(module: nn.Module) -> dict[str, nn.Parameter | None]:
-    """Return the table of a module's own parameters. torch: for the reason of `submodules_of`."""
-    return module._parameters
+    from torch import Tensor
 
 
 def assert_on_device(condition: Tensor, message: str) -> None:

@@ -21,7 +21,6 @@ from pedzoo.models.blocks.floor_plan.map_alexnet import AlexNetEncoder
 from pedzoo.models.blocks.floor_plan.map_patch import PatchEncoder
 from pedzoo.models.blocks.floor_plan.map_rings import RingEncoder
 from pedzoo.models.blocks.mlp import ContextNoise, init_like_sgan, init_with_zeros, mlp
-from pedzoo.models.blocks.parameter_cache import NOTHING, FusedWeights, ParameterCache, fuse
 from pedzoo.models.blocks.people import ego_frame, linear_extrapolation
 from pedzoo.models.blocks.people.approach import ApproachPooling
 from pedzoo.models.blocks.people.crowd import Crowd
@@ -140,7 +139,6 @@ class SGAN(Forecaster):
         seen = a.encoder_dim + a.bottleneck_dim + a.goal_dim + map_dim + a.approach_dim
         self.to_decoder = mlp(seen, a.mlp_dim, a.decoder_dim - a.noise_dim)
         self.decoder = DisplacementDecoder(a.embedding_dim, a.decoder_dim)
-        self._parameter_cache = ParameterCache(_fuse, NOTHING)
         init_like_sgan(self)
         # after the published initialisation: a map encoder brings its own
         encoders = {"patch": PatchEncoder, "alexnet": AlexNetEncoder, "rings": RingEncoder}
@@ -159,9 +157,7 @@ class SGAN(Forecaster):
             # the untrained network is the trivial continuation itself
             init_with_zeros(self.decoder.output)
 
-    def encode(
-        self, batch: TensorDict, steps: int, fused: FusedWeights = NOTHING, alone: bool = False
-    ) -> Encoded:
+    def encode(self, batch: TensorDict, steps: int, alone: bool = False) -> Encoded:
         """Return all that does not depend on the noise; ``alone``: all people twice, then without others."""
         agents = agents_of(batch)
         crowd = Crowd.of(agents["mask"])
@@ -182,11 +178,10 @@ class SGAN(Forecaster):
                 heading = ego_frame.heading(moved, goal)
         frame = None if self.frame == "world" else heading
         moved = ego_frame.into(frame, moved)
-        hidden = self.encoder(moved, fused.encoder)
+        hidden = self.encoder(moved)
         features = [hidden]
-        pooling = self.pooling
-        if pooling is not None:
-            features.append(pooling(hidden, position, crowd, fused.pooling))
+        if self.pooling is not None:
+            features.append(self.pooling(hidden, position, crowd))
         if self.goal is not None and goal is not None and wanted is not None:
             features.append(
                 self.goal(torch.cat((ego_frame.into(frame, goal), ego_frame.into(frame, wanted)), -1))
@@ -203,7 +198,7 @@ class SGAN(Forecaster):
                 nobody[:, -self.approach.dim :] = 0.0
             seen, first = torch.cat((seen, nobody)), first.repeat(2, 1)
             base, frame = (None if one is None else torch.cat((one, one)) for one in (base, frame))
-        return Encoded(self.to_decoder(seen, fused.to_decoder), first, base, frame, crowd)
+        return Encoded(self.to_decoder(seen), first, base, frame, crowd)
 
     def _base(self, last_step: Tensor, goal: Tensor | None, steps: int) -> Tensor | None:
         if self.residual == "none":
@@ -225,7 +220,7 @@ class SGAN(Forecaster):
             )
         return crowd.to_people(z) if self.noise == "scene" else z
 
-    def decode(self, encoded: Encoded, z: Tensor, steps: int, fused: FusedWeights = NOTHING) -> Tensor:
+    def decode(self, encoded: Encoded, z: Tensor, steps: int) -> Tensor:
         """Return displacements in the world (K, P, T, 2) for noise ``z`` (K, P, noise_dim)."""
         samples, people = z.shape[:2]
         context, first = encoded.context, encoded.first
@@ -238,7 +233,7 @@ class SGAN(Forecaster):
         if self.trait is not None:
             context = self.trait(context, z)
         hidden = torch.cat((context, z), 1)
-        path = self.decoder(hidden, first, steps, fused.first, fused.decoder)
+        path = self.decoder(hidden, first, steps)
         path = ego_frame.out_of(encoded.heading, path.view(samples, people, steps, 2))
         return path if encoded.base is None else path + encoded.base[:, :steps]
 
@@ -246,9 +241,8 @@ class SGAN(Forecaster):
         self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
     ) -> Tensor:
         """Return random futures (B, K, A, T, 2)."""
-        fused = self._parameter_cache(self)
-        encoded = self.encode(batch, steps, fused)
-        path = self.decode(encoded, self.draw(encoded, samples, generator), steps, fused)
+        encoded = self.encode(batch, steps)
+        path = self.decode(encoded, self.draw(encoded, samples, generator), steps)
         return encoded.crowd.unpack(path.transpose(0, 1)).transpose(1, 2)
 
     def mode(self, batch: TensorDict, steps: int) -> Tensor:
@@ -257,22 +251,20 @@ class SGAN(Forecaster):
 
     def next_steps(self, batch: TensorDict, noise: Tensor | None, steps: int, horizon: int) -> Tensor:
         """Return the first steps of one future (B, A, steps, 2); no others are decoded."""
-        fused = self._parameter_cache(self)
-        encoded = self.encode(batch, horizon, fused)
+        encoded = self.encode(batch, horizon)
         zero = encoded.context.new_zeros(encoded.context.shape[0], self.noise_dim)
         z = zero if noise is None else encoded.crowd.pack(noise)
-        return encoded.crowd.unpack(self.decode(encoded, z.unsqueeze(0), steps, fused)[0])
+        return encoded.crowd.unpack(self.decode(encoded, z.unsqueeze(0), steps)[0])
 
     def step_and_wish(self, batch: TensorDict, noise: Tensor | None) -> tuple[Tensor, Tensor]:
         """Return the next steps (B, A, 2), metres, twice; alone, people keep their speed if they shall."""
         if not self.walking_keep_speed:
             return super().step_and_wish(batch, noise)
-        fused = self._parameter_cache(self)
-        encoded = self.encode(batch, PRED_LEN, fused, alone=True)
+        encoded = self.encode(batch, PRED_LEN, alone=True)
         pack, agents = encoded.crowd.pack, agents_of(batch)
         history, wanted = pack(agents["history"]), pack(agents["desired_velocity"]) * STEP_SECONDS
         z = history.new_zeros(len(history), self.noise_dim) if noise is None else pack(noise)
-        step, alone = self.decode(encoded, z.repeat(2, 1).unsqueeze(0), 1, fused)[0, :, 0].chunk(2)
+        step, alone = self.decode(encoded, z.repeat(2, 1).unsqueeze(0), 1)[0, :, 0].chunk(2)
         step = encoded.crowd.unpack(at_own_speed(step, alone, history[:, -1] - history[:, -2], wanted))
         return step, step
 
@@ -293,7 +285,3 @@ class SGAN(Forecaster):
         """
         steps = agents_of(batch)["future"].shape[2]
         return self.losses(self, batch, encoded or self.encode(batch, steps), steps, generator, sample)
-
-
-def _fuse(model: SGAN) -> FusedWeights:
-    return fuse(model.encoder, model.pooling, model.to_decoder, model.decoder)

@@ -1,31 +1,14 @@
 """Social GAN's multi-layer perceptron and its initialisation."""
 
 from itertools import pairwise
-from typing import TypeAlias
 
 import torch
 from torch import Tensor, nn
 from torch.distributions import Normal
 from torch.nn import functional
 
-Layers: TypeAlias = list[tuple[Tensor, Tensor]]
 
-
-class MLP(nn.Sequential):
-    """The layers of `mlp`."""
-
-    def forward(self, input: Tensor, fused: Layers | None = None) -> Tensor:
-        """Return the last layer's output (P, D); ``fused`` is what `fuse` returned for these parameters."""
-        for weight, bias in fused or self.fuse():
-            input = functional.linear(input, weight, bias).relu_()
-        return input
-
-    def fuse(self) -> Layers:
-        """Return weight and bias of each layer."""
-        return [(layer.weight, layer.bias) for layer in self if isinstance(layer, nn.Linear)]
-
-
-def mlp(*dims: int) -> MLP:
+def mlp(*dims: int) -> nn.Sequential:
     """Return Linear + ReLU for each pair of neighbouring ``dims``.
 
     The ReLU follows the last linear layer too, as in the published code: contexts, pooled vectors and even
@@ -33,8 +16,8 @@ def mlp(*dims: int) -> MLP:
     """
     layers: list[nn.Module] = []
     for fan_in, fan_out in pairwise(dims):
-        layers += [nn.Linear(fan_in, fan_out), nn.ReLU()]
-    return MLP(*layers)
+        layers += [nn.Linear(fan_in, fan_out), nn.ReLU(inplace=True)]
+    return nn.Sequential(*layers)
 
 
 def two_layers(inputs: int, width: int) -> nn.Sequential:

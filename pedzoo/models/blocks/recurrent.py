@@ -4,7 +4,7 @@ Both compute exactly what the paper's step-by-step networks do, in one LSTM call
 activation, so it disappears in the LSTM's input weights; so does the decoder's feedback, which is linear too.
 """
 
-from typing import TypeAlias, cast
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -13,10 +13,6 @@ from torch.nn import functional
 _CPU_CELLS = 2**19
 """People x steps x width per LSTM call on a CPU. Beyond, its buffers pass 32 MB, which the C library takes
 from the system page by page at every call: 1.7 times slower (measured)."""
-
-EncoderWeights: TypeAlias = tuple[Tensor, Tensor, list[Tensor]]
-FirstWeights: TypeAlias = tuple[Tensor, Tensor, Tensor, Tensor]
-DecoderWeights: TypeAlias = tuple[list[Tensor], Tensor, Tensor]
 
 
 class DisplacementEncoder(nn.Module):
@@ -36,36 +32,30 @@ class DisplacementEncoder(nn.Module):
         self.embedding = nn.Linear(2, embedding_dim)
         self.lstm = nn.LSTM(embedding_dim, hidden_dim)
 
-    def forward(self, displacements: Tensor, fused: EncoderWeights | None = None) -> Tensor:
-        """Return the last hidden state (P, hidden_dim); arguments as in `states`."""
-        return self.states(displacements, fused=fused)[0][0]
+    def forward(self, displacements: Tensor) -> Tensor:
+        """Return the last hidden state (P, hidden_dim) after displacements (P, T, 2), metres per step."""
+        return self.states(displacements)[0][0]
 
     def states(
-        self,
-        displacements: Tensor,
-        start: tuple[Tensor, Tensor] | None = None,
-        fused: EncoderWeights | None = None,
+        self, displacements: Tensor, start: tuple[Tensor, Tensor] | None = None
     ) -> tuple[Tensor, Tensor]:
-        """Return hidden and cell state (1, P, H) after displacements (P, T, 2), from ``start`` or from zero.
-
-        ``fused`` is what `fuse` returned for the same parameters.
-        """
-        hidden, cell, weights = fused or self.fuse()
+        """Return hidden and cell state (1, P, H) after displacements (P, T, 2); ``start`` is zero if None."""
+        weights = _folded(self.lstm, self.embedding)
         people, steps = displacements.shape[:2]
-        width = hidden.shape[2]
-        hidden, cell = start or (hidden.expand(1, people, width), cell.expand(1, people, width))
+        width = self.lstm.hidden_size
+        if start is None:  # the state after the zero displacement
+            gates = _without_forget(weights[2] + weights[3])
+            start = cast(
+                "tuple[Tensor, Tensor]",
+                tuple(state.expand(1, people, width) for state in _from_rest(gates.view(1, 1, -1))),
+            )
+        hidden, cell = start
         rows = _rows(steps * width, displacements)
         if people <= rows:
             return _lstm(displacements, (hidden, cell), weights, batch_first=True)[1:]
         pieces = zip(displacements.split(rows), hidden.split(rows, 1), cell.split(rows, 1), strict=True)
         ends = [_lstm(moved, (h, c), weights, batch_first=True)[1:] for moved, h, c in pieces]
         return torch.cat([end[0] for end in ends], 1), torch.cat([end[1] for end in ends], 1)
-
-    def fuse(self) -> EncoderWeights:
-        """Return hidden and cell state (1, 1, H) after a zero displacement, and the result of `_folded`."""
-        weights = _folded(self.lstm, self.embedding)
-        gates = _without_forget(weights[2] + weights[3])
-        return *_from_rest(gates.view(1, 1, -1)), weights
 
 
 class DisplacementDecoder(nn.Module):
@@ -90,24 +80,19 @@ class DisplacementDecoder(nn.Module):
         self.lstm = nn.LSTM(embedding_dim, hidden_dim)
         self.output = nn.Linear(hidden_dim, 2)
 
-    def forward(
-        self,
-        hidden: Tensor,
-        first: Tensor,
-        steps: int,
-        folded_first: FirstWeights | None = None,
-        fused: DecoderWeights | None = None,
-    ) -> Tensor:
+    def forward(self, hidden: Tensor, first: Tensor, steps: int) -> Tensor:
         """Return the next displacements (P, steps, 2), metres per step, after ``first`` (P, 2).
 
-        The cell state starts at zero. ``folded_first`` and ``fused`` are what `fuse_first` and `fuse`
-        returned for the same parameters; the first is used if ``steps`` is 1.
+        The cell state starts at zero.
         """
+        w_in, w_hh, b_ih, b_hh = _folded(self.lstm, self.embedding)
+        w_out, b_out = self.output.weight, self.output.bias
         if steps == 1:
-            weight, bias, w_out, b_out = folded_first or self.fuse_first()
+            weight, bias = _without_forget(torch.cat((w_in, w_hh), 1)), _without_forget(b_ih + b_hh)
             gates = functional.linear(torch.cat((first, hidden), 1), weight, bias)
             return functional.linear(_from_rest(gates)[0], w_out, b_out).unsqueeze(1)
-        weights, w_out, b_out = fused or self.fuse()
+        # the output is fed back
+        weights = [w_in, torch.addmm(w_hh, w_in, w_out), b_ih, torch.addmv(b_hh, w_in, b_out)]
         rows = _rows(steps * hidden.shape[1], hidden)
         whole = len(hidden) <= rows
         pieces = [(hidden, first)] if whole else zip(hidden.split(rows), first.split(rows), strict=True)
@@ -118,18 +103,6 @@ class DisplacementDecoder(nn.Module):
             state = (h0.unsqueeze(0), torch.zeros_like(h0).unsqueeze(0))
             parts.append(functional.linear(_lstm(inputs, state, weights)[0], w_out, b_out))
         return (parts[0] if len(parts) == 1 else torch.cat(parts, 1)).transpose(0, 1)
-
-    def fuse_first(self) -> FirstWeights:
-        """Return weight (3H, 2 + H) and bias (3H,) of the gates of `_from_rest`, and the output's."""
-        w_in, w_hh, b_ih, b_hh = _folded(self.lstm, self.embedding)
-        weight, bias = _without_forget(torch.cat((w_in, w_hh), 1)), _without_forget(b_ih + b_hh)
-        return weight, bias, self.output.weight, self.output.bias
-
-    def fuse(self) -> DecoderWeights:
-        """Return the weights of `_folded` with the output fed back, and the output's weight and bias."""
-        w_in, w_hh, b_ih, b_hh = _folded(self.lstm, self.embedding)
-        w_out, b_out = self.output.weight, self.output.bias
-        return [w_in, torch.addmm(w_hh, w_in, w_out), b_ih, torch.addmv(b_hh, w_in, b_out)], w_out, b_out
 
 
 def _folded(lstm: nn.LSTM, embedding: nn.Linear) -> list[Tensor]:
@@ -171,6 +144,6 @@ def _lstm(
     options = True, 1, 0.0, torch.is_grad_enabled(), False, batch_first
     if not inputs.is_cuda:
         return torch.lstm(inputs, state, weights, *options)
-    # cuDNN warns about weights that are no slices of one buffer, which fused ones never are.
+    # cuDNN warns about weights that are no slices of one buffer, which folded ones never are.
     with torch.backends.cudnn.flags(enabled=False):
         return torch.lstm(inputs, state, weights, *options)

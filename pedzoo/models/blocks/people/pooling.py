@@ -11,7 +11,7 @@ Then ReLU(u_j - v_i) = max(u_j, v_i) - v_i, which leaves one maximum and one pro
 Backwards, only the winning pair of each person and channel has a gradient.
 """
 
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
@@ -29,26 +29,6 @@ _GPU_FLOATS = 2**26
 
 _AT_ONCE = 2**17
 """Numbers in the pairs of scenes so small that only the number of calls counts."""
-
-
-class PoolingWeights(NamedTuple):
-    """The layers with W_e and b_e put into W_1 and b_1.
-
-    Attributes:
-        w_u: Weight (D, 2 + H) of u from [p; h].
-        b_u: Its bias (D,).
-        w_v: Weight (D, 2) of v from p.
-        w_2: W_2 (C, D).
-        b_2: b_2 (C,).
-        minus_w_2: - W_2.
-    """
-
-    w_u: Tensor
-    b_u: Tensor
-    w_v: Tensor
-    w_2: Tensor
-    b_2: Tensor
-    minus_w_2: Tensor
 
 
 class SocialPooling(nn.Module):
@@ -69,38 +49,30 @@ class SocialPooling(nn.Module):
         self.embedding = nn.Linear(2, embedding_dim)
         self.mlp = mlp(embedding_dim + hidden_dim, mlp_dim, bottleneck_dim)
 
-    def forward(
-        self, hidden: Tensor, position: Tensor, crowd: Crowd, fused: PoolingWeights | None = None
-    ) -> Tensor:
-        """Return the pooled vectors (P, bottleneck_dim) of hidden states (P, H) at positions (P, 2), metres.
-
-        ``fused`` is what `fuse` returned for the same parameters.
-        """
-        fused = fused or self.fuse()
-        # Differences of large coordinates lose digits: positions count from the first person of the scene.
-        origin = position[:1] if crowd.shape[0] == 1 else position[crowd.first]
-        away = position - origin
-        u = functional.linear(torch.cat((away, hidden), 1), fused.w_u, fused.b_u)
-        v = functional.linear(away, fused.w_v)
-        if crowd.absent is not None:
-            best = _max_over_slots(u, v, fused.w_2, crowd.absent, away)
-            return functional.linear(v, fused.minus_w_2, fused.b_2).add_(best).relu_()
-        if torch.is_grad_enabled():
-            return torch.relu(_MaxOverPairs.apply(u, v, fused.w_2, crowd, away) + fused.b_2)
-        if crowd.full and u.numel() * crowd.shape[1] <= _AT_ONCE:
-            best = _max_over_few_pairs(u, v, fused.w_2, away.view(*crowd.shape, 2))
-        else:
-            best = _max_over_pairs(u, v, fused.w_2, crowd.groups, away)[0]
-        return functional.linear(v, fused.minus_w_2, fused.b_2).add_(best).relu_()
-
-    def fuse(self) -> PoolingWeights:
-        """Return products of the parameters alone."""
+    def forward(self, hidden: Tensor, position: Tensor, crowd: Crowd) -> Tensor:
+        """Return pooled vectors (P, bottleneck_dim) of hidden states (P, H) at positions (P, 2), metres."""
         inner, outer = cast("nn.Linear", self.mlp[0]), cast("nn.Linear", self.mlp[2])
+        w_2, b_2 = outer.weight, outer.bias
+        # W_e and b_e are put into W_1 and b_1
         w_e, b_e, w_1 = self.embedding.weight, self.embedding.bias, inner.weight
         w_1e, w_1h = w_1[:, : len(w_e)], w_1[:, len(w_e) :]
         w_v = w_1e @ w_e
         w_u, b_u = torch.cat((w_v, w_1h), 1), torch.addmv(inner.bias, w_1e, b_e)
-        return PoolingWeights(w_u, b_u, w_v, outer.weight, outer.bias, -outer.weight)
+        # Differences of large coordinates lose digits: positions count from the first person of the scene.
+        origin = position[:1] if crowd.shape[0] == 1 else position[crowd.first]
+        away = position - origin
+        u = functional.linear(torch.cat((away, hidden), 1), w_u, b_u)
+        v = functional.linear(away, w_v)
+        if crowd.absent is not None:
+            best = _max_over_slots(u, v, w_2, crowd.absent, away)
+            return functional.linear(v, -w_2, b_2).add_(best).relu_()
+        if torch.is_grad_enabled():
+            return torch.relu(_MaxOverPairs.apply(u, v, w_2, crowd, away) + b_2)
+        if crowd.full and u.numel() * crowd.shape[1] <= _AT_ONCE:
+            best = _max_over_few_pairs(u, v, w_2, away.view(*crowd.shape, 2))
+        else:
+            best = _max_over_pairs(u, v, w_2, crowd.groups, away)[0]
+        return functional.linear(v, -w_2, b_2).add_(best).relu_()
 
 
 class _MaxOverPairs(torch.autograd.Function):
