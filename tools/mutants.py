@@ -33,7 +33,7 @@ ROOT = Path(__file__).parents[1]
 
 MODULES: dict[str, tuple[str, str]] = {
     "metrics": (
-        "pedzoo/metrics/*.py pedzoo/metrics/robots/*.py pedzoo/metrics/statistics/*.py",
+        "pedzoo/metrics/*.py",
         "tests/metrics --ignore=tests/metrics/test_own_metrics.py --ignore=tests/metrics/test_realism.py "
         "--ignore=tests/metrics/test_two_sample.py",
     ),
@@ -70,11 +70,11 @@ OPERATORS = re.compile(
 """Mistakes that people make: a sign, a border, a constant, a condition."""
 
 EQUIVALENT = {
-    "metrics/contact_functions.py": ("_AT_ONCE = 100001", "(closing < 0)", "zeros_like(by_frame[ 1])"),
+    "metrics/contacts.py": ("_AT_ONCE = 100001", "(closing < 0)", "zeros_like(by_frame[ 1])"),
     "metrics/displacement.py": ("split( 257)", "there.unsqueeze(1), 1).sum"),
-    "metrics/robots/robot_metrics.py": ("clamp_min( 0), there.any",),
-    "metrics/slots_to_persons.py": ("number.numel() else 1",),
-    "metrics/statistics/intervals.py": ("(at,))[:, -1]",),
+    "metrics/robots.py": ("clamp_min( 0), there.any",),
+    "metrics/arrival.py": ("number.numel() else 1",),
+    "metrics/statistics.py": ("(at,))[:, -1]",),
     "train/rl/rewards.py": ('["pref_speed"][..., -1]',),
     "models/blocks/variety.py": ("zeros_like(z[", "self.best_k >= 1", "self.best_k > 0"),
     "maps/planning/corners.py": ("< _SMALL",),

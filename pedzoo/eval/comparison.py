@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 from pedzoo.core.errors import UserError
 from pedzoo.eval.packed_episodes import packed_episodes
 from pedzoo.eval.rollout import Progress, prepare, walk
-from pedzoo.metrics.arrival_functions import arrived_in_time, finish_seconds
+from pedzoo.metrics.arrival import arrived_in_time, finish_seconds
 from pedzoo.metrics.closed_loop import closed_loop, named, own_metrics, time_ratio_median
-from pedzoo.metrics.contact_functions import contact_events, least_distance, nearest
+from pedzoo.metrics.contacts import contact_events, least_distance, nearest
 from pedzoo.metrics.ratios import Ratio, summarised
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.policy import Policy

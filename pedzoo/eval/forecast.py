@@ -13,7 +13,7 @@ from pedzoo.data.datamodule import STAGES, TrajectoryDataModule
 from pedzoo.data.recordings import Split
 from pedzoo.data.scenes import SceneSet
 from pedzoo.metrics.forecast import ForecastScore
-from pedzoo.metrics.statistics.intervals import Interval, ratio_interval
+from pedzoo.metrics.statistics import Interval, ratio_interval
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.loading import load
 

@@ -20,8 +20,8 @@ from pedzoo.core.geometry import move_to_map
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.metrics.arrival_functions import arrived_in_time
-from pedzoo.metrics.contact_functions import contact_events
+from pedzoo.metrics.arrival import arrived_in_time
+from pedzoo.metrics.contacts import contact_events
 from pedzoo.sim.rollout import Rollout
 
 LONGEST = 120.0

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.metrics.closed_loop import own_metrics
-from pedzoo.metrics.interventions import intervention_m, intervention_share
+from pedzoo.metrics.contacts import intervention_m, intervention_share
 from pedzoo.metrics.ratios import of_parts, summarised
 from pedzoo.metrics.realism.crowds import (
     CrowdSums,
@@ -33,7 +33,7 @@ from pedzoo.metrics.realism.crowds import (
 from pedzoo.metrics.realism.distances import drawn_people, halves
 from pedzoo.metrics.realism.features import FEATURES, every_step
 from pedzoo.metrics.realism.walks import RecordedWalks, Walks, WalksByPerson, of_people, tracks_of, walks_of
-from pedzoo.metrics.statistics.intervals import percentile_interval, wilson
+from pedzoo.metrics.statistics import percentile_interval, wilson
 from pedzoo.sim.replay.people import RecordedPeople
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.scenarios.replay import PreparedReplay
@@ -70,7 +70,7 @@ def replay_row(
     * ``closed_loop_ade_m``: mean distance to the recorded positions of the same time, until either arrives,
       never set back to them. ``closed_loop_min_ade_K_m``: of each person's best round. ``dtw_m``: distance to
       the recorded walk whatever the pace. A person who arrives in the first step of 0.4 s has neither.
-    * ``intervention_share``, ``intervention_m``: what the layer changes (`pedzoo.metrics.interventions`).
+    * ``intervention_share``, ``intervention_m``: what the layer changes (`pedzoo.metrics.contacts`).
 
     ``density_speed`` is the curve of both crowds, ``distributions`` the histograms of every feature.
 

@@ -15,7 +15,7 @@ from pedzoo.core.spec import Spec, build
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.eval.rollout import Recorder, in_parts
 from pedzoo.metrics.ratios import summarised
-from pedzoo.metrics.robots.robot_metrics import robot_metrics
+from pedzoo.metrics.robots import robot_metrics
 from pedzoo.policies.load import load_robot_policy
 from pedzoo.policies.robot_policy import RobotPolicy
 from pedzoo.sim.make import physics_class
@@ -186,7 +186,7 @@ def robot_row(name: str, rollout: RobotRollout, decision_dt: float) -> dict[str,
     """Return the metrics of a robot's policy with their 95 % intervals, and what became of each robot.
 
     ``n`` are episodes, intervals are over episodes; what the metrics are says
-    `pedzoo.metrics.robots.descriptions.LEGEND`.
+    `pedzoo.metrics.robots.LEGEND`.
     """
     metrics, intervals = summarised(robot_metrics(rollout))
     return {

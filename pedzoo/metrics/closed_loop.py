@@ -14,8 +14,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.registry import METRICS
 from pedzoo.metrics.arrival import time_ratios
 from pedzoo.metrics.ratios import Ratio, summarised
-from pedzoo.metrics.statistics.intervals import Interval, bootstrap_quantile
-from pedzoo.metrics.statistics.quantiles import quantiles
+from pedzoo.metrics.statistics import Interval, bootstrap_quantile, quantiles
 from pedzoo.sim.rollout import Rollout
 
 

@@ -12,7 +12,7 @@ from weakref import WeakKeyDictionary
 import torch
 from torch import Tensor
 
-from pedzoo.metrics.statistics.intervals import Interval, ratio_interval, wilson
+from pedzoo.metrics.statistics import Interval, ratio_interval, wilson
 from pedzoo.sim.rollout import Rollout
 
 T = TypeVar("T")

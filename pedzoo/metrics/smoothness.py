@@ -13,7 +13,7 @@ import math
 import torch
 from torch import Tensor
 
-from pedzoo.core.types import STEP_SECONDS, TRACE_SECONDS
+from pedzoo.core.types import GOAL_RADIUS, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.metrics.ratios import Ratio, mean, metric, once, ratio
 from pedzoo.sim.rollout import Rollout
 
@@ -118,3 +118,16 @@ def heading_rate_rad_per_s(rollout: Rollout) -> Ratio:
 def path_irregularity_rad_per_m(rollout: Rollout) -> Ratio:
     """Total turning divided by total path length."""
     return ratio(turning(*moves(rollout)), length(*moves(rollout)))
+
+
+@metric("ordinary")
+def standing_drift_m(rollout: Rollout) -> Ratio:
+    """Greatest distance from the place where a person waits when the episode begins, mean over people.
+
+    It counts until they get another goal. People wait whose way to their first goal has no length.
+    """
+    place = rollout.goal[:, :, :1]
+    there = ((rollout.goal == place).all(-1) & rollout.controlled).cummin(2).values
+    off = (rollout.trace - place).norm(dim=-1).where(there, torch.zeros(()))
+    waits = rollout.mask & (rollout.first_path_length < GOAL_RADIUS) & there[..., 0]
+    return mean(off.amax(2), waits)

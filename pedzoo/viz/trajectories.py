@@ -21,7 +21,7 @@ from pedzoo.core.geometry import direction_of, move_to_map
 from pedzoo.core.types import GOAL_RADIUS, TRACE_SECONDS
 from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.metrics.contact_functions import begins
+from pedzoo.metrics.contacts import begins
 from pedzoo.sim.physics_parts.camera import person_color
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.state import TRACE_PER_STEP

@@ -20,7 +20,7 @@ from pedzoo.eval.robots import robot_rollout, robot_row
 from pedzoo.eval.suite import EvaluationOptions
 from pedzoo.eval.suites import robots as suite
 from pedzoo.eval.work_units import digest, work
-from pedzoo.metrics.robots.descriptions import LEGEND
+from pedzoo.metrics.robots import LEGEND
 from pedzoo.models.zoo.store import find
 from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.sim.robot_parts.rollout import RobotRollout

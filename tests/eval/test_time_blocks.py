@@ -10,9 +10,8 @@ import torch
 from pedzoo.core.batch import agents_of
 from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.eval.forecast import BlockSums, blocks, forecast_row
-from pedzoo.metrics.forecast import ForecastScore
-from pedzoo.metrics.forecast_nll import NegativeLogLikelihood
-from pedzoo.metrics.statistics.intervals import ratio_interval
+from pedzoo.metrics.forecast import ForecastScore, NegativeLogLikelihood
+from pedzoo.metrics.statistics import ratio_interval
 from pedzoo.models.base import known_displacements, true_displacements
 from pedzoo.models.zoo.loading import load
 from tools.paper.line_density import NATS, line_likelihood, log_density, strayed

@@ -11,12 +11,11 @@ from helpers.walks import made, straight
 from torch import Tensor
 
 from pedzoo.eval.comparison import row
-from pedzoo.metrics.arrival import time_ratios
+from pedzoo.metrics.arrival import ScoredSpans, time_ratios
 from pedzoo.metrics.closed_loop import NAMES, ClosedLoopScore, closed_loop
-from pedzoo.metrics.contact_functions import least_distance, nearest
+from pedzoo.metrics.contacts import least_distance, nearest
 from pedzoo.metrics.ratios import summarised
-from pedzoo.metrics.slots_to_persons import ScoredSpans
-from pedzoo.metrics.statistics.intervals import wilson
+from pedzoo.metrics.statistics import wilson
 from pedzoo.sim.rollout import OVER_TIME, Rollout, joined
 
 INF = float("inf")

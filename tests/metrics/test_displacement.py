@@ -16,8 +16,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import rotate
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.metrics import displacement as d
-from pedzoo.metrics.forecast import ForecastScore
-from pedzoo.metrics.forecast_nll import CalibrationError
+from pedzoo.metrics.forecast import CalibrationError, ForecastScore
 from pedzoo.models.architectures.bent_line import BentLine
 from pedzoo.models.architectures.constant_velocity import ConstantVelocity
 from pedzoo.models.architectures.straight_line import StraightLine

@@ -7,8 +7,7 @@ import pytest
 import torch
 
 from pedzoo.metrics.realism.distances import drawn_people
-from pedzoo.metrics.statistics.intervals import bootstrap_quantile
-from pedzoo.metrics.statistics.quantiles import quantiles
+from pedzoo.metrics.statistics import bootstrap_quantile, quantiles
 
 AT = (0.05, 0.5, 0.95, 1.0)
 
@@ -23,7 +22,7 @@ def test_quantiles_by_hand() -> None:
 
 
 def test_quantiles_of_resamples_are_those_of_the_repeated_values(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pedzoo.metrics.statistics.quantiles._AT_ONCE", 700)  # several parts
+    monkeypatch.setattr("pedzoo.metrics.statistics._AT_ONCE", 700)  # several parts
     generator = torch.Generator().manual_seed(0)
     value = torch.randn(300, generator=generator, dtype=torch.float64)
     group = torch.randint(20, (300,), generator=generator)

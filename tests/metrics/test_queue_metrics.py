@@ -11,7 +11,7 @@ from torch import Tensor
 
 from pedzoo.eval.rollout import rollout
 from pedzoo.metrics.closed_loop import closed_loop
-from pedzoo.metrics.queues import headways, sharp, wall_drift
+from pedzoo.metrics.door import headways, sharp, wall_drift
 from pedzoo.metrics.ratios import summarised
 
 INF = float("inf")

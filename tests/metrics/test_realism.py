@@ -16,7 +16,7 @@ from tensordict import TensorDictBase
 from pedzoo.core.geometry import identity_pose, rotate
 from pedzoo.eval.realism import reference_rows, replay_row
 from pedzoo.eval.rollout import prepare, walk
-from pedzoo.metrics.contact_functions import time_to_collision
+from pedzoo.metrics.contacts import time_to_collision
 from pedzoo.metrics.realism.crowds import crowd, densities, density_speed, only, together
 from pedzoo.metrics.realism.distances import (
     Samples,

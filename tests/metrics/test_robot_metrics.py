@@ -12,10 +12,9 @@ from torch import Tensor
 
 from pedzoo.core.batch import ROBOT
 from pedzoo.core.bodies import Fleet, RobotBody
+from pedzoo.metrics import robot_functions as of_robots
 from pedzoo.metrics.ratios import summarised
-from pedzoo.metrics.robots import driving, effect, proximity
-from pedzoo.metrics.robots.descriptions import LEGEND
-from pedzoo.metrics.robots.robot_metrics import robot_metrics
+from pedzoo.metrics.robots import LEGEND, robot_metrics
 from pedzoo.sim.robot_parts.rollout import RobotRollout, joined_robots
 from pedzoo.sim.rollout import Rollout
 
@@ -105,15 +104,17 @@ def test_turning_and_standing_by_hand() -> None:
     path = torch.zeros(1, 1, 6, 2)
     path[..., 5, 0] = 0.1
     there = torch.ones(1, 1, 5).bool()
-    assert driving.heading_changes(heading, there).item() == pytest.approx(0.8, abs=1e-5)
-    assert driving.seconds_standing(path, heading, there).item() == pytest.approx(0.2)
-    least, final = driving.goal_distances(path[:, :, 1:], torch.tensor([0.4, 0.0]).expand(1, 1, 5, 2), there)
+    assert of_robots.heading_changes(heading, there).item() == pytest.approx(0.8, abs=1e-5)
+    assert of_robots.seconds_standing(path, heading, there).item() == pytest.approx(0.2)
+    least, final = of_robots.goal_distances(
+        path[:, :, 1:], torch.tensor([0.4, 0.0]).expand(1, 1, 5, 2), there
+    )
     assert least.item() == pytest.approx(0.3) and final.item() == pytest.approx(0.3)
 
 
 def test_a_robot_that_turns_slowly_in_place_does_not_stand() -> None:
     heading, there = torch.tensor([[[0.0, 0.1, 0.1]]]), torch.ones(1, 1, 2).bool()
-    assert driving.seconds_standing(torch.zeros(1, 1, 3, 2), heading, there).item() == pytest.approx(0.1)
+    assert of_robots.seconds_standing(torch.zeros(1, 1, 3, 2), heading, there).item() == pytest.approx(0.1)
 
 
 def test_distances_and_spaces_by_hand() -> None:
@@ -137,26 +138,26 @@ def test_intrusions_are_where_people_will_be() -> None:
     people = straight((2.0, 0), (-1, 0), 30)[1:].view(1, 1, 30, 2)
     robots = torch.zeros(1, 1, 30, 2)
     present = torch.ones(1, 1, 30).bool()
-    intruded, least = proximity.intrusions(robots, people, present, torch.tensor([[[0.449]]]))
+    intruded, least = of_robots.intrusions(robots, people, present, torch.tensor([[[0.449]]]))
     assert intruded[0, 0, :3].tolist() == [False, False, False] and intruded[0, 0, 3:16].all()
     assert least[0, 0, 3].item() == pytest.approx(0.35, abs=1e-5)
-    gone, _ = proximity.intrusions(robots, people, torch.zeros_like(present), torch.tensor([[[0.449]]]))
+    gone, _ = of_robots.intrusions(robots, people, torch.zeros_like(present), torch.tensor([[[0.449]]]))
     assert not gone.any()
 
 
 def test_social_force_by_hand_and_the_same_on_both() -> None:
     """Both stand, 1 m apart: D = e, B = 0.35, angle 0: the force is 2.1 exp(-1 / 0.35)."""
     apart, still = torch.tensor([1.0, 0.0]), torch.zeros(2)
-    assert proximity.social_force(apart, still).item() == pytest.approx(2.1 * math.exp(-1 / 0.35), rel=1e-5)
+    assert of_robots.social_force(apart, still).item() == pytest.approx(2.1 * math.exp(-1 / 0.35), rel=1e-5)
     velocity = torch.tensor([0.3, -0.8])
     torch.testing.assert_close(
-        proximity.social_force(apart, velocity), proximity.social_force(-apart, -velocity)
+        of_robots.social_force(apart, velocity), of_robots.social_force(-apart, -velocity)
     )
     # D = (1, 1): |D| = sqrt 2, angle 45 degrees
     reach, angle = 0.35 * math.sqrt(2), math.pi / 4
     ahead = math.exp(-1 / reach - (3 * reach * angle) ** 2)
     aside = math.exp(-1 / reach - (2 * reach * angle) ** 2)
-    result = proximity.social_force(apart, torch.tensor([0.0, 0.5])).item()
+    result = of_robots.social_force(apart, torch.tensor([0.0, 0.5])).item()
     assert result == pytest.approx(2.1 * math.hypot(ahead, aside), rel=1e-5)
 
 
@@ -170,8 +171,8 @@ def test_who_moves_faster_towards_the_other_drives_into_it(robot: float, person:
     assert (result["robot_on_person"], result["person_on_robot"]) == (float(drives), float(not drives))
 
 
-def walk(arrived: bool, seconds: float, covered: float, walked: float) -> effect.WalkProgress:
-    return effect.WalkProgress(
+def walk(arrived: bool, seconds: float, covered: float, walked: float) -> of_robots.WalkProgress:
+    return of_robots.WalkProgress(
         torch.tensor([[arrived]]), *(torch.tensor([[v]]) for v in (seconds, covered, walked))
     )
 
@@ -189,17 +190,17 @@ def walk(arrived: bool, seconds: float, covered: float, walked: float) -> effect
         (walk(True, 9.0, 10.0, 10.0), walk(False, torch.inf, 5.0, 5.0), -5.0),
     ],
 )
-def test_delay_by_hand(joined: effect.WalkProgress, alone: effect.WalkProgress, delay: float) -> None:
-    result = effect.delay(joined, alone, torch.tensor([[1.25]]), torch.tensor([10.0]))
+def test_delay_by_hand(joined: of_robots.WalkProgress, alone: of_robots.WalkProgress, delay: float) -> None:
+    result = of_robots.delay(joined, alone, torch.tensor([[1.25]]), torch.tensor([10.0]))
     assert result.item() == pytest.approx(delay)
-    back = effect.delay(alone, joined, torch.tensor([[1.25]]), torch.tensor([10.0]))
+    back = of_robots.delay(alone, joined, torch.tensor([[1.25]]), torch.tensor([10.0]))
     assert back.item() == pytest.approx(-delay)
 
 
 def test_detour_is_what_is_walked_beyond_the_progress() -> None:
     """Who waits has none; who walks 0.5 m more for the same progress has that."""
-    waits = effect.detour(walk(False, torch.inf, 6.0, 6.0), walk(False, torch.inf, 8.0, 8.0))
-    around = effect.detour(walk(True, 9.0, 10.0, 10.5), walk(True, 8.0, 10.0, 10.0))
+    waits = of_robots.detour(walk(False, torch.inf, 6.0, 6.0), walk(False, torch.inf, 8.0, 8.0))
+    around = of_robots.detour(walk(True, 9.0, 10.0, 10.5), walk(True, 8.0, 10.0, 10.0))
     assert (waits.item(), around.item()) == pytest.approx((0.0, 0.5))
 
 
@@ -310,7 +311,7 @@ def test_numbers_of_two_are_means_of_those_of_each(together: str) -> None:
 
 def test_each_robot_is_as_far_from_people_as_its_own_body() -> None:
     distance = torch.tensor([[[[1.0]], [[1.0]]]])  # 0.9 m and 0.4 m from the bodies
-    assert proximity.in_space(distance, torch.tensor([[0.1, 0.6]]), "intimate").flatten().tolist() == [
+    assert of_robots.in_space(distance, torch.tensor([[0.1, 0.6]]), "intimate").flatten().tolist() == [
         False,
         True,
     ]
@@ -323,7 +324,7 @@ def test_who_drives_into_whom_is_asked_pair_by_pair(ahead: float) -> None:
         torch.tensor([[[ahead, 9.0]], [[-9.0, 0.2]]]),
         torch.tensor([[[-0.3, 9.0]], [[9.0, -0.1]]]),
     )
-    assert proximity.drives_into(apart, robot, person)[:, 0].tolist() == [ahead > 0, True]
+    assert of_robots.drives_into(apart, robot, person)[:, 0].tolist() == [ahead > 0, True]
 
 
 def test_what_happens_after_the_episode_does_not_count() -> None:

@@ -16,8 +16,7 @@ from pedzoo.core import geometry
 from pedzoo.core.batch import agents_of, maps_of
 from pedzoo.core.errors import UserError
 from pedzoo.eval.rollout import rollout
-from pedzoo.metrics.forecast import ForecastScore
-from pedzoo.metrics.forecast_nll import NegativeLogLikelihood
+from pedzoo.metrics.forecast import ForecastScore, NegativeLogLikelihood
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.architectures.social_vrnn import SocialVRNN
 from pedzoo.models.base import known_displacements, true_displacements

@@ -16,7 +16,7 @@ from pedzoo.core.randomness import Draws
 from pedzoo.core.registry import SCENARIOS
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.eval.rollout import prepare, walk
-from pedzoo.metrics.arrival_functions import arrived_in_time, finish_seconds
+from pedzoo.metrics.arrival import arrived_in_time, finish_seconds
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env, make_scenario, prepare_scenario
 from pedzoo.sim.rollout import Rollout, joined

@@ -15,7 +15,7 @@ from pedzoo.core.randomness import Draws
 from pedzoo.eval.evaluate import evaluate
 from pedzoo.eval.rollout import rollout
 from pedzoo.metrics.closed_loop import measure
-from pedzoo.metrics.waiting import standing_drift_m
+from pedzoo.metrics.smoothness import standing_drift_m
 from pedzoo.policies.rule_based.go_to_goal import GoToGoal
 from pedzoo.sim import kernel
 from pedzoo.sim.env import PedestrianEnv

@@ -8,7 +8,7 @@ import pytest
 import torch
 from helpers.walks import made
 
-from pedzoo.metrics.arrival_functions import seconds_per_goal
+from pedzoo.metrics.arrival import seconds_per_goal
 from pedzoo.metrics.ratios import summarised
 from tools.paper.outcome import OUTCOMES, bearing_sweep, outcome_ratios, outcomes
 

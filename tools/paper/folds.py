@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pedzoo.eval.results import mean_interval
-from pedzoo.metrics.statistics.intervals import FEWEST
+from pedzoo.metrics.statistics import FEWEST
 from tools.paper.paper import Errors
 
 

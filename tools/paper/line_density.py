@@ -12,8 +12,8 @@ from torch import Tensor
 from pedzoo.core.batch import agents_of
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.eval.forecast import BlockSums
-from pedzoo.metrics.forecast_nll import NegativeLogLikelihood
-from pedzoo.metrics.statistics.intervals import Interval
+from pedzoo.metrics.forecast import NegativeLogLikelihood
+from pedzoo.metrics.statistics import Interval
 from pedzoo.models.base import known_displacements, true_displacements
 
 LEAST = 0.02

@@ -18,7 +18,7 @@ import math
 import torch
 from torch import Tensor
 
-from pedzoo.metrics import arrival_functions, contact_functions, door
+from pedzoo.metrics import arrival, contacts, door
 from pedzoo.metrics.ratios import Ratio, finite, share
 from pedzoo.sim.rollout import Rollout
 
@@ -40,13 +40,11 @@ def outcome_ratios(rollout: Rollout) -> dict[str, Ratio]:
     if rollout.gate is None:
         raise ValueError("outcomes are about a door, and this scenario has none")
     pair, meets = door.pair(rollout.path[:, :, 0], rollout.mask, rollout.gate)
-    arrived = arrival_functions.arrived_in_time(
+    arrived = arrival.arrived_in_time(
         rollout.reached, rollout.goals, rollout.overdue, rollout.failed, rollout.mask
     )
-    stuck = arrival_functions.deadlocked(rollout.trace, rollout.goal, rollout.scored)
-    near = contact_functions.least_distance(
-        contact_functions.nearest(rollout.trace, rollout.present), rollout.scored
-    ).amin(1)
+    stuck = arrival.deadlocked(rollout.trace, rollout.goal, rollout.scored)
+    near = contacts.least_distance(contacts.nearest(rollout.trace, rollout.present), rollout.scored).amin(1)
     both = door.of_pair(rollout.scored, pair).all(1) & meets.unsqueeze(1)
     sweep = bearing_sweep(door.of_pair(rollout.trace, pair), both)
     body = door.of_pair(rollout.radius, pair).mean(1)

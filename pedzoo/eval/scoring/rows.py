@@ -26,7 +26,7 @@ from pedzoo.metrics.realism.crowds import (
 )
 from pedzoo.metrics.realism.distances import drawn_people, halves, sums
 from pedzoo.metrics.realism.two_sample import FOLDS, Verdict, auc, nearest_parts, two_sample
-from pedzoo.metrics.statistics.intervals import Interval, percentile_interval, ratio_interval
+from pedzoo.metrics.statistics import Interval, percentile_interval, ratio_interval
 
 HALVES = "real halves"
 """The row of one half of the recorded people against the other: what a perfect crowd would score."""

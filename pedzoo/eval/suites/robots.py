@@ -10,7 +10,7 @@ from pedzoo.core.spec import Spec, build, name_of, parse
 from pedzoo.eval.robots import prepared_scenes, robot_rollout, robot_row
 from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite, Tell, WorkUnit, kept_episodes
 from pedzoo.eval.suites.replay import digest_of
-from pedzoo.metrics.robots.descriptions import LEGEND
+from pedzoo.metrics.robots import LEGEND
 from pedzoo.policies.load import load_policy, load_robot_policy
 from pedzoo.sim.robot_parts.rollout import joined_robots
 

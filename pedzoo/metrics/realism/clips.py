@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.types import STEP_SECONDS
-from pedzoo.metrics.contact_functions import HORIZON, collision_seconds
+from pedzoo.metrics.contacts import HORIZON, collision_seconds
 from pedzoo.metrics.realism.features import LINE, SampledRollout
 
 LENGTH = 8

@@ -11,11 +11,10 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.types import TRACE_SECONDS
-from pedzoo.metrics.contact_functions import begins
+from pedzoo.metrics.contacts import begins
 from pedzoo.metrics.realism.distances import Samples, counted, grid, resampled, sums, wasserstein
 from pedzoo.metrics.realism.features import CLOSE, FEATURES, SampledRollout, features, surroundings
-from pedzoo.metrics.statistics.intervals import Interval, ratio_interval
-from pedzoo.metrics.statistics.quantiles import quantiles
+from pedzoo.metrics.statistics import Interval, quantiles, ratio_interval
 from pedzoo.sim.rollout import Rollout
 
 MOST_CLOSE = 20

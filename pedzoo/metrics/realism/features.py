@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.types import STEP_SECONDS
-from pedzoo.metrics.contact_functions import HORIZON, collision_seconds
+from pedzoo.metrics.contacts import HORIZON, collision_seconds
 from pedzoo.metrics.realism.distances import Samples
 from pedzoo.metrics.smoothness import WINDOW, acceleration, heading_rate
 from pedzoo.sim.rollout import Rollout
@@ -66,7 +66,7 @@ class Surroundings(NamedTuple):
         person: Person of each step (N,) long.
         speed: Theirs (N,), m/s.
         nearest: Distance to the nearest other (N,), metres between centres; infinite for a person alone.
-        collision: Least time to a collision (N,), seconds, as of `contact_functions.time_to_collision`.
+        collision: Least time to a collision (N,), seconds, as of `pedzoo.metrics.contacts.time_to_collision`.
         close: Others within `CLOSE` (N,) long.
     """
 

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.types import TRACE_SECONDS
-from pedzoo.metrics.arrival_functions import stuck
+from pedzoo.metrics.arrival import stuck
 from pedzoo.metrics.realism.features import SampledRollout, every_step
 from pedzoo.metrics.realism.paths import closed_loop_error, dtw, padded
 from pedzoo.sim.rollout import Rollout
@@ -41,7 +41,7 @@ class Walks(NamedTuple):
     Attributes:
         episode: (W,) long.
         person: (W,) long.
-        deadlock: Which walks had a `deadlocked` person, as in `pedzoo.metrics.arrival_functions` (W,) bool.
+        deadlock: Which walks had a `deadlocked` person, as in `pedzoo.metrics.arrival` (W,) bool.
         seconds: From when the policy took over until within 0.3 m of the goal; NaN for never. A replay takes
             out people who need more than twice the recorded time.
         ade: Mean distance to the recorded positions of the same times, metres; NaN without any.

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from pedzoo.core.batch import agents_of, goals_of
 from pedzoo.core.types import STEP_SECONDS
-from pedzoo.metrics.contact_functions import HORIZON, collision_seconds
+from pedzoo.metrics.contacts import HORIZON, collision_seconds
 from pedzoo.metrics.realism.features import LINE
 from pedzoo.metrics.smoothness import STANDS
 from pedzoo.train.closed_loop.unroll import Unrolled

@@ -13,7 +13,7 @@ from torch.nn import functional
 from pedzoo.core.batch import in_company
 from pedzoo.core.geometry import smooth_norm, unrotate
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
-from pedzoo.metrics.contact_functions import HORIZON, collision_seconds
+from pedzoo.metrics.contacts import HORIZON, collision_seconds
 from pedzoo.metrics.realism.clips import CHANNELS, FAR, LENGTH
 from pedzoo.metrics.realism.features import LINE
 from pedzoo.metrics.smoothness import STANDS

@@ -9,7 +9,7 @@ from torch import Tensor
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import function_in_file
-from pedzoo.metrics.contact_functions import nearest
+from pedzoo.metrics.contacts import nearest
 
 
 class Reward:

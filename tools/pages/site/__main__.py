@@ -35,7 +35,7 @@ API = {
     "maps": "Maps: maps.named_plans maps.grid.OccupancyGrid maps.from_rectangles "
     "maps.planning.planner.Planner",
     "eval": "Metrics and evaluation: metrics.arrival metrics.contacts metrics.door metrics.smoothness "
-    "metrics.displacement metrics.robots.robot_metrics eval.suite eval.scoring.score",
+    "metrics.displacement metrics.robots eval.suite eval.scoring.score",
 }
 """Pages of the API by their names: title, and modules, classes and functions of pedzoo."""
 

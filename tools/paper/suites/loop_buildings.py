@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 from pedzoo.core.spec import Spec
 from pedzoo.eval.suite import EvaluationCase, EvaluationOptions
 from pedzoo.eval.suites.goals import Goals
-from pedzoo.metrics import contact_functions
+from pedzoo.metrics import contacts
 from pedzoo.metrics.ratios import Ratio, ratio
 from pedzoo.sim.rollout import Rollout
 
@@ -66,7 +66,6 @@ class LoopBuildings(Goals):
         """Return ``contacts_per_min``: touches of others and of walls together."""
         scored = rollout.scored
         events = [
-            contact_functions.contact_events(which & scored)
-            for which in (rollout.agent_contact, rollout.wall_contact)
+            contacts.contact_events(which & scored) for which in (rollout.agent_contact, rollout.wall_contact)
         ]
-        return {"contacts_per_min": ratio(events[0] + events[1], contact_functions.person_minutes(scored))}
+        return {"contacts_per_min": ratio(events[0] + events[1], contacts.person_minutes(scored))}

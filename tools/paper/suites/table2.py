@@ -9,7 +9,6 @@ from pedzoo.core.spec import Spec
 from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite
 from pedzoo.eval.suites.goals import CELLS, EPISODES, GIVEN, POOL
 from pedzoo.maps.plans import load_plan
-from pedzoo.metrics import arrival_functions
 from pedzoo.metrics.ratios import Ratio, ratio
 from pedzoo.sim.rollout import Rollout
 
@@ -69,8 +68,6 @@ class Table2(Suite):
     def more(self, rollout: Rollout) -> dict[str, Ratio]:
         """Return ``seconds_per_goal``, of episodes in which every person reaches all goals in time."""
         reached, goals, mask = rollout.reached, rollout.goals, rollout.mask
-        arrived = arrival_functions.arrived_in_time(reached, goals, rollout.overdue, rollout.failed, mask)
-        last = arrival_functions.episode_seconds(
-            arrival_functions.finish_seconds(reached, goals), arrived, mask
-        )
-        return {"seconds_per_goal": ratio(*arrival_functions.seconds_per_goal(last, reached, mask))}
+        arrived = arrival.arrived_in_time(reached, goals, rollout.overdue, rollout.failed, mask)
+        last = arrival.episode_seconds(arrival.finish_seconds(reached, goals), arrived, mask)
+        return {"seconds_per_goal": ratio(*arrival.seconds_per_goal(last, reached, mask))}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from pedzoo.metrics.arrival_functions import (
+from pedzoo.metrics.arrival import (
     arrived_in_time,
     deadlocked,
     episode_seconds,
@@ -22,7 +22,7 @@ from pedzoo.metrics.arrival_functions import (
     weighted,
 )
 from pedzoo.metrics.ratios import Ratio, summarised
-from pedzoo.metrics.statistics.intervals import ratio_interval, wilson
+from pedzoo.metrics.statistics import ratio_interval, wilson
 
 INF = float("inf")
 

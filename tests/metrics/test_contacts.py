@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from pedzoo.metrics import contact_functions
-from pedzoo.metrics.contact_functions import (
+from pedzoo.metrics import contacts
+from pedzoo.metrics.contacts import (
     compliance_igibson,
     contact_events,
     keeps_distance,
@@ -37,7 +37,7 @@ def test_minutes_are_those_in_which_a_person_is_there() -> None:
 def test_nearest_is_the_least_distance_to_anybody_else_who_is_there(
     at_once: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(contact_functions, "_AT_ONCE", at_once)
+    monkeypatch.setattr(contacts, "_AT_ONCE", at_once)
     generator = torch.Generator().manual_seed(0)
     trace = 5 * torch.rand(3, 4, 50, 2, generator=generator)
     present = torch.rand(3, 4, 50, generator=generator) > 0.4
@@ -81,7 +81,7 @@ def test_time_to_collision_of_simple_encounters() -> None:
     assert seconds((4.0, 0.18), (-1.0, 0.0)) == pytest.approx(4.0 - 0.24)  # 0.18, 0.24, 0.3
     assert seconds((4.0, 0.31), (-1.0, 0.0)) == 10.0  # passes
     pairs = (torch.tensor([value]) for value in (4.0, 3.0, -1.0, 0.0, 3.0))
-    assert contact_functions.collision_seconds(*pairs).item() == 4.0  # grazes
+    assert contacts.collision_seconds(*pairs).item() == 4.0  # grazes
     assert seconds((4.0, 0.0), (1.0, 0.0)) == 10.0  # walks away
     assert seconds((40.0, 0.0), (-1.0, 0.0)) == 10.0  # later
     assert seconds((4.0, 0.0), (0.0, 0.0)) == 10.0  # as far for ever
@@ -92,7 +92,7 @@ def test_time_to_collision_of_simple_encounters() -> None:
 def test_time_to_collision_is_when_discs_that_walk_on_first_touch(
     at_once: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(contact_functions, "_AT_ONCE", at_once)
+    monkeypatch.setattr(contacts, "_AT_ONCE", at_once)
     generator = torch.Generator().manual_seed(0)
     position = 3 * torch.randn(2, 5, 20, 2, generator=generator)
     velocity = torch.randn(2, 5, 20, 2, generator=generator)

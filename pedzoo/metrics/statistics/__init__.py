@@ -1,1 +1,0 @@
-"""Intervals, quantiles and means of numbers that were summed over episodes and processes."""
