@@ -9,6 +9,7 @@ from pedzoo.core.spec import Spec
 from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite
 from pedzoo.eval.suites.goals import CELLS, EPISODES, GIVEN, POOL
 from pedzoo.maps.plans import load_plan
+from pedzoo.metrics import arrival
 from pedzoo.metrics.ratios import Ratio, ratio
 from pedzoo.sim.rollout import Rollout
 
