@@ -7,9 +7,9 @@ from typing import Literal, NamedTuple
 
 from pedzoo.cli.suggestions import given, split_names
 from pedzoo.core.errors import UserError
+from pedzoo.core.forms import refuse_code
 from pedzoo.core.registry import names_code, whole_name
 from pedzoo.models.zoo.loading import read_checkpoint
-from pedzoo.models.zoo.typed_fields import refuse_code
 from pedzoo.train.fine_tuning import architecture_options, config_beside, options_of, options_to_continue
 from pedzoo.train.run import RunFolder
 

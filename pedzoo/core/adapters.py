@@ -5,6 +5,8 @@ A test fails where one is used elsewhere. Versions of these libraries are pinned
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -13,6 +15,19 @@ if TYPE_CHECKING:
     from lightning import Trainer
     from tensordict import NonTensorData, TensorDict, TensorDictBase
     from torch import Tensor
+
+
+@contextmanager
+def pieces_as_they_come() -> Iterator[None]:
+    """Let huggingface_hub write what it downloads at once. Else it waits for 10 MB, and loses them, too."""
+    from huggingface_hub import constants
+
+    usual = constants.DOWNLOAD_CHUNK_SIZE
+    constants.DOWNLOAD_CHUNK_SIZE = None  # pyright: ignore[reportAttributeAccessIssue]
+    try:
+        yield
+    finally:
+        constants.DOWNLOAD_CHUNK_SIZE = usual
 
 
 def assert_on_device(condition: Tensor, message: str) -> None:

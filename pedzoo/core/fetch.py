@@ -1,60 +1,37 @@
-"""Downloads into the user's cache, checked and atomic: a file is there whole or not at all.
+"""Downloads into the user's cache, checked and atomic: a file is there with the right content, or not at all.
 
-An interrupted download resumes where it stopped, also in a later process. A file that one mirror lacks comes
-from the next one. With the environment variable ``PEDZOO_OFFLINE`` set, the network is not used. pooch has
-neither resume nor mirrors, and huggingface_hub serves its own hub alone: so neither is used here.
+The client of huggingface_hub brings the bytes from any address: it goes on after an interruption, tries again
+and shows the progress. With the environment variable ``PEDZOO_OFFLINE`` set, the network is not used.
 """
 
-from __future__ import annotations
-
 import hashlib
+import io
 import os
 import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any
 
 from pedzoo import __version__
+from pedzoo.core.adapters import pieces_as_they_come
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import cache_home
-
-if TYPE_CHECKING:
-    import requests
-
-TIMEOUT = (10.0, 30.0)
-"""Seconds within which a server has to accept the connection, and to send each next piece of the file."""
-
-WAITS = (0.5, 1.0, 2.0)
-"""Seconds before each further try at an address. A try that brings more of the file starts the list again."""
-
-LONGEST_WAIT = 30.0
-"""Seconds that a busy server may ask for."""
-
-BUSY = (408, 425, 429, 500, 502, 503, 504)
-"""Answers that another try may change."""
 
 PATIENCE, SLOWEST = 180.0, 1000.0
 """Seconds that any file may take, and the fewest bytes per second after that."""
 
-_BLOCK = 1 << 13
-"""Bytes per piece, at most."""
-
-_NO_LINK = getattr(os, "O_NOFOLLOW", 0)
-
-_FAILED: set[str] = set()
-"""Hosts that failed in this process. They are asked last, so that not every file waits for them."""
+_RESTARTS = 3
+"""How often a download begins anew within a call, of a server that cannot go on where it was."""
 
 
 class _RefusedError(Exception):
     """This address does not give the file; another one may."""
 
 
-class _BrokeOffError(Exception):
-    """This try did not give the whole file; the next one may, after ``wait`` seconds."""
-
-    wait = 0.0
+class _WrongFileError(_RefusedError):
+    """What this address gave is of no use."""
 
 
 def offline() -> bool:
@@ -89,7 +66,7 @@ def fetch(
         sha256: Its checksum; None takes any content, and a file that is there (for what the caller checks).
         filename: Path below the folder, which it may not leave.
         hint: Another way to give the file, for the error message: "or give its path as weights=...".
-        size: Its length in bytes, where it is known; another one is refused without reading on.
+        size: Its length in bytes, where it is known.
         limit: Bytes that it may have at most, where its length is not known.
         folder: Where it goes; `pedzoo.core.paths.cache_home` by default.
         token: Sent to the addresses' hosts as ``Authorization: Bearer``, and to no other.
@@ -109,21 +86,23 @@ def fetch(
             f"{target} {state}, and PEDZOO_OFFLINE forbids the network: unset it, or {way_out} (from "
             f"{' or '.join(addresses)})"
         )
-    said = []
+    part, reasons = target.with_name(f".{target.name}.part"), []
     try:
         with _alone(target):
             if _is_there(target, sha256):  # another process may have brought it meanwhile
                 return target
             target.parent.mkdir(parents=True, exist_ok=True)
-            for url in sorted(addresses, key=lambda url: _host(url) in _FAILED):
+            for url in addresses:
                 try:
-                    os.replace(_whole(url, target, sha256, ExpectedLength(size, limit), token), target)
-                    return target
+                    _bring(url, part, sha256, size, limit, token)
                 except _RefusedError as error:
-                    said.append(f"{url}: {error}")
+                    reasons.append(f"{url}: {error}")
+                else:
+                    os.replace(part, target)
+                    return target
     except OSError as error:
         raise UserError(f"cannot write {target}: {error.strerror or error}") from error
-    raise UserError(f"cannot download {target.name}: {'; '.join(said)}: {way_out}")
+    raise UserError(f"cannot download {target.name}: {'; '.join(reasons)}: {way_out}")
 
 
 def _below(folder: Path, filename: str) -> Path:
@@ -156,144 +135,70 @@ def _alone(target: Path) -> Iterator[None]:
         lock.release()
 
 
-def _whole(url: str, target: Path, sha256: str | None, expected: ExpectedLength, token: str | None) -> Path:
-    """Try at one address until all of the file has come, and return where it is."""
-    part = target.with_name(f".{target.name}.part")
-    if part.is_symlink():  # the name is known to others who may write there
-        part.unlink()
-    clock = DownloadTimer(time.monotonic(), _length(part))
-    mixed, furthest, waits = part.exists(), 0, iter(WAITS)
-    while True:
-        if sha256 is None:
-            part.unlink(missing_ok=True)
-        try:
-            _stream(url, part, expected, clock, token)
-        except _BrokeOffError as error:
-            if (length := _length(part)) > furthest:
-                furthest, waits = length, iter(WAITS)
-            if (wait := next(waits, None)) is None:
-                _FAILED.add(_host(url))
-                raise _RefusedError(f"{error}, tried {len(WAITS) + 1} times") from error
-            clock.check(length)
-            time.sleep(max(wait, error.wait))
-            continue
-        digest = sha256_of(part)
-        if sha256 in (None, digest):
-            return part
-        part.unlink()
-        if not mixed:
-            raise _RefusedError(f"does not have the expected content: sha256 {digest}, expected {sha256}")
-        mixed = False  # part of it is of an earlier download: try once more from the start
+def _bring(
+    url: str, part: Path, sha256: str | None, size: int | None, limit: int | None, token: str | None
+) -> None:
+    """Bring the file at an address to ``part``, after what an earlier call left of it."""
+    if part.is_symlink() or sha256 is None:  # the name is known to others who may write there
+        part.unlink(missing_ok=True)
+    resumed = part.exists() and part.stat().st_size > 0
+    try:
+        _transfer(url, part, size, limit, token)
+        if sha256 not in (None, digest := sha256_of(part)):
+            raise _WrongFileError(f"does not have the expected content: sha256 {digest}, expected {sha256}")
+    except _WrongFileError:
+        part.unlink(missing_ok=True)
+        if not resumed:
+            raise
+        _bring(url, part, sha256, size, limit, token)  # part of it may be of another file
 
 
-class ExpectedLength(NamedTuple):
-    """The known length of a file, or the greatest that is accepted."""
+def _transfer(url: str, part: Path, size: int | None, limit: int | None, token: str | None) -> None:
+    """Append the missing rest of a file to ``part``."""
+    from huggingface_hub.file_download import http_get  # takes 0.2 s: only downloads pay for it
 
-    size: int | None
-    limit: int | None
-
-    def check(self, length: int) -> None:
-        """Check a length that a server has sent or announced."""
-        if self.size is not None and length > self.size:
-            raise _RefusedError(f"has more than the expected {self.size} bytes")
-        if self.limit is not None and length > self.limit:
-            raise _RefusedError(f"has {length} bytes, and at most {self.limit} are read of such a file")
-
-
-class DownloadTimer(NamedTuple):
-    """When a download began, and how much of the file was there then."""
-
-    began: float
-    had: int
-
-    def check(self, length: int) -> None:
-        """Check that the server is fast enough, its interruptions included."""
-        seconds = time.monotonic() - self.began
-        got = max(length - self.had, 0)
-        if seconds > PATIENCE + got / SLOWEST:
-            raise _RefusedError(f"gave {got} bytes in {seconds:.0f} s: too slow, try again later")
-
-
-def _host(url: str) -> str:
-    return url.partition("://")[2].partition("/")[0]
-
-
-def _length(part: Path) -> int:
-    return part.stat().st_size if part.exists() else 0
-
-
-def _stream(url: str, part: Path, expected: ExpectedLength, clock: DownloadTimer, token: str | None) -> None:
-    """Ask once for the missing rest of a file. Append it to ``part``, or begin ``part`` anew."""
-    import requests  # takes 0.1 s: only downloads pay for it
-    import urllib3
-
-    class Session(requests.Session):
-        def rebuild_auth(self, prepared_request: Any, response: Any) -> None:  # not from .netrc
-            if self.should_strip_auth(response.request.url, prepared_request.url):
-                prepared_request.headers.pop("Authorization", None)
-
-    # Compressed on the way, a file's parts and its length would be those of something else.
+    # compressed on the way, a file's parts and its length would be those of something else
     headers = {"Accept-Encoding": "identity", "User-Agent": f"pedzoo/{__version__}"}
     headers |= {"Authorization": f"Bearer {token}"} if token else {}
-    if start := _length(part):
-        headers["Range"] = f"bytes={start}-"
-    # without ``auth`` requests takes that of .netrc
-    asked: dict[str, Any] = {"stream": True, "timeout": TIMEOUT, "auth": lambda request: request}
-    again = requests.ConnectionError, requests.Timeout, requests.exceptions.ChunkedEncodingError
-    try:
-        with Session() as session, session.get(url, headers=headers, **asked) as answer:
-            _read(answer, part, start, expected, clock)
-    except urllib3.exceptions.HTTPError as error:  # while the file comes: requests is not between
-        raise _BrokeOffError(_root(error)) from error
-    except requests.RequestException as error:
-        final = isinstance(error, requests.exceptions.SSLError) or not isinstance(error, again)
-        raise (_RefusedError if final else _BrokeOffError)(_root(error)) from error
+    with _LimitedFile(part, size or limit) as file:
+        begin = {"resume_size": file.tell(), "expected_size": size}
+        try:
+            with pieces_as_they_come():
+                http_get(url, file, headers=headers, displayed_filename=part.name[1:-5], **begin)
+        except _RefusedError:
+            raise
+        except Exception as error:  # the classes of the client's errors differ between its versions
+            if isinstance(error, OSError) and error.errno:
+                raise  # this machine's
+            answer = getattr(error, "response", None)
+            reason = " ".join(str(error).split()) or type(error).__name__
+            if answer is not None:
+                reason = f"{answer.status_code} {answer.reason_phrase}"
+            elif reason.startswith("Consistency check failed"):
+                reason = f"has {file.tell()} bytes, expected {size}"
+            # an answer to its end that is too short, or a part that is longer than the file
+            wrong = isinstance(error, OSError) and (answer is None or answer.status_code == 416)
+            raise (_WrongFileError if wrong else _RefusedError)(reason) from error
 
 
-def _read(
-    answer: requests.Response, part: Path, start: int, expected: ExpectedLength, clock: DownloadTimer
-) -> None:
-    from tqdm import tqdm
+class _LimitedFile(io.FileIO):
+    """A file to append to: no link of others, of a greatest length, and filled fast enough."""
 
-    size = expected.size
-    said, where = f"{answer.status_code} {answer.reason}", answer.headers.get("Content-Range", "")
-    goes_on = answer.status_code == 206 and start > 0
-    if answer.status_code == 416 and where == f"bytes */{start}":
-        return  # nothing was missing
-    if answer.status_code == 416 or (goes_on and not where.startswith(f"bytes {start}-")):
-        part.unlink()
-        raise _BrokeOffError(f"cannot go on at byte {start}")
-    if answer.status_code in BUSY:
-        error, asked = _BrokeOffError(said), answer.headers.get("Retry-After", "")
-        error.wait = min(float(asked), LONGEST_WAIT) if asked.isdecimal() else 0.0
-        raise error
-    if not answer.ok:
-        raise _RefusedError(said)
-    done = start if goes_on else 0
-    length = answer.headers.get("Content-Length", "")
-    total = done + int(length) if length.isdecimal() else size
-    if size is not None and total != size:
-        raise _RefusedError(f"has {total} bytes, expected {size}")
-    expected.check(total or 0)
-    if answer.headers.get("Content-Encoding", "identity") != "identity":
-        raise _RefusedError("is sent compressed, although that was not asked for")
-    look = {"unit": "B", "unit_scale": True, "disable": None, "leave": False, "delay": 0.5}
-    bar = tqdm(total=total, initial=done, desc=part.name[1:-5], **look)
-    mode = "ab" if goes_on else "wb"
-    with bar, open(part, mode, opener=lambda *at: os.open(at[0], at[1] | _NO_LINK, 0o666)) as file:
-        # all bytes that have come: `iter_content` waits for whole blocks
-        while block := answer.raw.read1(_BLOCK):
-            done += file.write(block)
-            bar.update(len(block))
-            expected.check(done)
-            clock.check(done)
-    if size is not None and done < size:
-        raise _BrokeOffError(f"broke off after {done} of {size} bytes")
+    def __init__(self, path: Path, limit: int | None) -> None:
+        no_link = getattr(os, "O_NOFOLLOW", 0)
+        super().__init__(path, "a", opener=lambda name, flags: os.open(name, flags | no_link, 0o666))
+        self.limit, self.restarts, self.got, self.began = limit, 0, 0, time.monotonic()
 
+    def truncate(self, size: int | None = None) -> int:
+        self.restarts += 1
+        if self.restarts > _RESTARTS:
+            raise _RefusedError("breaks off again and again, and cannot go on where it was")
+        return super().truncate(size)
 
-def _root(error: BaseException) -> str:
-    """Return what an exception of requests' comes from, without the layers about it."""
-    for inner in (getattr(error, "reason", None), error.__cause__, *error.args):
-        if isinstance(inner, Exception):
-            return _root(inner)
-    return (error.strerror if isinstance(error, OSError) else None) or str(error) or type(error).__name__
+    def write(self, data: Any) -> int:
+        if self.limit is not None and self.tell() + len(data) > self.limit:
+            raise _WrongFileError(f"has more than {self.limit} bytes")
+        self.got += len(data)
+        if (seconds := time.monotonic() - self.began) > PATIENCE + self.got / SLOWEST:
+            raise _RefusedError(f"gave {self.got} bytes in {seconds:.0f} s: too slow, try again later")
+        return super().write(data)

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, NotRequired, get_args
 from typing_extensions import TypedDict
 
 from pedzoo.core.errors import UserError, unknown
+from pedzoo.core.forms import check, refuse_code
 from pedzoo.core.machine import versions
 from pedzoo.core.registry import ROBOT_POLICIES
 from pedzoo.core.types import OBS_LEN, GoalProtocol, TimeBase
@@ -17,9 +18,7 @@ from pedzoo.eval.forecast import forecast_row
 from pedzoo.eval.suite import EvaluationOptions
 from pedzoo.eval.work_units import ProgressReport
 from pedzoo.models.zoo.card import ModelCard
-from pedzoo.models.zoo.loading import load
-from pedzoo.models.zoo.saved_config import saved_config
-from pedzoo.models.zoo.typed_fields import check, refuse_code
+from pedzoo.models.zoo.loading import load, saved_config
 
 Progress = Callable[[str, int, int], None]
 Report = dict[str, Any]

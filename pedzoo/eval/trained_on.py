@@ -5,7 +5,7 @@ from typing import Any
 from pedzoo.core.paths import weight_files
 from pedzoo.core.spec import parse
 from pedzoo.data.recordings import find_fold
-from pedzoo.models.zoo.file_header import read_config
+from pedzoo.models.zoo.card import read_config
 from pedzoo.models.zoo.loading import read_checkpoint
 from pedzoo.models.zoo.store import find
 from pedzoo.policies.crowd_names import parts

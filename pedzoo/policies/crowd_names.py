@@ -18,9 +18,8 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.paths import expanded
 from pedzoo.core.registry import MODELS, POLICIES, names_code
 from pedzoo.core.spec import name_of, parse, split
-from pedzoo.models.zoo.address import is_address
 from pedzoo.models.zoo.card import is_name
-from pedzoo.models.zoo.store import names
+from pedzoo.models.zoo.store import is_address, names
 
 _SHARE = "share"
 _ROUNDING = 1e-6

@@ -11,9 +11,8 @@ from pedzoo.core.bodies import Fleet, RobotBody
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import ROBOT_POLICIES, names_code
 from pedzoo.core.spec import name_of
-from pedzoo.models.zoo.compatibility import check_settings, check_shapes, check_tensors
-from pedzoo.models.zoo.file_header import config_in, opened
-from pedzoo.models.zoo.loading import read_checkpoint
+from pedzoo.models.zoo.card import config_in, opened
+from pedzoo.models.zoo.loading import check_settings, check_shapes, check_tensors, read_checkpoint
 from pedzoo.models.zoo.store import check_scheme, find, weights_of
 from pedzoo.policies.local_planner import LocalPlanner, ObservedPeople, Robot, load_local_planner
 from pedzoo.policies.robot_policy import RobotPolicy

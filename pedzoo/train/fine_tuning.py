@@ -13,8 +13,7 @@ from pedzoo.core.registry import ROBOT_POLICIES
 from pedzoo.core.spec import grouped
 from pedzoo.data.datamodule import PROTOCOL
 from pedzoo.models.base import Forecaster
-from pedzoo.models.zoo.loading import build, config_of, load, read_checkpoint
-from pedzoo.models.zoo.saved_config import saved_config
+from pedzoo.models.zoo.loading import build, config_of, load, read_checkpoint, saved_config
 from pedzoo.models.zoo.store import of_robots
 from pedzoo.train.modules.module import ForecastModule, copied_keys, differences
 from pedzoo.train.run import RunFolder

@@ -23,7 +23,7 @@ from lightning.pytorch.utilities import rank_zero_only
 from pedzoo.core.errors import UserError, need
 from pedzoo.core.machine import versions
 from pedzoo.core.paths import PARTS, shipped, write_atomically
-from pedzoo.models.export.run_record import RECORDS
+from pedzoo.models.zoo.publish import RECORDS
 from pedzoo.train.metrics_file import MetricsFile, WholeMetrics, rows_of
 from pedzoo.train.monitor import KnownMonitor
 from pedzoo.train.slurm import job_record, left_by_this_job

@@ -15,10 +15,10 @@ from lightning.pytorch.utilities import rank_zero_only
 
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
+from pedzoo.core.forms import refuse_code
 from pedzoo.core.registry import import_path, names_code, whole_name
 from pedzoo.core.spec import setting_groups
 from pedzoo.data.datamodule import TrajectoryDataModule
-from pedzoo.models.zoo.typed_fields import refuse_code
 from pedzoo.train.modules.module import ForecastModule
 from pedzoo.train.validation.rollout_validation import ClosedLoopValidation
 

@@ -23,7 +23,7 @@ from pedzoo.cli.output import write_json
 from pedzoo.cli.parsing import PARSER_SETTINGS, parse
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import config_names
-from pedzoo.models.zoo.file_header import read_config
+from pedzoo.models.zoo.card import read_config
 
 ROOT = Path(pedzoo.__file__).parents[1]
 FIT = ["fit", "--config", "sgan_goal", "--data.fold", "embedded"]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ import yaml
 from helpers.batches import make_batch, random_weights
 from helpers.model_cards import make_card
 from helpers.runs import make_run
+from msgspec.structs import replace
 
 import pedzoo
 from pedzoo.cli.main import main
@@ -23,11 +23,10 @@ from pedzoo.data.provenance import licence, provenance, together
 from pedzoo.eval import cards as card_numbers
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.base import Forecaster
-from pedzoo.models.export.publish import describe
 from pedzoo.models.zoo.card import read_card, write_card
-from pedzoo.models.zoo.card_page import page
-from pedzoo.models.zoo.hub import readme, write_hub
+from pedzoo.models.zoo.card_page import page, readme, write_hub
 from pedzoo.models.zoo.loading import load, save_weights
+from pedzoo.models.zoo.publish import describe
 
 
 def answers(model: Forecaster) -> torch.Tensor:

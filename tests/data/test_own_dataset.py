@@ -15,8 +15,8 @@ from pedzoo.data.provenance import provenance
 from pedzoo.data.recordings import find_fold, open_fold
 from pedzoo.eval import cards as card_numbers
 from pedzoo.eval.trained_on import has_seen
-from pedzoo.models.export.publish import publish, zoo_name
 from pedzoo.models.zoo.card import read_card
+from pedzoo.models.zoo.publish import publish, zoo_name
 
 DATASET = '''
     """Two halls of a mall, with the people of pedzoo's plaza."""

@@ -8,6 +8,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from types import SimpleNamespace
+
+import pytest
+from huggingface_hub import constants, file_download
 
 
 @dataclass
@@ -53,6 +57,14 @@ class Site:
     def ranges_asked(self) -> list[str | None]:
         """Return the Range header of every request so far."""
         return [headers.get("Range") for _, headers in self.asked]
+
+
+def without_patience(patch: pytest.MonkeyPatch) -> None:
+    """Let the client of downloads try again at once, and give up soon."""
+    patch.setattr(file_download, "time", SimpleNamespace(sleep=lambda seconds: None))
+    patch.setattr(constants, "HF_HUB_DOWNLOAD_TIMEOUT", 0.25)
+    patch.setenv("NO_PROXY", "127.0.0.1")
+    patch.delenv("PEDZOO_OFFLINE", raising=False)
 
 
 @contextmanager

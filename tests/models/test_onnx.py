@@ -20,10 +20,7 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.formats import write_ros
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.models.architectures.sgan import SGAN
-from pedzoo.models.export.graph import Graph
-from pedzoo.models.export.graph_plan import plan_inputs
-from pedzoo.models.export.onnx_export import export_onnx
-from pedzoo.models.export.onnx_parity import parity
+from pedzoo.models.onnx import Graph, export_onnx, parity, plan_inputs
 from pedzoo.models.zoo.loading import load, save_weights
 
 STEPS = 12

@@ -18,10 +18,9 @@ from pedzoo.core.errors import UserError
 from pedzoo.data.datasets.eth_ucy import EthUcy
 from pedzoo.data.provenance import provenance
 from pedzoo.models.architectures.sgan import SGAN
-from pedzoo.models.export.publish import describe, publish, zoo_name
-from pedzoo.models.export.run_record import options_of
 from pedzoo.models.zoo.card import read_card
 from pedzoo.models.zoo.loading import load, save_weights
+from pedzoo.models.zoo.publish import describe, options_of, publish, zoo_name
 
 
 def test_the_card_says_what_the_run_recorded(tmp_path: Path) -> None:
@@ -121,7 +120,7 @@ def test_commands_on_cards_have_no_names_of_this_machine(
     """A checkpoint that was published is called by its zoo name, and a shipped config's file by its own."""
     began = make_run(tmp_path / "base", seed=1)
     weights = publish(began, tmp_path / "zoo").with_name("weights.safetensors")
-    monkeypatch.setattr("pedzoo.models.export.publish.weight_files", lambda: {"sgan_goal.zara1": weights})
+    monkeypatch.setattr("pedzoo.models.zoo.publish.weight_files", lambda: {"sgan_goal.zara1": weights})
     checkpoint = make_run(tmp_path / "runs", weights=str(began))
     file = checkpoint.parents[1] / "versions.json"
     record = json.loads(file.read_text())

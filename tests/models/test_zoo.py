@@ -18,12 +18,11 @@ import pedzoo
 from pedzoo.core.errors import UserError
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.base import Forecaster
-from pedzoo.models.export.publish import describe
 from pedzoo.models.zoo import loading as zoo
 from pedzoo.models.zoo import store
-from pedzoo.models.zoo.file_header import read_config
-from pedzoo.models.zoo.loading import list_models, load, save_weights
-from pedzoo.models.zoo.saved_config import saved_config
+from pedzoo.models.zoo.card import read_config
+from pedzoo.models.zoo.loading import list_models, load, save_weights, saved_config
+from pedzoo.models.zoo.publish import describe
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.load import load_policy, load_robot_policy
 

@@ -13,7 +13,7 @@ from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import config_names
 from pedzoo.core.spec import grouped
-from pedzoo.models.zoo.saved_config import saved_config
+from pedzoo.models.zoo.loading import saved_config
 from pedzoo.policies.load import load_policy, load_robot_policy
 
 

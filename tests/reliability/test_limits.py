@@ -12,7 +12,6 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,8 @@ import numpy as np
 import pytest
 import torch
 from helpers.batches import make_batch
-from helpers.server import Page, serving
+from helpers.server import Page, serving, without_patience
+from msgspec.structs import replace
 from safetensors.torch import save_file
 
 import pedzoo
@@ -34,10 +34,9 @@ from pedzoo.data.own_files import OwnFiles
 from pedzoo.data.tracks import Tracks
 from pedzoo.maps.formats import read_igibson, read_image, read_ros
 from pedzoo.models.architectures.sgan import SGAN
-from pedzoo.models.zoo.address import download
 from pedzoo.models.zoo.card import read_card
-from pedzoo.models.zoo.compatibility import LARGEST
-from pedzoo.models.zoo.loading import config_of, load
+from pedzoo.models.zoo.loading import LARGEST, config_of, load
+from pedzoo.models.zoo.store import download
 
 ROS = "resolution: 0.05\norigin: [0, 0, 0]\noccupied_thresh: 0.65\nfree_thresh: 0.2\nimage: "
 
@@ -209,14 +208,14 @@ def test_cards_from_servers_have_a_largest_size(
     monkeypatch.setenv("PEDZOO_HOME", str(tmp_path))
     with serving() as site:
         page = Page(bytes(30_000_000), says_length=says_length)
-        with pytest.raises(UserError, match="and at most 2000000 are read of such a file"):
+        with pytest.raises(UserError, match="has more than 2000000 bytes"):
             download([site.put("card.yaml", page)], "models/card.yaml")
     assert sum(file.stat().st_size for file in tmp_path.rglob("*") if file.is_file()) < 3_000_000
 
 
 def test_servers_have_an_end_to_their_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fetching, "PATIENCE", 0.5)
-    monkeypatch.setattr(fetching, "WAITS", (0.0, 0.0, 0.0))
+    without_patience(monkeypatch)
     with serving() as site:
         dripping = site.put("drips.bin", Page(bytes(100), drops=100, drip=0.1))
         began = time.monotonic()

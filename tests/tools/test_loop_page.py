@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import math
 import re
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 from helpers.walks import made, straight
+from msgspec.structs import replace
 
 from pedzoo.cli.main import main
 from pedzoo.core.paths import CARD, shipped

@@ -12,7 +12,7 @@ from pedzoo.data.datasets.eth_ucy import SCENES
 from pedzoo.eval.results import ResultTable, cell
 from pedzoo.eval.suites.goals import DRAWN
 from pedzoo.metrics.realism.crowds import TAIL
-from pedzoo.models.zoo.file_header import read_config
+from pedzoo.models.zoo.card import read_config
 from tools.paper.loop_forecasts import forecasts
 from tools.paper.suites.loop_buildings import OFFICES
 from tools.paper.suites.loop_noise import DRAWS

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from pedzoo.core.paths import shipped
-from pedzoo.models.export.run_record import monitored
+from pedzoo.models.zoo.publish import monitored
 from pedzoo.train.run import RunFolder
 from tools.pages.score_page import cell
 from tools.pages.tables import table

@@ -14,12 +14,12 @@ import json
 import os
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import torch
 import yaml
+from msgspec.structs import replace
 from safetensors.torch import save
 
 from pedzoo.core.fetch import sha256_of

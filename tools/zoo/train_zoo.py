@@ -12,20 +12,20 @@ writes checkpoints/results/FORECAST.md. The recordings are found by PEDZOO_DATA.
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import os
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import msgspec
 from forecast_table import table
 from zoo_recipes import RECIPES, Recipe
 
 from pedzoo.core.paths import CARD, shipped, weight_files
 from pedzoo.eval.cards import measure
-from pedzoo.models.export.publish import publish
 from pedzoo.models.zoo.card import read_card, write_card
+from pedzoo.models.zoo.publish import publish
 
 
 def train(recipes: list[Recipe], root: Path, jobs: int) -> None:
@@ -81,7 +81,7 @@ def numbers(recipes: list[Recipe], again: bool) -> None:
     for name in names:
         path = shipped("checkpoints") / name / CARD
         if path.is_file() and (not (card := read_card(path)).evaluations or again):
-            write_card(dataclasses.replace(card, evaluations=measure(name)), path)
+            write_card(msgspec.structs.replace(card, evaluations=measure(name)), path)
             print(path, flush=True)
 
 

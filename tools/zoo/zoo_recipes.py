@@ -10,8 +10,7 @@ from typing import Any
 
 from pedzoo.core.types import PRED_LEN, GoalProtocol, TimeBase
 from pedzoo.data.datasets.eth_ucy import SCENES
-from pedzoo.models.export.publish import WHOLE_WALKS, zoo_name
-from pedzoo.models.export.run_record import monitored
+from pedzoo.models.zoo.publish import WHOLE_WALKS, monitored, zoo_name
 from pedzoo.train.run import RunFolder
 
 EVERYTHING = "eth_ucy"

@@ -68,7 +68,7 @@ def _zoo(options: argparse.Namespace) -> dict[str, Any]:
     from pedzoo.core.errors import UserError
     from pedzoo.core.paths import WEIGHTS
     from pedzoo.eval.cards import measure
-    from pedzoo.models.export.publish import publish
+    from pedzoo.models.zoo.publish import publish
 
     if not options.model.endswith(".ckpt"):
         raise UserError(
@@ -88,7 +88,7 @@ def _zoo(options: argparse.Namespace) -> dict[str, Any]:
 
 def _hub(options: argparse.Namespace) -> dict[str, Any]:
     from pedzoo.core.errors import UserError
-    from pedzoo.models.zoo.hub import write_hub
+    from pedzoo.models.zoo.card_page import write_hub
 
     if options.model.endswith((".ckpt", ".safetensors")):
         raise UserError(
@@ -109,9 +109,8 @@ def _onnx(options: argparse.Namespace) -> dict[str, Any]:
     need("train", "--onnx")  # the check against torch reads recordings
     from pedzoo.core.types import AHEAD_SECONDS, PRED_LEN
     from pedzoo.maps.plans import load_plan
-    from pedzoo.models.export.onnx_export import export_onnx, save_plan
-    from pedzoo.models.zoo.loading import load
-    from pedzoo.models.zoo.saved_config import saved_config
+    from pedzoo.models.onnx import export_onnx, save_plan
+    from pedzoo.models.zoo.loading import load, saved_config
 
     model = load(options.model)
     plan = load_plan(options.plan) if options.plan else None

@@ -1,23 +1,38 @@
-"""Model cards: what a file of weights is, what it was trained on and how well it does. Read without torch."""
+"""Model cards: what a file of weights is, what it was trained on and how well it does. Read without torch.
 
+The weights of ``FOLDER/NAME/card.yaml`` are ``FOLDER/NAME/weights.safetensors``. Those of
+``FOLDER/NAME.yaml`` are in the file that the card names, as a rule ``FOLDER/NAME.safetensors``.
+"""
+
+import json
 import re
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
+import msgspec
 import yaml
+from safetensors import SafetensorError, safe_open
 from typing_extensions import TypedDict
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.paths import write_atomically
+from pedzoo.core.forms import check, check_plain, said
+from pedzoo.core.paths import CARD, WEIGHTS, write_atomically
 from pedzoo.core.size_limits import LARGEST_CARD, LARGEST_WEIGHTS, check_limit, load_yaml, read_text
-from pedzoo.models.zoo.file_header import Config
-from pedzoo.models.zoo.typed_fields import check, check_keys, check_plain
 
 _FILE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*\.safetensors")
 
 
-class Training(TypedDict, closed=True):
+class Config(msgspec.Struct, forbid_unknown_fields=True):
+    """Keys of a config in the metadata of weights; the first two are all that a model is built from."""
+
+    architecture: str
+    init: dict[str, Any]
+    goal: str | None = None
+    protocol: dict[str, Any] = {}
+    training: dict[str, Any] = {}
+
+
+class Training(msgspec.Struct, forbid_unknown_fields=True):
     """Which run made the weights; None stands for what is not known any more.
 
     ``seeds`` has the monitored validation value of each seed, by which this one was chosen; ``value``,
@@ -38,10 +53,10 @@ class Training(TypedDict, closed=True):
     overrides: dict | None
 
 
-class Data(TypedDict, closed=True):
+class Data(msgspec.Struct, forbid_unknown_fields=True):
     """What the weights were trained on, and on whose terms."""
 
-    recordings: list
+    recordings: list[str]
     source: str
     terms: str
     citation: str
@@ -67,8 +82,7 @@ class Evaluation(TypedDict):
     rows: list[Row]
 
 
-@dataclass(frozen=True)
-class ModelCard:
+class ModelCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What is known about a file of weights. A card that contradicts itself cannot be made.
 
     Attributes:
@@ -76,10 +90,10 @@ class ModelCard:
         architecture: Registered name of the model's class.
         sha256: Of the weights.
         size: Bytes of the weights.
-        config: As in the metadata of the weights: with it the model is built.
-        training: Which run made them.
-        data: What it was trained on.
-        evaluations: What was measured.
+        config: As in the metadata of the weights, see `Config`: with it the model is built.
+        training: Which run made them, see `Training`.
+        data: What it was trained on, see `Data`.
+        evaluations: What was measured, see `Evaluation`.
         versions: Of what it was trained with.
         licence: Of the weights.
         file: Name of the weights beside ``NAME.yaml``. Beside ``card.yaml`` they are ``weights.safetensors``.
@@ -93,10 +107,10 @@ class ModelCard:
     architecture: str
     sha256: str
     size: int
-    config: Annotated[dict[str, Any], Config]
-    training: Annotated[dict[str, Any], Training]
-    data: Annotated[dict[str, Any], Data]
-    evaluations: Annotated[list[dict[str, Any]], list[Evaluation]]
+    config: dict[str, Any]
+    training: dict[str, Any]
+    data: dict[str, Any]
+    evaluations: list[dict[str, Any]]
     versions: dict[str, str]
     licence: str
     file: str
@@ -104,8 +118,11 @@ class ModelCard:
 
     def __post_init__(self) -> None:
         """Check everything that others rely on."""
-        check_plain(vars(self))
-        check(vars(self), ModelCard)
+        check_plain(msgspec.structs.asdict(self))
+        check(self.config, Config, "config")
+        check(self.training, Training, "training")
+        check(self.data, Data, "data")
+        check(self.evaluations, list[Evaluation], "evaluations")
         check_name(self.name)
         if not _FILE.fullmatch(self.file):
             raise UserError(
@@ -120,8 +137,6 @@ class ModelCard:
             raise UserError(
                 f"architecture {self.architecture!r}: its config is of {self.config['architecture']!r}"
             )
-        if not all(isinstance(name, str) for name in self.data["recordings"]):
-            raise UserError(f"data recordings are {self.data['recordings']!r:.60}, expected names")
 
 
 def check_name(name: str) -> str:
@@ -151,16 +166,19 @@ def read_card(path: str | Path) -> ModelCard:
     if not path.is_file():
         raise UserError(f"no model card at {str(path)!r}")
     try:
-        result = load_yaml(read_text(path, LARGEST_CARD))
-        check_keys(result, ModelCard)
-        return ModelCard(**result)
+        values = load_yaml(read_text(path, LARGEST_CARD))
+        check_plain(values)
+        return msgspec.convert(values, ModelCard)
+    except msgspec.ValidationError as error:
+        raise UserError(f"model card {str(path)!r}: {said(error)}") from error
     except UserError as error:
         raise UserError(f"model card {str(path)!r}: {error}") from error
 
 
 def write_card(card: ModelCard, path: str | Path) -> None:
     """Write a card, whole or not at all; the same card gives the same bytes."""
-    text = yaml.dump(asdict(card), Dumper=_Plain, sort_keys=False, allow_unicode=True, width=110)
+    values = msgspec.structs.asdict(card)
+    text = yaml.dump(values, Dumper=_Plain, sort_keys=False, allow_unicode=True, width=110)
     write_atomically(Path(path), text.encode())
 
 
@@ -169,3 +187,65 @@ class _Plain(yaml.SafeDumper):
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
+
+
+def card_files(folder: Path) -> dict[str, Path]:
+    """Return the cards of the models in a folder by name; a folder of the model's own wins."""
+    files = [*folder.glob("*.yaml"), *folder.glob(f"*/{CARD}")]
+    result = {name: path for path in files if is_name(name := name_of_files(path))}
+    return {name: result[name] for name in sorted(result)}
+
+
+def card_beside(weights: Path) -> Path:
+    """Return where the card of weights lies."""
+    return weights.with_name(CARD) if weights.name == WEIGHTS else weights.with_suffix(".yaml")
+
+
+def weights_beside(path: Path, card: ModelCard) -> Path:
+    """Return where the weights of a card lie."""
+    return path.with_name(WEIGHTS if path.name == CARD else card.file)
+
+
+def name_of_files(path: Path) -> str:
+    """Return the name that the place of a card or of weights gives their model."""
+    return path.parent.name if path.name in (CARD, WEIGHTS) else path.stem
+
+
+def opened(path: Path, framework: str = "np") -> Any:
+    """Return an open file of weights whose tensors are of ``framework``.
+
+    Raises:
+        UserError: No such file, or it is damaged.
+    """
+    if not path.is_file():
+        raise UserError(f"no weights at {str(path)!r}")
+    try:
+        return safe_open(path, framework)
+    except SafetensorError as error:
+        raise UserError(f"weights {str(path)!r} cannot be read ({error}): is the file cut off?") from error
+
+
+def config_in(file: Any, path: Path) -> dict[str, Any]:
+    """Return the config in the metadata of an open file.
+
+    Raises:
+        UserError: There is none that pedzoo wrote.
+    """
+    metadata = file.metadata() or {}
+    if "config" not in metadata:
+        raise UserError(
+            f"weights {str(path)!r} have no pedzoo config in their metadata: not a file of this zoo"
+        )
+    try:
+        config = json.loads(metadata["config"])
+        check_plain(config)
+        check(config, Config, "config")
+    except (ValueError, RecursionError) as error:
+        raise UserError(f"weights {str(path)!r} have a pedzoo config that cannot be read: {error}") from error
+    return config
+
+
+def read_config(path: str | Path) -> dict[str, Any]:
+    """Return the config in a weight file's metadata; errors as `opened` and `config_in`."""
+    with opened(Path(path)) as file:
+        return config_in(file, Path(path))

@@ -1,28 +1,45 @@
-"""Models by name: weights as safetensors, with all that is needed to build the model in their metadata."""
+"""Models by name: weights as safetensors, with all that is needed to build the model in their metadata.
+
+Settings and tensors of a file are checked before a model is built of them, which takes memory.
+"""
 
 import hashlib
 import inspect
 import json
+import math
 import sys
+from collections.abc import Callable, Mapping
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
+from zipfile import ZIP_STORED, BadZipFile, ZipFile
 
 import torch
 from safetensors.torch import save
+from torch import Tensor, nn
 
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError, unknown
+from pedzoo.core.forms import check, check_plain, refuse_code
 from pedzoo.core.paths import config_names, write_atomically
 from pedzoo.core.registry import MODELS, ROBOT_POLICIES, names_code
 from pedzoo.core.spec import grouped, make, parse, plain, setting_groups, setting_types, unquoted
 from pedzoo.core.types import GoalProtocol
 from pedzoo.models.base import Forecaster, has_parameters
-from pedzoo.models.zoo.card import ModelCard
-from pedzoo.models.zoo.compatibility import check_archive, check_settings, check_shapes, check_tensors
-from pedzoo.models.zoo.file_header import Config, config_in, opened
-from pedzoo.models.zoo.store import ROBOTS, find, names, no_model, of_robots, weights_of
-from pedzoo.models.zoo.typed_fields import check, check_plain, refuse_code
+from pedzoo.models.zoo.card import Config, ModelCard, config_in, opened, read_config
+from pedzoo.models.zoo.store import (
+    ROBOTS,
+    check_scheme,
+    find,
+    is_address,
+    names,
+    no_model,
+    of_robots,
+    weights_of,
+)
+
+LARGEST = 1e3
+"""Of a weight. Those that ship are below 20; steps from layers of ten times as large ones are no numbers."""
 
 
 def list_models(pattern: str = "*") -> list[str]:
@@ -253,6 +270,27 @@ def read_checkpoint(path: str | Path) -> dict[str, Any]:
     return checkpoint
 
 
+def saved_config(name: str) -> dict[str, Any]:
+    """Return architecture, settings, ``protocol`` and, of published weights, ``training`` of a model.
+
+    Nothing is said of a model that was not trained: a baseline, or a class in a file. Names and errors as of
+    `load`.
+    """
+    check_scheme(name)
+    if names_code(name):
+        name = unquoted(parse(name).settings.get("weights", ""))
+        return saved_config(name) if name else {}
+    if name.endswith(".ckpt"):
+        return read_checkpoint(name)["pedzoo"]
+    if name.endswith(".safetensors") and not is_address(name):
+        return read_config(name)
+    if entry := find(name):
+        return read_config(weights_of(entry))
+    if name in MODELS.names():
+        return {}
+    raise no_model(name)
+
+
 def _from_checkpoint(path: Path, own: type[Forecaster] | None) -> Forecaster:
     checkpoint = read_checkpoint(path)
     prefix = "generator."
@@ -261,7 +299,7 @@ def _from_checkpoint(path: Path, own: type[Forecaster] | None) -> Forecaster:
 
 
 def _filled(
-    config: dict[str, Any], state: dict[str, torch.Tensor], own: type[Forecaster] | None, source: str
+    config: dict[str, Any], state: dict[str, Tensor], own: type[Forecaster] | None, source: str
 ) -> Forecaster:
     """Return the model of a config with its weights, built only if they fit."""
     check_tensors(state, source, names_code(config["architecture"]))
@@ -296,3 +334,72 @@ def baselines() -> list[str]:
 
 def _first(error: Exception) -> str:
     return " ".join([line.strip() for line in str(error).splitlines() if line.strip()][:2])
+
+
+def check_settings(cls: type, init: Mapping[str, Any]) -> None:
+    """Check that settings of a file are of the kinds that a class takes; names are checked elsewhere.
+
+    Raises:
+        UserError: One is not, such as a text in the place of true or false.
+    """
+    types = setting_types(cls)
+    for key in init.keys() & types.keys():
+        check(init[key], types[key], key)
+
+
+def check_tensors(state: Mapping[str, Any], source: str, own: bool = False) -> None:
+    """Check that a state is one of weights: tensors of finite real numbers by name.
+
+    Args:
+        state: What was read.
+        source: From where, for the message.
+        own: Whether it is for a user's class, which may keep other numbers than weights.
+
+    Raises:
+        UserError: It holds something else, or a weight above `LARGEST`.
+    """
+    for key, value in state.items():
+        if not isinstance(value, Tensor) or value.layout != torch.strided:
+            raise UserError(f"{source!r}: {key:.80} is no dense tensor")
+        if not (value.is_floating_point() or value.dtype == torch.bool):
+            raise UserError(
+                f"{source!r}: {key:.80} is of {value.dtype}, expected floating point numbers or truth values"
+            )
+        if not torch.isfinite(value).all():
+            raise UserError(f"{source!r}: {key:.80} has NaN or infinite values: its training failed")
+        largest = float(value.abs().max()) if value.numel() and value.is_floating_point() else 0.0
+        if largest > (math.inf if own else LARGEST):
+            raise UserError(
+                f"{source!r}: {key:.80} has a weight of {largest:.3g}, at most {LARGEST:g} are read: its "
+                "training diverged"
+            )
+
+
+def check_shapes(model: Callable[[], nn.Module], state: Mapping[str, Tensor]) -> None:
+    """Check that a model would have tensors of just these names and shapes, without memory for them.
+
+    Args:
+        model: Builds it.
+        state: Tensors by name.
+
+    Raises:
+        RuntimeError: It would have others, as torch's ``load_state_dict`` says it.
+    """
+    with torch.device("meta"):
+        model().load_state_dict({key: value.to("meta") for key, value in state.items()}, assign=True)
+
+
+def check_archive(path: Path) -> None:
+    """Check that a checkpoint is an archive that is as large as what is in it, as torch writes them.
+
+    Raises:
+        UserError: It is cut off, of another form, or compressed: that could be of any size.
+    """
+    try:
+        with ZipFile(path) as archive:
+            entries = archive.infolist()
+    except (BadZipFile, ValueError, EOFError, NotImplementedError, RuntimeError) as error:
+        raise UserError(f"checkpoint {str(path)!r} cannot be read ({error}): is it cut off?") from error
+    packed = [entry.filename for entry in entries if entry.compress_type != ZIP_STORED]
+    if packed or sum(entry.file_size for entry in entries) > path.stat().st_size:
+        raise UserError(f"checkpoint {str(path)!r} is compressed, and torch does not compress: is it one?")

@@ -1,26 +1,154 @@
-"""Where models with a card come from: those shipped, folders, and addresses on the net. Needs no torch."""
+"""Models by name: on this machine, in the user's folders, and at addresses on the net. Needs no torch.
+
+Addresses are ``hf://OWNER/REPO[@REVISION][/ARCH.TAG]`` of the Hugging Face hub, and
+``https://HOST/FOLDER/ARCH.TAG``. What was fetched stays in the cache: its model stays what it was.
+"""
 
 import os
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import NamedTuple
-from urllib.parse import urlsplit
+from urllib.parse import quote, unquote, urlsplit
 from urllib.request import url2pathname
 
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.fetch import fetch, sha256_of
-from pedzoo.core.paths import CARD, expanded, shipped
+from pedzoo.core.paths import CARD, WEIGHTS, cache_home, expanded, shipped
 from pedzoo.core.registry import MODELS, names_code
-from pedzoo.models.zoo.address import ModelAddress, download, is_address, kept_models, place
-from pedzoo.models.zoo.card import ModelCard, is_name, read_card
-from pedzoo.models.zoo.layout import card_files, name_of_files, weights_beside
+from pedzoo.core.size_limits import LARGEST_CARD, load_yaml
+from pedzoo.models.zoo.card import (
+    ModelCard,
+    card_files,
+    check_name,
+    is_name,
+    name_of_files,
+    read_card,
+    weights_beside,
+)
 
 SOURCES = "PEDZOO_ZOO"
 """Environment variable: folders and addresses, with commas between, where names are looked up, too."""
 
 ROBOTS = "robot_"
-"""How the names of weights begin that move robots, not people."""
+"""Name prefix of robot policies."""
+
+FETCHED = "models"
+"""Folder of the cache that holds what was fetched."""
+
+_WORD = "[A-Za-z0-9][A-Za-z0-9_.-]*"
+_HUB = re.compile(f"hf://({_WORD})/({_WORD})(?:@({_WORD}))?(?:/([^/]+))?")
+_FRONT = re.compile(r"---\n(.*?)\n---\n", re.DOTALL)
+
+
+class ModelAddress(NamedTuple):
+    """Where a model is.
+
+    Attributes:
+        url: Of the folder with its files: its own folder, or one that has folders or files of several models.
+        folder: Path of the files below the cache: ``ARCH.TAG.yaml`` and ``ARCH.TAG.safetensors``.
+        model: ``ARCH.TAG``.
+    """
+
+    url: str
+    folder: str
+    model: str
+
+    @property
+    def cards(self) -> list[str]:
+        """Addresses at which the card may be, in the order in which they are tried."""
+        return [f"{self.url}/{self.model}.yaml", f"{self.url}/{self.model}/{CARD}", f"{self.url}/{CARD}"]
+
+    def weights(self, card: ModelCard) -> list[str]:
+        """Return the addresses at which the weights may be, in the order of `cards`."""
+        return [f"{self.url}/{card.file}", f"{self.url}/{self.model}/{WEIGHTS}", f"{self.url}/{WEIGHTS}"]
+
+
+def is_address(name: str) -> bool:
+    """Return whether a name is an address on the net."""
+    return name.startswith(("hf://", "http://", "https://"))
+
+
+def place(name: str) -> ModelAddress:
+    """Return where the model of an address is.
+
+    A repository of the Hugging Face hub without the name of a model is one model's: the front matter of its
+    README says which, as ``model_name``.
+
+    Raises:
+        UserError: The address is of another form, or the README cannot be had or does not say.
+    """
+    return _on_hub(name) if name.startswith("hf:") else _on_web(name)
+
+
+def fetched_models() -> dict[str, list[str]]:
+    """Return the addresses of all models whose cards were fetched, by their plain names."""
+    root = cache_home() / FETCHED
+    result: dict[str, list[str]] = {}
+    for path in sorted(root.glob("hf/*/*/*/*.yaml")):
+        owner, repo, revision = path.relative_to(root).parts[1:-1]
+        result.setdefault(path.stem, []).append(f"hf://{owner}/{repo}@{revision}/{path.stem}")
+    for path in sorted(root.glob("http*/*/**/*.yaml")):
+        scheme, host, *folders = path.relative_to(root).parts[:-1]
+        address = "/".join([unquote(host), *folders, path.stem])
+        result.setdefault(path.stem, []).append(f"{scheme}://{address}")
+    return {name: addresses for name, addresses in result.items() if is_name(name)}
+
+
+def download(
+    urls: Sequence[str], filename: str, sha256: str | None = None, size: int | None = None, hint: str = ""
+) -> Path:
+    """Fetch a file; only the hub gets the user's token. Arguments as of `fetch`.
+
+    A file without a ``size`` is a card or the page of one.
+    """
+    limit, token = (LARGEST_CARD if size is None else None), None
+    if all(url.startswith(f"{_hub()}/") for url in urls):
+        from huggingface_hub import get_token  # takes 0.1 s: only downloads from the hub pay for it
+
+        token = get_token()
+    return fetch(urls, sha256, filename, hint, size, limit=limit, token=token)
+
+
+def _hub() -> str:
+    return os.environ.get("HF_ENDPOINT", "https://huggingface.co").rstrip("/")
+
+
+def _on_hub(name: str) -> ModelAddress:
+    match = _HUB.fullmatch(name)
+    if not match:
+        raise UserError(f"{name!r}: expected hf://OWNER/REPO, with @REVISION and /ARCH.TAG where wanted")
+    owner, repo, revision, model = match.groups()
+    revision = revision or "main"
+    url, below = f"{_hub()}/{owner}/{repo}/resolve/{revision}", f"{FETCHED}/hf/{owner}/{repo}/{revision}"
+    return ModelAddress(url, below, check_name(model) if model else _only_model(name, url, below))
+
+
+def _only_model(name: str, url: str, below: str) -> str:
+    text = download([f"{url}/README.md"], f"{below}/README.md").read_text("utf-8", errors="replace")
+    front = _FRONT.match(text)
+    try:
+        said = load_yaml(front[1]) if front else None
+    except UserError as error:
+        raise UserError(f"{name}: the front matter of its README {error}") from error
+    model = said.get("model_name") if isinstance(said, dict) else None
+    if not isinstance(model, str) or not is_name(model):
+        raise UserError(f"{name}: its README does not say which model it is (model_name); add /ARCH.TAG")
+    return model
+
+
+def _on_web(name: str) -> ModelAddress:
+    try:
+        parts = urlsplit(name)
+    except ValueError as error:  # brackets that do not close
+        raise UserError(f"{name!r}: {error}") from error
+    folder, _, last = parts.path.rpartition("/")
+    model = last.removesuffix(".safetensors").removesuffix(".yaml")
+    if not parts.hostname or parts.username or parts.query or parts.fragment or not is_name(model):
+        raise UserError(f"{name!r}: expected {parts.scheme}://HOST/FOLDER/ARCH.TAG and nothing else")
+    below = f"{FETCHED}/{parts.scheme}/{quote(parts.netloc, safe='')}{folder}"
+    return ModelAddress(f"{parts.scheme}://{parts.netloc}{folder}", below, model)
 
 
 class ZooEntry(NamedTuple):
@@ -105,9 +233,9 @@ def weights_of(entry: ZooEntry) -> Path:
         again = f"; if the model has changed there, remove {entry.path}"
         name = f"{entry.place.folder}/{card.name}.safetensors"
         return bring(urls, filename=name, sha256=card.sha256, size=card.size, hint=again)
-    if not path.is_file() and card.url:
-        return fetch(card.url, card.sha256, f"weights/{card.sha256}/{card.file}", size=card.size)
     if not path.is_file():
+        if card.url:
+            return fetch(card.url, card.sha256, f"weights/{card.sha256}/{card.file}", size=card.size)
         raise UserError(f"model {card.name!r} has no weights: its card expects {str(path)!r}")
     if (result := sha256_of(path)) != card.sha256:
         remedy = "reinstall pedzoo" if shipped("checkpoints") in entry.path.parents else "get both anew"
@@ -115,17 +243,6 @@ def weights_of(entry: ZooEntry) -> Path:
             f"weights {str(path)!r} have sha256 {result}, but their card says {card.sha256}: {remedy}"
         )
     return path
-
-
-def obtain(name: str) -> Path:
-    """Return the weights of a model's name, checked, and downloaded where they are not there.
-
-    Raises:
-        UserError: There is no such model, or its weights cannot be had.
-    """
-    if entry := find(name):
-        return weights_of(entry)
-    raise no_model(name)
 
 
 def no_model(name: str, others: Iterable[str] = (), kind: str = "model") -> UserError:
@@ -158,7 +275,7 @@ def of_robots(name: str) -> UserError:
 
 def names() -> list[str]:
     """Return the names of all models on this machine: shipped, in the user's folders, and fetched."""
-    return sorted({*(name for folder in _folders() for name in card_files(folder)), *kept_models()})
+    return sorted({*(name for folder in _folders() for name in card_files(folder)), *fetched_models()})
 
 
 def robots() -> list[str]:
@@ -180,7 +297,7 @@ def _by_name(name: str) -> ZooEntry | None:
     for folder in _folders():
         if file := card_files(folder).get(name):
             return _named(file)
-    if len(stored := kept_models().get(name, [])) > 1:
+    if len(stored := fetched_models().get(name, [])) > 1:
         raise UserError(f"{name!r} was fetched from {len(stored)} places, say which: {' or '.join(stored)}")
     if stored:
         return _fetched(stored[0])

@@ -1,1 +1,0 @@
-"""Models for others: ONNX, graphs, repositories."""
