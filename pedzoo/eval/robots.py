@@ -13,7 +13,7 @@ from pedzoo.core.errors import at_least_one
 from pedzoo.core.registry import ROBOTS
 from pedzoo.core.spec import Spec, build
 from pedzoo.core.types import TRACE_SECONDS
-from pedzoo.eval.rollout import Recorder, in_parts
+from pedzoo.eval.rollout import Recorder, ShareDone, in_parts
 from pedzoo.metrics.ratios import summarised
 from pedzoo.metrics.robots import robot_metrics
 from pedzoo.policies.load import load_robot_policy
@@ -25,9 +25,6 @@ from pedzoo.sim.robot_parts.rollout import RobotRollout, joined_robots
 from pedzoo.sim.robot_parts.scenes import RobotScenes, with_robots
 from pedzoo.sim.scenario_parts.scenario import PreparedScenario
 
-Tell = Callable[[float], None]
-"""Called with the share of the episodes that are done."""
-
 
 def robot_rollout(
     robot_policy: str,
@@ -38,7 +35,7 @@ def robot_rollout(
     episodes: int = 20,
     seed: int = 0,
     deterministic: bool = False,
-    tell: Tell | None = None,
+    tell: ShareDone | None = None,
     **settings: Any,
 ) -> tuple[RobotRollout, RobotEnv]:
     """Return what a robot's policy did in the first scenes of a seed, and the environment.

@@ -29,6 +29,10 @@ from pedzoo.sim.scenario_parts.scenario import PreparedScenario, Scenario
 from pedzoo.sim.state import State
 
 Progress = Callable[[str, int, int], None]
+"""Called with the policy, episodes done and episodes in all."""
+
+ShareDone = Callable[[float], None]
+"""Called with the share of the work that is done."""
 
 Episodes = TypeVar("Episodes", Rollout, RobotRollout)
 

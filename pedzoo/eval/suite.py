@@ -1,20 +1,20 @@
 """The interface of suites: cases on which policies are evaluated, and the units of that work."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.spec import Spec
 from pedzoo.eval.comparison import row
 from pedzoo.eval.packed_episodes import packed_episodes
-from pedzoo.eval.rollout import joined, prepare, walk
+from pedzoo.eval.rollout import ShareDone, joined, prepare, walk
 from pedzoo.metrics.ratios import Ratio
 from pedzoo.policies.load import load_policy
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import CLEARANCE, make_scenario, prepare_scenario
 from pedzoo.sim.rollout import Rollout
-from pedzoo.sim.scenario_parts.scenario import PreparedScenario, Scenario
+from pedzoo.sim.scenario_parts.scenario import PreparedScenario
 
 QUICK = 10
 """A quick run has one in so many episodes."""
@@ -25,9 +25,6 @@ KEPT = 6
 _kept: dict[tuple[str, str, float], PreparedScenario] = {}
 
 _EXAMPLES = {"policies": "['orca', 'go_to_goal']", "suites": "['door', 'goals']"}
-
-Tell = Callable[[float], None]
-"""Called with the share of a unit that is done."""
 
 
 class OwnRecordings(NamedTuple):
@@ -217,14 +214,14 @@ class Suite(ABC):
         """Return the work on a case: ``policies`` with settings on scenes of ``seeds``."""
         return [WorkUnit(policy, policy, case, seeds, deterministic) for policy in policies]
 
-    def rows(self, unit: WorkUnit, tell: Tell | None = None) -> list[dict[str, Any]]:
+    def rows(self, unit: WorkUnit, tell: ShareDone | None = None) -> list[dict[str, Any]]:
         """Walk one unit and return its rows, as `pedzoo.eval.comparison.row` makes them.
 
         Episodes of all seeds count as one sample; ``per_agent`` says which seed each was of.
         """
         case = unit.case
         scenario = prepared(case.scenario, case.inputs, case.clearance)
-        parts = list(walked(unit, scenario, unit.seeds, case.episodes, tell))
+        parts = list(walk_unit(unit, scenario, unit.seeds, case.episodes, tell))
         rollout = joined([part for part, _ in parts])
         result = row(unit.policy, rollout, self.more(rollout), unit.metrics)
         for person in result["per_agent"]:
@@ -245,21 +242,21 @@ def prepared(name: str | Spec, inputs: str = "", clearance: float = CLEARANCE) -
     result = _kept.pop(key, None)
     if result is None:
         made = make_scenario(name)
-        result = _adapted(made, clearance) or prepare_scenario(made, clearance)
+        alike = (kept for kept in _kept.values() if kept.planner.clearance == clearance)
+        adapted = next(filter(None, map(made.adapted, alike)), None)  # with the plans and ways of one
+        result = adapted or prepare_scenario(made, clearance)
     _kept[key] = result  # the latest is the last
     if len(_kept) > KEPT:
         del _kept[next(iter(_kept))]
     return result
 
 
-def _adapted(made: Scenario, clearance: float) -> PreparedScenario | None:
-    """Return the scenario with the floor plans and ways of one that is kept, None where none has them."""
-    alike = (kept for kept in _kept.values() if kept.planner.clearance == clearance)
-    return next(filter(None, map(made.adapted, alike)), None)
-
-
-def walked(
-    unit: WorkUnit, scenario: PreparedScenario, seeds: Sequence[int], episodes: int, tell: Tell | None = None
+def walk_unit(
+    unit: WorkUnit,
+    scenario: PreparedScenario,
+    seeds: Sequence[int],
+    episodes: int,
+    tell: ShareDone | None = None,
 ) -> Iterator[tuple[Rollout, PedestrianEnv]]:
     """Yield episodes in parts, each with its environment: large crowds do not fit into memory at once.
 

@@ -19,7 +19,7 @@ from pedzoo.core.machine import versions
 from pedzoo.core.paths import write_atomically
 from pedzoo.core.registry import ROOT, SUITES, folder_of, names_code
 from pedzoo.core.spec import Spec, parse, unquoted
-from pedzoo.eval.suite import Tell, WorkUnit
+from pedzoo.eval.suite import ShareDone, WorkUnit
 from pedzoo.models.zoo.store import find
 from pedzoo.policies.crowd_names import parts
 
@@ -39,7 +39,7 @@ _IGNORED_PACKAGES = ("cli", "train", "viz", "configs")
 """Packages whose code changes no number of an evaluation."""
 
 
-def work(unit: WorkUnit, tell: Tell | None = None) -> Rows:
+def work(unit: WorkUnit, tell: ShareDone | None = None) -> Rows:
     """Do a unit and return its rows, as they are in JSON; ``tell`` gets the share that is done."""
     wall, cpu = time.perf_counter(), time.process_time()
     rows = SUITES.get(unit.case.suite)(unit.case.suite).rows(unit, tell)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,8 @@ from typing import Any
 from pedzoo.core.errors import UserError
 from pedzoo.eval.results import INTERVALS, SEEN, case_label, legend
 from pedzoo.viz.page import LARGEST
+
+Row = Mapping[str, Any]
 
 REAL = "real"
 
@@ -23,6 +25,26 @@ _NOTE = INTERVALS.replace("In brackets", "Below numbers") + " A number that is a
 
 _ROOM = 400_000  # bytes of a page beside its episodes and floor plans
 
+HIGHER = re.compile(
+    r"success|clean|contact_free|s[pt]l|goals_p.*|personal_space.*|(all_)?through|specific_flow.*|.*steps_per_s"
+    r"|episode_success|person_yields"
+)
+LOWER = re.compile(
+    r"(?!contact_free).*contact.*|collision.*|deadlock|failed|timeout|time_ratio.*|path_ratio|time_s|delay.*"
+    r"|detour.*|intrusion_ratio|discomfort|realism|w1_.*|(.*_)?[af]de(_.*)?|dtw_m|.*rmse.*|next_step.*|nll.*"
+    r"|intervention_.*|outcome_(blocked|lost|through)|step_s|.*_ms"
+)
+
+FIRST = (
+    *("success", "episode_success", "realism", "clean", "collision_person", "collision_wall", "timeout"),
+    *("agent_contacts_per_min", "wall_contacts_per_min", "time_ratio", "time_ratio_median", "deadlock"),
+    *("path_ratio", "stl", "time_s", "delay_s", "intrusion_ratio", "least_distance_m", "closed_loop_ade_m"),
+    *("density_speed_rmse_m_per_s", "agent_contact_excess", "ade_m", "fde_m", "min_ade_20_scene_m"),
+)
+"""Columns that are shown at once, in this order; the others with a click."""
+
+AT_ONCE = 8
+"""Columns at most: so many fit a page of usual width."""
 
 FIRST_CURVES = ("val/ade", "val/fde", "val/unlike", "rollout/success", "rollout/clean", "rollout/stl")
 """Metrics that are shown before all others."""
@@ -109,29 +131,32 @@ def _trainings(folder: Path) -> list[Path]:
 
 def add_report(content: dict[str, Any], report: Mapping[str, Any], stem: str = "") -> None:
     """Add the tables, episodes and curves of one file, with its ``stem`` in their titles."""
-    said, rows = f" ({stem})" if stem else "", report["rows"]
+    suffix = f" ({stem})" if stem else ""
     content["plans"] |= report.get("plans", {})
-    groups: dict[str, list[Mapping[str, Any]]] = {}
-    for row in rows:
-        groups.setdefault(_table(row, report), []).append(row)
-    for name, its in groups.items():
-        cases: dict[str, list[Mapping[str, Any]]] = {}
-        for row in its:
-            cases.setdefault(_label(row), []).append(row)
+    for name, rows in _grouped(report["rows"], lambda row: _table(row, report)).items():
+        cases = _grouped(rows, _label)
         means = [row for row in report.get("summary", []) if row.get("table") == name]
         tables = []
         if len(cases) > 1 and means:
             tables.append(_table_of(f"mean of {len(cases)} cases", means, None))
-        for label, those in cases.items():
-            number = _add_case(content, f"{name} {label}".strip() + said, those)
-            tables.append(_table_of(label or name, those, number))
+        for label, of_case in cases.items():
+            number = _add_case(content, f"{name} {label}".strip() + suffix, of_case)
+            tables.append(_table_of(label or name, of_case, number))
         note = "" if content["tables"] else _NOTE
-        content["tables"].append({"name": name + said, "note": note, "tables": tables})
+        content["tables"].append({"name": name + suffix, "note": note, "tables": tables})
     content["notes"] += [str(note) for note in report.get("notes", [])]
-    content["charts"] += curves_of(report, said)
+    content["charts"] += _distributions(report["rows"], suffix) + _scaling(report["rows"], suffix)
 
 
-def _add_case(content: dict[str, Any], name: str, rows: Sequence[Mapping[str, Any]]) -> int | None:
+def _grouped(rows: Sequence[Row], key: Callable[[Row], str]) -> dict[str, list[Row]]:
+    """Return rows by their key, in the order in which keys are first seen."""
+    groups: dict[str, list[Row]] = {}
+    for row in rows:
+        groups.setdefault(key(row), []).append(row)
+    return groups
+
+
+def _add_case(content: dict[str, Any], name: str, rows: Sequence[Row]) -> int | None:
     """Add the episodes of a case; returns its number, None where no row keeps any."""
     policies = [
         {"name": str(row["name"]), "episodes": row["episodes"]} for row in rows if row.get("episodes")
@@ -146,18 +171,19 @@ def _add_case(content: dict[str, Any], name: str, rows: Sequence[Mapping[str, An
     return len(content["cases"]) - 1
 
 
-def _table(row: Mapping[str, Any], report: Mapping[str, Any]) -> str:
+def _table(row: Row, report: Mapping[str, Any]) -> str:
     protocol = report.get("protocol", {})
     usual = protocol.get("scenario") if isinstance(protocol, dict) else None
     return str(row.get("table") or row.get("section") or usual or report.get("command", "results"))
 
 
-def _label(row: Mapping[str, Any]) -> str:
+def _label(row: Row) -> str:
     case = {key: str(value) for key, value in row.get("case", {}).items()}
     return case_label({"case": case}) if case else ""
 
 
-def _table_of(title: str, rows: Sequence[Mapping[str, Any]], case: int | None) -> dict[str, Any]:
+def _table_of(title: str, rows: Sequence[Row], case: int | None) -> dict[str, Any]:
+    """Return a table; ``case`` is the number of the case whose episodes it leads to, None for a mean."""
     texts = legend()
     metrics = list(dict.fromkeys(key for row in rows for key in row["metrics"]))
     columns = [
@@ -167,7 +193,7 @@ def _table_of(title: str, rows: Sequence[Mapping[str, Any]], case: int | None) -
     return {"title": title, "case": case, "columns": columns, "rows": [_row(row) for row in rows]}
 
 
-def _row(row: Mapping[str, Any]) -> dict[str, Any]:
+def _row(row: Row) -> dict[str, Any]:
     intervals, number = row.get("ci95", {}), row.get("n", "")
     cells = {
         key: [value, *intervals.get(key, (None, None))]
@@ -183,7 +209,7 @@ def _row(row: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _about(reports: Sequence[Mapping[str, Any]], runs: Sequence[Path]) -> str:
+def _about(reports: Sequence[Row], runs: Sequence[Path]) -> str:
     lines = []
     for report in reports:
         versions, seeds = report.get("versions", {}), report.get("seeds", [])
@@ -193,29 +219,6 @@ def _about(reports: Sequence[Mapping[str, Any]], runs: Sequence[Path]) -> str:
         lines.append(", ".join(made))
     lines += [f"{len(runs)} trainings"] if runs else []
     return "; ".join(dict.fromkeys(lines))
-
-
-HIGHER = re.compile(
-    r"success|clean|contact_free|s[pt]l|goals_p.*|personal_space.*|(all_)?through|specific_flow.*|.*steps_per_s"
-    r"|episode_success|person_yields"
-)
-LOWER = re.compile(
-    r"(?!contact_free).*contact.*|collision.*|deadlock|failed|timeout|time_ratio.*|path_ratio|time_s|delay.*"
-    r"|detour.*|intrusion_ratio|discomfort|realism|w1_.*|(.*_)?[af]de(_.*)?|dtw_m|.*rmse.*|next_step.*|nll.*"
-    r"|intervention_.*|outcome_(blocked|lost|through)|step_s|.*_ms"
-)
-
-FIRST = (
-    *("success", "episode_success", "realism", "clean", "collision_person", "collision_wall", "timeout"),
-    *("agent_contacts_per_min", "wall_contacts_per_min", "time_ratio", "time_ratio_median", "deadlock"),
-    *("path_ratio", "stl", "time_s", "delay_s", "intrusion_ratio", "least_distance_m", "closed_loop_ade_m"),
-    *("density_speed_rmse_m_per_s", "agent_contact_excess", "ade_m", "fde_m", "min_ade_20_scene_m"),
-)
-"""Columns that are shown at once, in this order; the others with a click."""
-
-
-AT_ONCE = 8
-"""Columns at most: so many fit a page of usual width."""
 
 
 def better(metric: str) -> int:
@@ -231,11 +234,6 @@ def ordered(metrics: list[str]) -> list[tuple[str, bool]]:
     return [(name, True) for name in first] + [(name, not first) for name in metrics if name not in first]
 
 
-def curves_of(report: Mapping[str, Any], said: str = "") -> list[dict[str, Any]]:
-    """Return the groups of charts of a report; ``said`` stands behind their titles."""
-    return _distributions(report["rows"], said) + _scaling(report["rows"], said)
-
-
 def training_curves(runs: Sequence[Path]) -> list[dict[str, Any]]:
     """Return the charts of trainings, a panel for each metric of validation, a line for each run."""
     panels: dict[str, list[dict[str, Any]]] = {}
@@ -243,12 +241,9 @@ def training_curves(runs: Sequence[Path]) -> list[dict[str, Any]]:
         name = f"{run.parent.name}/{run.name}"
         for metric, (epochs, values) in _logged(run / "metrics.csv").items():
             panels.setdefault(metric, []).append({"name": name, "x": epochs, "y": values})
-    shown = sorted(panels, key=lambda metric: (metric not in FIRST_CURVES, -len(panels[metric]), metric))[
-        :PANELS
-    ]
-    charts = [
-        {"title": metric, "x": "epoch", "y": "", "lines": panels[metric], "zero": False} for metric in shown
-    ]
+    order = sorted(panels, key=lambda metric: (metric not in FIRST_CURVES, -len(panels[metric]), metric))
+    common = {"x": "epoch", "y": "", "zero": False}
+    charts = [{"title": metric, "lines": panels[metric], **common} for metric in order[:PANELS]]
     note = "A point for every epoch with a validation; losses of training are means over the epoch."
     return [{"title": "Training", "note": note, "panels": charts}] if charts else []
 
@@ -262,28 +257,29 @@ def _logged(file: Path) -> dict[str, tuple[list[int], list[float]]]:
                 if text and row.get("epoch") and re.match(r"(val|rollout)/|train/.*loss|train/g", key or ""):
                     values.setdefault(key, {}).setdefault(int(float(row["epoch"])), []).append(float(text))
     return {
-        key: (sorted(its), [sum(its[epoch]) / len(its[epoch]) for epoch in sorted(its)])
-        for key, its in values.items()
+        key: (sorted(epochs), [sum(epochs[epoch]) / len(epochs[epoch]) for epoch in sorted(epochs)])
+        for key, epochs in values.items()
     }
 
 
-def _distributions(rows: Sequence[Mapping[str, Any]], said: str) -> list[dict[str, Any]]:
+def _distributions(rows: Sequence[Row], suffix: str) -> list[dict[str, Any]]:
     """Return the charts of crowds beside the recorded one, a group for each case."""
-    groups: dict[str, list[Mapping[str, Any]]] = {}
-    for row in rows:
-        if row.get("distributions") or row.get("density_speed"):
-            case = row.get("case", {})
-            groups.setdefault(f"{case.get('fold', '')} {case.get('simulated', '')}".strip(), []).append(row)
+
+    def crowd(row: Row) -> str:
+        case = row.get("case", {})
+        return f"{case.get('fold', '')} {case.get('simulated', '')}".strip()
+
+    drawn = [row for row in rows if row.get("distributions") or row.get("density_speed")]
     note = (
         "Shares of all steps of 0.4 s. The thick line is the recorded crowd; ends count what is beyond them."
     )
     return [
-        {"title": f"Beside real people: {name}{said}", "note": note, "panels": _beside_real(its)}
-        for name, its in groups.items()
+        {"title": f"Beside real people: {name}{suffix}", "note": note, "panels": _beside_real(of_case)}
+        for name, of_case in _grouped(drawn, crowd).items()
     ]
 
 
-def _beside_real(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def _beside_real(rows: Sequence[Row]) -> list[dict[str, Any]]:
     rows = [row for row in rows if row["name"] != REAL] or list(rows)
     panels = []
     for feature, first in rows[0].get("distributions", {}).items():
@@ -306,36 +302,28 @@ def _beside_real(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     return panels
 
 
-def _line(name: str, curve: Sequence[Mapping[str, Any]], key: str) -> dict[str, Any]:
+def _line(name: str, curve: Sequence[Row], key: str) -> dict[str, Any]:
     often = [one for one in curve if one["real_share"] >= 0.005]  # means of a few people say nothing
     return {"name": name, "x": [one["density_per_m2"] for one in often], "y": [one[key] for one in often]}
 
 
-def _scaling(rows: Sequence[Mapping[str, Any]], said: str) -> list[dict[str, Any]]:
+def _scaling(rows: Sequence[Row], suffix: str) -> list[dict[str, Any]]:
     """Return how many steps of people are done per second, by the number of people, of ``pedzoo bench``."""
-    lines: dict[str, dict[str, dict[int, float]]] = {}
+    places: dict[str, dict[str, dict[int, float]]] = {}
     for row in rows:
         size = _CASE_SIZE.fullmatch(str(row.get("case", {}).get("size", "")))
-        value = row["metrics"].get("agent_steps_per_s")
-        if size and value:
-            places = lines.setdefault(str(row["case"].get("map", "")), {})
-            places.setdefault(str(row["name"]), {})[int(size[1]) * int(size[2])] = value
-    panels = [
-        {
-            "title": place,
-            "x": "people in all scenes (powers of ten)",
-            "y": "steps of people per second",
-            "log": True,
-            "lines": [
-                {"name": name, "x": sorted(points), "y": [points[size] for size in sorted(points)]}
-                for name, points in its.items()
-                if len(points) > 1
-            ],
-        }
-        for place, its in lines.items()
-    ]
-    panels = [panel for panel in panels if panel["lines"]]
-    for panel in panels:
-        panel["title"] = panel["title"] or "the usual floor plans"
+        if size and (value := row["metrics"].get("agent_steps_per_s")):
+            lines = places.setdefault(str(row["case"].get("map", "")), {})
+            lines.setdefault(str(row["name"]), {})[int(size[1]) * int(size[2])] = value
+    panels = []
+    for place, by_name in places.items():
+        lines = [
+            {"name": name, "x": sorted(points), "y": [points[size] for size in sorted(points)]}
+            for name, points in by_name.items()
+            if len(points) > 1
+        ]
+        common = {"x": "people in all scenes (powers of ten)", "y": "steps of people per second", "log": True}
+        if lines:
+            panels.append({"title": place or "the usual floor plans", "lines": lines, **common})
     note = "Both axes are logarithmic."
-    return [{"title": f"Speed by size{said}", "note": note, "panels": panels}] if panels else []
+    return [{"title": f"Speed by size{suffix}", "note": note, "panels": panels}] if panels else []

@@ -83,9 +83,7 @@ def test_a_card_gets_what_the_commands_say(measured: list[dict[str, Any]], repor
     assert said.startswith("not measured, zara1 test: ") and "PEDZOO_DATA" in said
 
 
-def test_weights_of_all_scenes_are_measured_on_validation_windows(
-    shared: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_weights_of_all_scenes_have_validation_windows(shared: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(card_numbers, "WALKS", [])
     result = measure("sgan_goal_map.eth_ucy", "mine.all", root=str(shared / "data"))
     assert [report["protocol"]["fold"] for report in result] == ["eth_ucy", "embedded"]

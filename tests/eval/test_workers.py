@@ -149,7 +149,7 @@ def test_a_function_that_a_worker_cannot_load_is_a_mistake(do, monkeypatch: pyte
 
 @needs_ray
 @pytest.mark.slow
-def test_ray_tells_of_errors_and_dead_actors_and_its_cluster_stays() -> None:
+def test_ray_tells_of_errors_and_deaths_and_its_cluster_stays() -> None:
     import ray  # pyright: ignore[reportMissingImports]
 
     ray.init(address="local", num_cpus=2, include_dashboard=False, log_to_driver=False)

@@ -23,9 +23,7 @@ def driven() -> tuple[RobotRollout, RobotEnv]:
     return robot_rollout("straight", "goals:map=flat,people=2,goals=1,pool=8", people="orca", episodes=2)
 
 
-def test_frames_last_as_long_as_the_episode_and_show_what_the_lidar_sees(
-    driven: tuple[RobotRollout, RobotEnv],
-) -> None:
+def test_frames_last_as_long_as_episodes_and_show_lidars(driven: tuple[RobotRollout, RobotEnv]) -> None:
     length = int(driven[0].walked.length[1])
     seen = list(robot_frames(*driven, episode=1, size=SIZE))
     blind = list(robot_frames(*driven, episode=1, size=SIZE, beams=0))

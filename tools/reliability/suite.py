@@ -41,7 +41,7 @@ ATTACKS: dict[str, tuple[str, ...]] = {
     ),
     "a dead worker": (
         f"{_EVALUATE}::test_a_killed_worker_is_named_and_finished_parts_are_kept",
-        f"{_WORKERS}::test_ray_tells_of_errors_and_dead_actors_and_its_cluster_stays",
+        f"{_WORKERS}::test_ray_tells_of_errors_and_deaths_and_its_cluster_stays",
     ),
     "a dead client of pybullet": (
         "tests/sim/test_physics.py::test_a_closed_physics_and_a_lost_client_say_what_to_do",

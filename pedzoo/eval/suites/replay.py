@@ -16,12 +16,12 @@ from pedzoo.eval.suite import (
     EvaluationCase,
     EvaluationOptions,
     OwnRecordings,
+    ShareDone,
     Suite,
-    Tell,
     WorkUnit,
     kept_episodes,
     prepared,
-    walked,
+    walk_unit,
 )
 from pedzoo.eval.trained_on import for_fold, has_seen
 from pedzoo.maps.plans import load_plan
@@ -156,7 +156,7 @@ class Replay(Suite):
         units = [WorkUnit(name, for_fold(name, fold), case, seeds, deterministic) for name in policies]
         return [*units, WorkUnit(REAL, REAL, case, (0,), True)]
 
-    def rows(self, unit: WorkUnit, tell: Tell | None = None) -> list[dict[str, Any]]:
+    def rows(self, unit: WorkUnit, tell: ShareDone | None = None) -> list[dict[str, Any]]:
         """Walk one unit; policies without noise walk once."""
         case = unit.case
         scenario = cast(PreparedReplay, prepared(case.scenario, case.inputs, case.clearance))
@@ -170,7 +170,7 @@ class Replay(Suite):
         model = load_policy(unit.walks)
         noise = has_noise(model) and not unit.deterministic
         seeds, rounds = (unit.seeds, case.episodes) if noise else (unit.seeds[:1], 1)
-        parts = walked(unit, scenario, seeds, rounds * scenario.scenes, tell)
+        parts = walk_unit(unit, scenario, seeds, rounds * scenario.scenes, tell)
         first: dict[str, Any] = {}
 
         def each() -> Iterator[Rollout]:

@@ -8,7 +8,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.registry import ROBOTS
 from pedzoo.core.spec import Spec, build, name_of, parse
 from pedzoo.eval.robots import prepared_scenes, robot_rollout, robot_row
-from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite, Tell, WorkUnit, kept_episodes
+from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, ShareDone, Suite, WorkUnit, kept_episodes
 from pedzoo.eval.suites.replay import digest_of
 from pedzoo.metrics.robots import LEGEND
 from pedzoo.policies.load import load_policy, load_robot_policy
@@ -108,7 +108,7 @@ class Robots(Suite):
             )
         return result
 
-    def rows(self, unit: WorkUnit, tell: Tell | None = None) -> list[dict[str, Any]]:
+    def rows(self, unit: WorkUnit, tell: ShareDone | None = None) -> list[dict[str, Any]]:
         """Drive one unit and return its row."""
         case, parts, decision_dt = unit.case, [], 0.0
         first: dict[str, Any] = {}

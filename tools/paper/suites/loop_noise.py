@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.eval.rollout import joined, prepare, walk
-from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite, Tell, WorkUnit, prepared
+from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, ShareDone, Suite, WorkUnit, prepared
 from pedzoo.metrics.closed_loop import closed_loop
 from pedzoo.metrics.ratios import Ratio, ratio, summarised
 from pedzoo.policies.load import load_policy
@@ -80,7 +80,7 @@ class LoopNoise(Suite):
         noisy = [] if deterministic else [name for name in policies if has_noise(load_policy(name))]
         return super().units(case, noisy, seeds, deterministic)
 
-    def rows(self, unit: WorkUnit, tell: Tell | None = None) -> list[dict[str, Any]]:
+    def rows(self, unit: WorkUnit, tell: ShareDone | None = None) -> list[dict[str, Any]]:
         """Walk one unit, ``n`` scenes with `DRAWS` draws of noise each.
 
         * ``varied``: share of scenes in which not all draws that settle the choice settle it the same way.
