@@ -16,7 +16,6 @@ from pedzoo.data.recordings import find_fold
 from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.forecast import forecast_row
 from pedzoo.eval.suite import EvaluationOptions
-from pedzoo.eval.work_units import ProgressReport
 from pedzoo.models.zoo.card import ModelCard
 from pedzoo.models.zoo.loading import load, saved_config
 
@@ -255,8 +254,15 @@ def _forecasts(job: Job) -> tuple[Report, list[Report]]:
         if protocol[key] not in known:
             raise unknown(key, protocol[key], known)
     data = TrajectoryDataModule(root=job.root, **only(protocol, PROTOCOL))
-    how = protocol["samples"], job.seeds[0], protocol["split"], job.progress
-    row = forecast_row(job.model, load(job.model), data, *how)
+    row = forecast_row(
+        job.model,
+        load(job.model),
+        data,
+        samples=protocol["samples"],
+        seed=job.seeds[0],
+        split=protocol["split"],
+        progress=job.progress,
+    )
     row["case"] = only(protocol, ("fold", "split")) | row["case"]
     return dict(protocol), [row]
 
@@ -269,12 +275,8 @@ def _walks(job: Job) -> tuple[Report, list[Report]]:
     options = EvaluationOptions(**asked)._replace(root=job.root)
     still = job.protocol.get("deterministic", False)
     evaluation = Evaluation([job.model], job.protocol["suites"], options, job.seeds, still)
-
-    def tell(step: ProgressReport) -> None:
-        if job.progress:
-            job.progress(about(job.protocol), step.units, step.total)
-
-    evaluation.run(job.workers, progress=tell)
+    tell = job.progress or (lambda *_: None)
+    evaluation.run(job.workers, progress=lambda step: tell(about(job.protocol), step.units, step.total))
     result = evaluation.report()
     # a folder is not the same on another machine, and what was not asked for needs no word
     protocol = {

@@ -208,8 +208,14 @@ class Recorder:
     def rollout(self) -> Rollout:
         """Return the episodes, on the CPU."""
         stored = [{key: value.cpu() for key, value in step.items()} for step in self._steps]
-        ends = self._overdue.cpu(), self._failed.cpu()
-        return rollout_of(self._env.scenario, self._start.to("cpu"), stored, *ends, self._env.decision_dt)
+        return rollout_of(
+            self._env.scenario,
+            self._start.to("cpu"),
+            stored,
+            overdue=self._overdue.cpu(),
+            failed=self._failed.cpu(),
+            decision_dt=self._env.decision_dt,
+        )
 
 
 def _progress(state: State) -> Tensor:

@@ -40,7 +40,7 @@ ATTACKS: dict[str, tuple[str, ...]] = {
         f"{_RUN}::test_the_checkpoint_of_another_run_is_not_continued",
     ),
     "a dead worker": (
-        f"{_EVALUATE}::test_a_killed_worker_is_named_and_finished_parts_are_kept",
+        f"{_EVALUATE}::test_a_killed_worker_is_named_and_the_table_stays_the_same",
         f"{_WORKERS}::test_ray_tells_of_errors_and_deaths_and_its_cluster_stays",
     ),
     "a dead client of pybullet": (

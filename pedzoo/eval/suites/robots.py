@@ -1,12 +1,12 @@
 """A robot among people: doors, corridors, crossings, apartments, an office, the open; and recorded crowds."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 from pedzoo.core.bodies import RobotBody
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import ROBOTS
-from pedzoo.core.spec import Spec, build, name_of, parse
+from pedzoo.core.spec import build, name_of, parse
 from pedzoo.eval.robots import prepared_scenes, robot_rollout, robot_row
 from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, ShareDone, Suite, WorkUnit, kept_episodes
 from pedzoo.eval.suites.replay import digest_of
@@ -70,30 +70,45 @@ class Robots(Suite):
         build(ROBOTS, robot, RobotBody)
         result: list[EvaluationCase] = []
         for people in options.people or PEOPLE:
-            common: dict[str, Any] = {
-                "suite": self.name,
-                "physics": options.physics or "compiled",
-                "table": f"{self.name} {people}",
-                "robot": robot,
-            }
             if name_of(people) == REPLAY:
-                result.append(_replayed(people, options.root, common))
+                result.append(self._replayed(options, people, robot))
                 continue
             load_policy(people)
             for name, (scenario, effort) in SCENES.items():
-                result.append(
-                    EvaluationCase(
-                        name=f"{name} {people}",
-                        scenario=scenario,
-                        episodes=options.number(EPISODES),
-                        case={"scene": name, "people": people},
-                        effort=effort,
-                        shares=name,
-                        people=people,
-                        **common,
-                    )
+                case = self.case(
+                    options,
+                    name=f"{name} {people}",
+                    scenario=scenario,
+                    episodes=EPISODES,
+                    case={"scene": name, "people": people},
+                    effort=effort,
+                    table=f"{self.name} {people}",
+                    shares=name,
+                    people=people,
+                    robot=robot,
                 )
+                result.append(case)
         return result
+
+    def _replayed(self, options: EvaluationOptions, people: str, robot: str) -> EvaluationCase:
+        """Return the case of recorded people: every person's place is taken once."""
+        settings: dict[str, Any] = dict(parse(people).settings) | {"simulated": "one"}
+        fold = settings.setdefault("fold", "embedded")
+        if options.root is not None and fold != "embedded":
+            settings.setdefault("root", options.root)
+        case = self.case(
+            options,
+            name=people,
+            scenario=parse(people)._replace(settings=settings),
+            episodes=0,
+            case={"scene": REPLAY, "people": people},
+            inputs="" if "files" in settings else digest_of(fold, settings.get("root")),
+            effort=1000.0,
+            table=f"{self.name} {people}",
+            shares=people,
+            robot=robot,
+        )
+        return case._replace(episodes=0)  # as many as there are
 
     def notes(self, options: EvaluationOptions, policies: Sequence[str]) -> list[str]:
         """Return which robot drives, and what people of recordings do."""
@@ -123,13 +138,13 @@ class Robots(Suite):
                 part, env = robot_rollout(
                     unit.walks,
                     case.scenario,
-                    case.robot,
-                    case.people or "orca",
-                    case.physics,
-                    episodes,
-                    seed,
-                    unit.deterministic,
-                    share,
+                    robot=case.robot,
+                    people=case.people or "orca",
+                    physics=case.physics,
+                    episodes=episodes,
+                    seed=seed,
+                    deterministic=unit.deterministic,
+                    tell=share,
                     device=unit.device,
                 )
             except UserError as error:
@@ -144,25 +159,6 @@ class Robots(Suite):
             seed, robot["episode"] = divmod(robot["episode"], episodes)
             robot["seed"] = unit.seeds[seed]
         return [row]
-
-
-def _replayed(people: str, root: str | None, common: dict[str, Any]) -> EvaluationCase:
-    """Return the case of recorded people: every person's place is taken once."""
-    settings: dict[str, Any] = dict(parse(people).settings) | {"simulated": "one"}
-    fold = settings.setdefault("fold", "embedded")
-    if root is not None and fold != "embedded":
-        settings.setdefault("root", root)
-    written = parse(people)._replace(settings=settings)
-    return EvaluationCase(
-        name=people,
-        scenario=cast("Spec", written),
-        episodes=0,
-        case={"scene": REPLAY, "people": people},
-        inputs="" if "files" in settings else digest_of(fold, settings.get("root")),
-        effort=1000.0,
-        shares=people,
-        **common,
-    )
 
 
 def _recorded(case: EvaluationCase) -> int:
