@@ -131,32 +131,35 @@ def test_what_cannot_be_done_here_is_skipped_and_says_why(
     assert code == 1 and "protocol of forecast: goal is missing" in printed
 
 
+FORECAST = {"samples": 2, "split": "test"}
+DOOR_ALONE = {"suites": ["door"]}
+
+
 @pytest.mark.parametrize(
-    ("command", "changed", "message"),
+    ("usual", "changed", "message"),
     [
-        ("forecast", {"split": "all"}, "unknown split 'all'"),
-        ("forecast", {"clock": "tru"}, "unknown clock 'tru': did you mean 'true'"),
-        ("forecast", {"samples": "many"}, "protocol of forecast: samples is 'many', expected a whole number"),
-        ("forecast", {"fold": "own.py:Mine:a"}, "own.py:Mine:a' is in a file of code, and no other file"),
-        ("evaluate", {"suites": ["own.py:Mine"]}, "protocol of evaluate: 'own.py:Mine' is in a file of code"),
-        ("evaluate", {"suites": ["door"], "people": ["orca", "own.py:Mine"]}, "'own.py:Mine' is in a file"),
-        ("evaluate", {"suites": ["door"], "robot": "own.py:Mine:radius=1"}, "with pedzoo evaluate"),
-        ("evaluate", {"suites": ["door"], "physics": "own.py:Mine"}, "'own.py:Mine' is in a file"),
-        ("evaluate", {"suites": ["suite"]}, "unknown suite 'suite'"),
-        ("evaluate", {"suites": "door"}, "suites is 'door', expected a list"),
-        ("evaluate", {"suites": ["door"], "quick": "yes"}, "quick is 'yes', expected true or false"),
-        ("evaluate", {"suites": ["door"], "episodes": "few"}, "episodes is 'few', expected a whole number"),
+        (FORECAST, {"split": "all"}, "unknown split 'all'"),
+        (FORECAST, {"clock": "tru"}, "unknown clock 'tru': did you mean 'true'"),
+        (FORECAST, {"samples": "many"}, "protocol of forecast: samples is 'many', expected a whole number"),
+        (FORECAST, {"fold": "own.py:Mine:a"}, "own.py:Mine:a' is in a file of code, and no other file"),
+        (DOOR_ALONE, {"suites": ["own.py:Mine"]}, "protocol of evaluate: 'own.py:Mine' is in a file of code"),
+        (DOOR_ALONE, {"people": ["orca", "own.py:Mine"]}, "'own.py:Mine' is in a file"),
+        (DOOR_ALONE, {"robot": "own.py:Mine:radius=1"}, "with pedzoo evaluate"),
+        (DOOR_ALONE, {"physics": "own.py:Mine"}, "'own.py:Mine' is in a file"),
+        (DOOR_ALONE, {"suites": ["suite"]}, "unknown suite 'suite'"),
+        (DOOR_ALONE, {"suites": "door"}, "suites is 'door', expected a list"),
+        (DOOR_ALONE, {"quick": "yes"}, "quick is 'yes', expected true or false"),
+        (DOOR_ALONE, {"episodes": "few"}, "episodes is 'few', expected a whole number"),
     ],
 )
 def test_a_strange_protocol_is_refused_and_runs_nothing(
-    command: str, changed: dict[str, Any], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    usual: dict[str, Any], changed: dict[str, Any], message: str
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     Path("own.py").write_text("raise SystemExit('this must not run')")
-    usual = TrajectoryDataModule(fold="embedded").protocol | {"samples": 2, "split": "test"}
-    protocol = usual | changed if command == "forecast" else changed
+    data = TrajectoryDataModule(fold="embedded").protocol if usual is FORECAST else {}
     with pytest.raises(UserError, match=message):
-        report_of(command, Job("constant_velocity", protocol, [0]))
+        command = "forecast" if usual is FORECAST else "evaluate"
+        report_of(command, Job("constant_velocity", data | usual | changed, [0]))
 
 
 def test_who_has_no_card_or_asks_for_something_else_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,12 +15,11 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from importlib.util import find_spec
 from multiprocessing import resource_tracker
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import cloudpickle
 import pytest
@@ -109,42 +108,25 @@ def test_a_killed_worker_is_named_while_others_are_busy() -> None:
         assert worker.death(SystemExit(7)) == "gone with exit code 7"
 
 
-@pytest.fixture
-def do(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., tuple[Any, Any, Any]]]:
-    """A function that does in this process what a worker does with the only job of a function."""
-
-    def done(work: Callable[[Any], Any], job: Any) -> tuple[Any, Any, Any]:
-        monkeypatch.setattr(parallel, "_payload", cloudpickle.dumps(([job], work, True)))
-        parallel._sent.cache_clear()
-        return cloudpickle.loads(parallel._do(0))
-
-    yield done
+def test_errors_of_a_worker_can_be_sent_and_say_where_they_were(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In this process: `fail` is what a worker does, and a module is gone before it loads the function."""
+    jobs = ["user", "own"]
+    monkeypatch.setattr(parallel, "_payload", cloudpickle.dumps((jobs, fail, True)))
     parallel._sent.cache_clear()
-
-
-@pytest.mark.parametrize(
-    ("job", "kind", "message"),
-    [
-        ("user", UserError, "no map 'x': expected a file"),
-        ("own", RuntimeError, "OwnError: cannot be rebuilt"),
-    ],
-)
-def test_an_error_says_where_in_the_worker_it_was(do, job: str, kind: type, message: str) -> None:
-    result, error, _ = do(fail, job)
-    assert result == b"" and type(error) is kind and str(error) == message
-    assert "in job 0 in a worker" in error.__notes__[0] and "in fail" in error.__notes__[0]
-
-
-def test_a_function_that_a_worker_cannot_load_is_a_mistake(do, monkeypatch: pytest.MonkeyPatch) -> None:
+    expected = (UserError, "no map 'x': expected a file"), (RuntimeError, "OwnError: cannot be rebuilt")
+    for number, (kind, message) in enumerate(expected):
+        result, error, _ = cloudpickle.loads(parallel._do(number))
+        assert result == b"" and type(error) is kind and str(error) == message
+        assert f"in job {number} in a worker" in error.__notes__[0] and "in fail" in error.__notes__[0]
     gone = ModuleType("gone")
     exec("def work(job): return job", gone.__dict__)
-    monkeypatch.setitem(sys.modules, "gone", gone)
-    payload = cloudpickle.dumps(gone.work)
-    monkeypatch.delitem(sys.modules, "gone")
-    monkeypatch.setattr(cloudpickle, "dumps", lambda value: payload)
-    with pytest.raises(UserError, match=r"cannot load the jobs or their function: No module named 'gone'"):
-        monkeypatch.setattr(parallel, "_payload", payload)
-        parallel._sent()
+    with monkeypatch.context() as patch:
+        patch.setitem(sys.modules, "gone", gone)
+        patch.setattr(parallel, "_payload", cloudpickle.dumps(gone.work))
+        patch.delitem(sys.modules, "gone")
+        parallel._sent.cache_clear()
+        with pytest.raises(UserError, match=r"cannot load the jobs or their function: No module named"):
+            parallel._sent()
 
 
 @needs_ray
@@ -168,16 +150,11 @@ def test_ray_tells_of_errors_and_deaths_and_its_cluster_stays() -> None:
 def test_ctrl_c_ends_all_workers() -> None:
     results = finished([0, 0, 100, 100], pause, 2)
     processes = {next(results)[1] for _ in range(2)}
-
-    def press() -> None:
-        for process in [*processes, os.getpid()]:
-            os.kill(process, signal.SIGINT)
-
-    timer = threading.Timer(0.3, press)
-    timer.start()
+    press = threading.Timer(0.3, lambda: [os.kill(one, signal.SIGINT) for one in [*processes, os.getpid()]])
+    press.start()
     with pytest.raises(KeyboardInterrupt):
         next(results)
-    timer.join()
+    press.join()
     assert not any(map(is_alive, processes))
 
 
@@ -271,11 +248,9 @@ def test_every_job_is_handed_out_once_whoever_asks() -> None:
     draw = random.Random(0)
     for _ in range(50):
         keys = [draw.randrange(5) for _ in range(draw.randrange(1, 30))]
-        queue = JobQueue(keys)
-        last: list[int | None] = [None] * 4
-        taken = []
-        while (job := queue.take(last[worker := draw.randrange(4)])) is not None:
+        queue, last, taken = JobQueue(keys), dict.fromkeys(range(4)), []
+        while job := queue.take(last[worker := draw.randrange(4)]):
             assert keys[job[0]] == job[1]
             taken.append(job[0])
-            last[worker] = keys[job[0]]
+            last[worker] = job[1]
         assert sorted(taken) == list(range(len(keys)))
