@@ -20,7 +20,7 @@ from pedzoo.sim.physics_parts.stance import Stance
 from pedzoo.sim.physics_parts.top_view import draw_disc, draw_floor, draw_person
 from pedzoo.sim.robot_parts.env import RobotEnv
 from pedzoo.sim.robot_parts.rollout import RobotRollout
-from pedzoo.viz.video import Image, check_video_path, labelled, write_video
+from pedzoo.viz.video import Image, ShownEpisode, check_video_path, labelled, write_video
 
 FINER = 2
 """Pictures are drawn so many times larger, and made smaller: lines are smooth then."""
@@ -86,7 +86,7 @@ def robot_frames(
     episodes = len(rollout.walked.failed)
     if not 0 <= episode < episodes:
         raise UserError(f"episode {episode}: there are {episodes}, 0 to {episodes - 1}")
-    scene = _Scene(rollout.episodes(slice(episode, episode + 1)), env, beams, reach, size)
+    scene = _Scene(rollout, episode, env, beams, reach, size)
     frames = scene.points if seconds is None else min(scene.points, round(seconds / TRACE_SECONDS))
     for frame in range(frames + 1):
         yield labelled(scene.draw(frame), title, frame * TRACE_SECONDS)
@@ -96,27 +96,29 @@ class _Scene:
     """One episode; frame i is 0.1 s after the one before, frame 0 where the episode begins."""
 
     def __init__(
-        self, rollout: RobotRollout, env: RobotEnv, beams: int, reach: float, size: tuple[int, int]
+        self,
+        rollout: RobotRollout,
+        episode: int,
+        env: RobotEnv,
+        beams: int,
+        reach: float,
+        size: tuple[int, int],
     ) -> None:
-        walked = rollout.walked
-        self.size, self.robots, self.radius = size, rollout.robots, walked.radius[0]
-        self.points = int(walked.length[0])
-        self.path = walked.path[0, :, : self.points + 1]
-        self.goal = walked.goal[0, :, : self.points]
-        present = torch.cat((walked.mask.unsqueeze(2), walked.present), dim=2)
-        self.present = present[0, :, : self.points + 1]
-        self.heading = rollout.heading[0, :, : self.points + 1]
-        self.facing = Stance.along(self.path, walked.kind[0]).heading
+        shown = ShownEpisode(rollout.walked, episode)
+        self.size, self.robots, self.radius = size, rollout.robots, shown.rollout.radius[0]
+        self.points, self.path, self.goal, self.present = shown.length, shown.path, shown.goal, shown.present
+        self.heading = rollout.heading[episode, :, : self.points + 1]
+        self.facing = Stance.along(self.path, shown.rollout.kind[0]).heading
         self.large = large = size[0] * FINER, size[1] * FINER
-        grid = next((grid for grid in env.bank.grids if grid.map_id == int(walked.map_id[0])), None)
-        seen = torch.cat((self.path[self.present], self.goal[self.present[:, 1:]]))
+        grid = next((grid for grid in env.bank.grids if grid.map_id == int(shown.rollout.map_id[0])), None)
+        seen, map_id, pose = shown.seen, shown.rollout.map_id, shown.rollout.pose
         if grid is not None and max(grid.cells.shape) * grid.resolution <= WHOLE:
             corners = torch.from_numpy(free_corners(grid, env.scenario.unknown)).float()
-            seen = torch.cat((seen, move_to_scene(corners.unsqueeze(0), walked.pose)[0]))
+            seen = torch.cat((seen, move_to_scene(corners.unsqueeze(0), pose)[0]))
         self.camera = camera = Camera("top").around(seen, large, MARGIN)
         self.to_pixel = camera.to_pixel(large)
-        self.floor = draw_floor(grid, env.scenario.unknown, walked.pose[0], large, camera)
-        self.ends = self._rays(walked.map_id, walked.pose, env, beams, reach)
+        self.floor = draw_floor(grid, env.scenario.unknown, pose[0], large, camera)
+        self.ends = self._rays(map_id, pose, env, beams, reach)
 
     def _rays(self, map_id: Tensor, pose: Tensor, env: RobotEnv, beams: int, reach: float) -> Tensor:
         """Return where the beams of all robots end in every frame (F, R, N, 2), metres."""

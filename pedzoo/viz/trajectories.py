@@ -26,7 +26,7 @@ from pedzoo.sim.physics_parts.camera import person_color
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.state import TRACE_PER_STEP
 from pedzoo.viz.plots import check_plot_path, draw_floor_plan, write_figure
-from pedzoo.viz.video import check_episode
+from pedzoo.viz.video import ShownEpisode, check_episode
 
 STEPS_BEFORE = 3
 """Dots behind each star."""
@@ -161,20 +161,13 @@ class _Episode:
         grids = walked.env.bank.grids
         identity = int(self.rollout.map_id[episode])
         self.plan: OccupancyGrid | None = next((grid for grid in grids if grid.map_id == identity), None)
-        one = self.rollout.episodes(slice(episode, episode + 1))
-        self.length = int(one.length[0])
-        self.before = move_to_map(one.past, one.pose)[0]
-        after, goal = (move_to_map(value, one.pose)[0, :, : self.length] for value in (one.trace, one.goal))
-        self.path = torch.cat((self.before[:, -1:], after), dim=1)
-        self.goal = torch.cat((goal[:, :1], goal), dim=1)
-        self.present = torch.cat((one.mask[0].unsqueeze(1), one.present[0, :, : self.length]), dim=1)
-        seen = torch.cat((self.path[self.present], self.goal[self.present]))
-        self.low, self.high = seen.amin(0), seen.amax(0)
-        self.stays = self.rollout.stays(episode)
+        shown = ShownEpisode(self.rollout, episode, on_map=True)
+        one, self.length, self.path, self.present = shown.rollout, shown.length, shown.path, shown.present
+        self.before, self.stays = move_to_map(one.past, one.pose)[0], shown.stays
+        self.goal = torch.cat((shown.goal[:, :1], shown.goal), dim=1)
+        self.low, self.high = shown.seen.amin(0), shown.seen.amax(0)
         self.met = min(1 + meeting(self.rollout, episode), self.length)
-        contact = (one.agent_contact | one.wall_contact)[0, :, : self.length] & one.present[
-            0, :, : self.length
-        ]
+        contact = ((one.agent_contact | one.wall_contact) & one.present)[0, :, : self.length]
         self.touches = torch.nn.functional.pad(begins(contact.unsqueeze(0))[0], (1, 0))
 
     def draw(self, axes: Axes, point: int) -> None:

@@ -14,6 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from pedzoo.core.errors import UserError, need
+from pedzoo.core.geometry import move_to_map
 from pedzoo.core.paths import CODECS, atomic_write, check_ending
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.eval.comparison import PolicyRollout
@@ -21,6 +22,7 @@ from pedzoo.sim.physics_parts.bodies import Bodies
 from pedzoo.sim.physics_parts.camera import Camera, person_color
 from pedzoo.sim.physics_parts.floor_marks import draw_goal, draw_way
 from pedzoo.sim.physics_parts.stance import Stance
+from pedzoo.sim.rollout import Rollout
 
 COLUMNS = 3
 """Panels beside each other."""
@@ -147,22 +149,39 @@ def read_video(path: str | Path) -> tuple[int, tuple[int, int]]:
     return count, size
 
 
+class ShownEpisode:
+    """One episode of a rollout; point 0 is where it begins, and the others follow every 0.1 s.
+
+    Attributes:
+        rollout: This episode alone.
+        length: P, its last point.
+        path: Positions (A, 1 + P, 2), metres, in the frame of the scene, or of its map.
+        goal: What agents head for until each next point (A, P, 2), likewise.
+        present: Which agents are there at each point (A, 1 + P) bool.
+        seen: All these positions and goals (N, 2) together.
+        stays: Slot, first and last point of each person's stay.
+    """
+
+    def __init__(self, rollout: Rollout, episode: int, on_map: bool = False) -> None:
+        """Take one episode of several."""
+        one = self.rollout = rollout.episodes(slice(episode, episode + 1))
+        self.length = int(one.length[0])
+        path, goal = (move_to_map(xy, one.pose) if on_map else xy for xy in (one.path, one.goal))
+        self.path, self.goal = path[0, :, : self.length + 1], goal[0, :, : self.length]
+        present = torch.cat((one.mask.unsqueeze(2), one.present), dim=2)
+        self.present = present[0, :, : self.length + 1]
+        self.seen = torch.cat((self.path[self.present], self.goal[self.present[:, 1:]]))
+        self.stays = rollout.stays(episode)
+
+
 class _Panel:
     """One policy's episode; frame i is 0.1 s after the one before, frame 0 where the episode begins."""
 
     def __init__(self, walked: PolicyRollout, episode: int, size: tuple[int, int]) -> None:
         self.name, self.physics, self.size = walked.name, walked.env.physics, size
-        rollout = self.rollout = walked.rollout.episodes(slice(episode, episode + 1))
-        self.length = int(rollout.length[0])
-        trace, goal, present = (
-            value[:, :, : self.length] for value in (rollout.trace, rollout.goal, rollout.present)
-        )
-        self.trace = torch.cat((rollout.past[:, :, -1:], trace), dim=2)
-        self.present = torch.cat((rollout.mask.unsqueeze(2), present), dim=2)
-        self.stance = Stance.along(self.trace[0], rollout.kind[0])
-        self.seen = torch.cat((self.trace[self.present], goal[present]))
-        self.goal = goal[0]
-        self.stays = walked.rollout.stays(episode)
+        self.shown = shown = ShownEpisode(walked.rollout, episode)
+        self.length, self.seen = shown.length, shown.seen
+        self.stance = Stance.along(shown.path, shown.rollout.kind[0])
         self._empty: Image | None = None
         self._last: Image | None = None
 
@@ -176,11 +195,11 @@ class _Panel:
             self._empty = self._seen(0, camera, people=False)
         bodies = self._seen(i, camera)
         image = self._empty.copy()
-        for person, first, last in self.stays:
+        for person, first, last in self.shown.stays:
             if first <= i <= last:
-                color, way = person_color(person), self.trace[0, person, first : i + 1]
+                color, way = person_color(person), self.shown.path[person, first : i + 1]
                 draw_way(image, way, camera, self.size, color)
-                goal = self.goal[person, min(i, self.length - 1)]
+                goal = self.shown.goal[person, min(i, self.length - 1)]
                 draw_goal(image, goal, camera, self.size, color)
         # bodies stand on the marks of the floor
         there = (bodies != self._empty).any(axis=-1, keepdims=True)
@@ -189,9 +208,9 @@ class _Panel:
 
     def _seen(self, i: int, camera: Camera, people: bool = True) -> Image:
         """Return what the physics' camera sees in frame i, with or without people."""
-        rollout, present = self.rollout, self.present[:, :, i]
+        rollout, present = self.shown.rollout, self.shown.present[:, i].unsqueeze(0)
         bodies = Bodies(
-            self.trace[:, :, i],
+            self.shown.path[:, i].unsqueeze(0),
             present & people,
             rollout.map_id.unsqueeze(1),
             rollout.pose,
