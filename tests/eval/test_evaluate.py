@@ -606,11 +606,11 @@ def test_clearance_and_deadline_are_those_of_all_cases() -> None:
     report = pedzoo.evaluate(["go_to_goal"], ["door"], episodes=1, physics="compiled", deadline=1.0)
     assert {row["metrics"]["success"] for row in report["rows"]} == {0.0}
     assert report["protocol"]["deadline"] == 1.0
-    for policy, suite, options, message in (
-        ("straight", "robots", {"clearance": 0.2}, "clearance: ways beside robots keep that of the bodies"),
-        ("go_to_goal", "door", {"clearance": -1}, "clearance -1: expected at least 0 m"),
-        ("straight", "robots", {"deadline": 9.0}, "deadline: robots have their own times"),
-        ("go_to_goal", "door", {"deadline": -1}, "deadline -1: expected a number of seconds above 0"),
+    for policy, suite, option, message in (
+        ("straight", "robots", ("clearance", 0.2), "clearance: ways beside robots keep that of the bodies"),
+        ("go_to_goal", "door", ("clearance", -1), "clearance -1: expected at least 0 m"),
+        ("straight", "robots", ("deadline", 9.0), "deadline: robots have their own times"),
+        ("go_to_goal", "door", ("deadline", -1), "deadline -1: expected a number of seconds above 0"),
     ):
         with pytest.raises(UserError, match=message):
-            Evaluation([policy], [suite], EvaluationOptions(**options))
+            Evaluation([policy], [suite], EvaluationOptions()._replace(**dict([option])))
