@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -17,11 +17,13 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import PLOTS, check_ending, write_atomically
-from pedzoo.data.datamodule import TrajectoryDataModule
-from pedzoo.eval.realism import REAL
 from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
 from pedzoo.metrics.displacement import positions
 from pedzoo.models.base import Forecaster
+from pedzoo.viz.report import REAL
+
+if TYPE_CHECKING:
+    from pedzoo.data.datamodule import TrajectoryDataModule  # needs lightning, which other plots do not
 
 MARGIN = 2.0
 """Metres around people that a panel shows."""
