@@ -14,7 +14,6 @@ from msgspec.structs import replace
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.eval import cards as card_numbers
-from pedzoo.eval.cards import Job, report_of
 from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.robots import robot_rollout, robot_row
 from pedzoo.eval.suite import EvaluationOptions
@@ -75,9 +74,10 @@ def test_a_robot_that_gives_no_way_delays_people() -> None:
 
 
 def test_episodes_are_the_same_however_many_walk_together(monkeypatch: pytest.MonkeyPatch) -> None:
-    together = driven(robot="turtlebot4", episodes=3)
+    settings = {"scenario": "hallway:people=2", "robot": "turtlebot4", "episodes": 3}
+    together = driven(**settings)
     monkeypatch.setattr(Compiled, "scenes_at_once", 2)
-    parts = driven(robot="turtlebot4", episodes=3)
+    parts = driven(**settings)
     points = min(together.heading.shape[2], parts.heading.shape[2])
     torch.testing.assert_close(together.progress, parts.progress, atol=1e-4, rtol=0)
     torch.testing.assert_close(together.progress_alone, parts.progress_alone, atol=1e-4, rtol=0)
@@ -169,10 +169,3 @@ def test_numbers_of_a_robots_card_are_done_again(monkeypatch: pytest.MonkeyPatch
     assert entry
     (result,) = card_numbers.again(replace(entry.card, evaluations=[report]))
     assert result.now and all(one.same for one in card_numbers.compare(report, result.now))
-
-
-@pytest.mark.parametrize("asked", [{"people": ["x.py:Mine"]}, {"robot": "x.py:Mine"}])
-def test_a_robots_card_never_makes_code_run(asked: dict[str, Any]) -> None:
-    job = Job("robot_ppo.circle", {"suites": ["robots"], "episodes": 1} | asked, [0])
-    with pytest.raises(UserError, match="in a file of code, and no other file ever makes code run"):
-        report_of("evaluate", job)

@@ -9,12 +9,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image as Pillow
 
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.eval.comparison import PolicyRollout
+from pedzoo.eval.robots import robot_rollout
 from pedzoo.eval.rollout import rollout
 from pedzoo.sim.physics_parts.camera import person_color
+from pedzoo.sim.robot_parts.env import RobotEnv
+from pedzoo.sim.robot_parts.rollout import RobotRollout
+from pedzoo.viz.robots import film_robots, robot_frames
 from pedzoo.viz.video import GAP, HEADER, Image, film, read_video, write_video
 
 SIZE = (160, 120)
@@ -118,3 +123,36 @@ def test_command_films_the_bullet_world(tmp_path: Path, capfd: pytest.CaptureFix
     count, size = read_video(video)
     assert 15 < count < 30 and size == (640 + GAP, 480 + HEADER)
     assert plot.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.fixture(scope="module")
+def driven() -> tuple[RobotRollout, RobotEnv]:
+    return robot_rollout("straight", "goals:map=flat,people=2,goals=1,pool=8", people="orca", episodes=2)
+
+
+def test_films_of_robots_last_as_long_and_show_lidars(driven: tuple[RobotRollout, RobotEnv]) -> None:
+    length = int(driven[0].walked.length[1])
+    seen = list(robot_frames(*driven, episode=1, size=SIZE))
+    blind = list(robot_frames(*driven, episode=1, size=SIZE, beams=0))
+    assert len(seen) == len(blind) == length + 1
+    assert all(frame.shape == (SIZE[1] + HEADER, SIZE[0], 3) for frame in seen)
+    differ = [(one != other).any(-1).mean() for one, other in zip(seen, blind, strict=True)]
+    assert min(differ) > 0.01, "the robot sees something in every frame"
+    assert np.any(seen[0] != seen[-1])
+
+
+def test_films_of_robots_are_whole(driven: tuple[RobotRollout, RobotEnv], tmp_path: Path) -> None:
+    film_robots(*driven, tmp_path / "a.gif", "straight", size=SIZE, seconds=1.0)
+    with Pillow.open(tmp_path / "a.gif") as picture:
+        assert (getattr(picture, "n_frames", 1), picture.size) == (11, (SIZE[0], SIZE[1] + HEADER))
+        assert picture.info["duration"] == 100
+    film_robots(*driven, tmp_path / "a.webm", size=SIZE, seconds=0.5)
+    assert read_video(tmp_path / "a.webm") == (6, (SIZE[0], SIZE[1] + HEADER))
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["a.gif", "a.webm"]
+
+
+def test_wrong_films_of_robots_are_refused(driven: tuple[RobotRollout, RobotEnv], tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="episode 2: there are 2, 0 to 1"):
+        film_robots(*driven, tmp_path / "a.gif", episode=2)
+    with pytest.raises(UserError, match="ends in"):
+        film_robots(*driven, tmp_path / "a.png")
