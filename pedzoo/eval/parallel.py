@@ -4,7 +4,6 @@ import os
 import signal
 import sys
 import threading
-import time
 import traceback
 import warnings
 from collections.abc import Callable, Generator, Hashable, Iterator, Sequence
@@ -27,9 +26,6 @@ from pedzoo.core.errors import UserError, at_least_one, need, unknown
 J = TypeVar("J")
 R = TypeVar("R")
 Backend = Literal["processes", "ray"]
-
-PATIENCE = 5.0
-"""Seconds that a process has to end after it was asked to."""
 
 _warned: dict[Any, Any] = {}  # warnings of jobs that have been shown, as Python keeps them for a module
 
@@ -164,31 +160,16 @@ _payload = b""  # of a worker
 
 
 def _begin(payload: bytes, folder: str = ".", path: Sequence[str] = ()) -> None:
-    """Prepare a worker. A process ends in good order when it is terminated, and when its parent is gone."""
+    """Prepare a worker; a process ends when its parent is gone."""
     global _payload
     _payload = payload
     torch.set_num_threads(1)
-    if parent_process():
+    if parent := parent_process():
         os.environ.pop("PYTHONSAFEPATH", None)  # it was for the start alone
-        threading.Thread(target=_follow_parent, daemon=True).start()
-        signal.signal(signal.SIGTERM, _leave)
+        threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
     elif Path(folder).is_dir():  # an actor may be on another machine
         os.chdir(folder)
     sys.path += [entry for entry in path if entry not in sys.path and Path(entry).exists()]
-
-
-def _leave(*_: Any) -> None:
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the executor may send another one
-    sys.exit()
-
-
-def _follow_parent() -> None:
-    parent = parent_process()
-    assert parent is not None
-    parent.join()
-    os.kill(os.getpid(), signal.SIGTERM)
-    time.sleep(PATIENCE)
-    os._exit(1)  # the signal ended a job, and the executor waits for the next one
 
 
 @cache
@@ -233,21 +214,19 @@ def _do(number: int) -> bytes:
 def _processes(payload: bytes, count: int) -> Iterator[list["_Process"]]:
     """Yield executors of one process each: each job goes to a worker that is chosen here."""
     pool: list[_Process] = []
-    late = threading.Timer(PATIENCE, lambda: [one.process.kill() for one in pool if one.process])
     try:
         pool += [_Process(payload) for _ in range(count)]
         yield pool
+    except BaseException:  # what they do is not wanted any more
+        for one in pool:
+            if one.process:
+                one.process.kill()
+        raise
     finally:
-        started = [one.process for one in pool if one.process]
-        for process in started:
-            process.terminate()
-        late.start()
         for one in pool:
             one.executor.shutdown(cancel_futures=True)
-        late.cancel()
-        late.join()
-        for process in started:
-            process.close()
+            if one.process:
+                one.process.close()
 
 
 class _Process:
@@ -265,9 +244,9 @@ class _Process:
             if self.process:
                 return self.executor.submit(_do, job)
             known = set(active_children())
-            with _starting():
+            with _starting():  # an interrupt waits until the process is known
                 future = self.executor.submit(_do, job)
-            self.process = next(iter(set(active_children()) - known), None)
+                self.process = next(iter(set(active_children()) - known), None)
         except BrokenProcessPool as error:  # it died while it had no job
             future = Future()
             future.set_exception(error)
