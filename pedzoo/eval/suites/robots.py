@@ -1,12 +1,12 @@
 """A robot among people: doors, corridors, crossings, apartments, an office, the open; and recorded crowds."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 from pedzoo.core.bodies import RobotBody
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import ROBOTS
-from pedzoo.core.spec import build, name_of, parse
+from pedzoo.core.spec import Spec, build, name_of, parse
 from pedzoo.eval.robots import prepared_scenes, robot_rollout, robot_row
 from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, ShareDone, Suite, WorkUnit, kept_episodes
 from pedzoo.eval.suites.replay import digest_of
@@ -99,7 +99,7 @@ class Robots(Suite):
         case = self.case(
             options,
             name=people,
-            scenario=parse(people)._replace(settings=settings),
+            scenario=cast("Spec", parse(people)._replace(settings=settings)),
             episodes=0,
             case={"scene": REPLAY, "people": people},
             inputs="" if "files" in settings else digest_of(fold, settings.get("root")),
