@@ -1,0 +1,160 @@
+"""Count what a reader meets on the way: the files of pedzoo that five walks enter, and changes of room.
+
+    python -m tools.walks            # each walk, then the files by room
+    python -m tools.walks --files    # also their names, in the order in which they are entered
+
+A walk is run and traced (`sys.setprofile`), compiled loops as Python. A file counts when one of its functions
+runs; code that only imports does not. A room is a package: `sim`, `models`. Other commits are counted by
+`PYTHONPATH=CHECKOUT python tools/walks.py`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable
+from contextlib import redirect_stdout
+from io import StringIO
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+MODEL = "sgan_goal_map.indoor"
+
+
+class Trace:
+    """Files of pedzoo whose functions run within the block, in the order of their first call."""
+
+    def __init__(self, until: str = "") -> None:
+        """End early where a function ``until`` of pedzoo begins."""
+        self.files: dict[str, None] = {}
+        self.changes = 0
+        self.until = until
+        self.room = ""
+
+    def __enter__(self) -> Trace:
+        sys.setprofile(self._seen)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        sys.setprofile(None)
+
+    def _seen(self, frame: FrameType, event: str, _: Any) -> None:
+        _, inside, file = frame.f_code.co_filename.rpartition("/pedzoo/")
+        if event != "call" or not inside or frame.f_code.co_name == "<module>":
+            return
+        if frame.f_code.co_name == self.until:
+            sys.setprofile(None)
+            return
+        self.files.setdefault(file)
+        room = file.partition("/")[0]
+        self.changes += room != self.room
+        self.room = room
+
+
+def track_to_loss() -> Trace:
+    """Walk from recorded tracks to a training loss."""
+    import pedzoo
+    from pedzoo.data.datamodule import TrajectoryDataModule
+
+    model = pedzoo.load("sgan_goal.zara1")
+    with Trace() as trace:
+        data = TrajectoryDataModule(fold="embedded", goal="window_end")
+        data.setup("fit")
+        model.loss(next(iter(data.train_dataloader())))
+    return trace
+
+
+def string_to_velocities() -> Trace:
+    """Walk from a policy's name to the velocities that it commands."""
+    import pedzoo
+    from pedzoo.policies.load import load_policy
+
+    scenes = pedzoo.make_env("door", physics="compiled").reset()
+    with Trace() as trace:
+        load_policy(MODEL)(scenes)
+    return trace
+
+
+def plan_to_input() -> Trace:
+    """Walk from a floor plan's name to what a network reads of it."""
+    import torch
+
+    import pedzoo
+    from pedzoo.core.geometry import identity_pose
+    from pedzoo.maps.bank import MapBank
+    from pedzoo.maps.named_plans import load_plan
+
+    encoder = pedzoo.load(MODEL).map
+    with Trace() as trace:
+        grid = load_plan("apartment.7")
+        bank = MapBank([grid])
+        here, row = torch.tensor([[2.0, 2.0]]), torch.full((1,), bank.grids[0].map_id)
+        encoder(bank, here, torch.tensor([[1.0, 0.0]]), row, identity_pose(1))
+    return trace
+
+
+def episode_to_row() -> Trace:
+    """Walk from the command to a row of a table."""
+    from pedzoo.cli.main import main
+
+    with Trace() as trace:
+        main(["rollout", MODEL, "--scenario", "door", "--episodes", "1", "--physics", "compiled"])
+    return trace
+
+
+def fit_to_batch() -> Trace:
+    """Walk from `pedzoo fit` to its first batch."""
+    from pedzoo.cli.main import main
+
+    with tempfile.TemporaryDirectory() as runs, Trace("training_step") as trace:
+        limits = [
+            "--trainer.max_epochs=1",
+            "--trainer.limit_train_batches=1",
+            "--trainer.limit_val_batches=0",
+        ]
+        main(["fit", "--config", "sgan_goal", "--data.fold", "embedded", f"--runs={runs}", *limits])
+    return trace
+
+
+WALKS: dict[str, tuple[str, Callable[[], Trace]]] = {
+    "track": ("recorded track to loss", track_to_loss),
+    "string": ("a policy's string to velocities", string_to_velocities),
+    "plan": ("floor plan to network input", plan_to_input),
+    "row": ("an episode to a row", episode_to_row),
+    "fit": ("`fit` to its first batch", fit_to_batch),
+}
+
+
+def main() -> int:
+    """Print the walks, each of a process of its own; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("walks", nargs="*", metavar="WALK", help=f"some of {', '.join(WALKS)}")
+    parser.add_argument("--files", action="store_true", help="name the files")
+    parser.add_argument("--here", action="store_true", help="walk in this process")
+    options = parser.parse_args()
+    for name in options.walks or WALKS:
+        if not options.here:
+            words = [sys.executable, __file__, name, "--here", *["--files"] * options.files]
+            environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "OMP_NUM_THREADS": "1"}
+            subprocess.run(words, check=True, env=environment, stderr=subprocess.DEVNULL)
+            continue
+        about, walk = WALKS[name]
+        with redirect_stdout(StringIO()):
+            trace = walk()
+        rooms = Counter(file.partition("/")[0] for file in trace.files)
+        by_room = ", ".join(f"{room} {count}" for room, count in rooms.most_common())
+        print(f"{about}: {len(trace.files)} files, {trace.changes} changes of room; {by_room}", flush=True)
+        for file in trace.files if options.files else ():
+            print(f"    {Path(file)}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
