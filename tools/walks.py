@@ -87,7 +87,7 @@ def plan_to_input() -> Trace:
     import pedzoo
     from pedzoo.core.geometry import identity_pose
     from pedzoo.maps.bank import MapBank
-    from pedzoo.maps.named_plans import load_plan
+    from pedzoo.maps.plans import load_plan
 
     encoder = pedzoo.load(MODEL).map
     with Trace() as trace:
