@@ -20,7 +20,6 @@ from pedzoo.eval.results import ResultTable
 from pedzoo.eval.work_units import ProgressReport
 from pedzoo.maps.formats import write_ros
 from pedzoo.maps.plans import flat
-from tools.bench.tables import print_bench
 
 ODD = "[/a/b.yaml,[bold]c[/]]:door:"
 """Rich would fail at it, or draw a door."""
@@ -43,15 +42,6 @@ def test_tables_print_text_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out.count(ODD) == 3
     print_tables([ResultTable(ODD, [ODD, ODD], [[ODD, ODD]], 1)])
     assert capsys.readouterr().out.count(ODD) == 5
-
-
-def test_speeds_print_text_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
-    figure = {"n": {"x_per_s": 1}, "metrics": {"x_per_s": 1.0}, "quartiles": {"x_per_s": [1.0, 1.0]}}
-    row = {"section": "walls", "name": ODD, "case": {"map": ODD}, "bars": [], "note": ODD, **figure}
-    machine = {"load_before": 0.0, "load_after": 0.0, "cpu": ODD}
-    known = {"protocol": {"threads": 1}, "machine": machine, "versions": {}}
-    print_bench({"rows": [row], "skipped": {ODD: ODD}, **known})
-    assert capsys.readouterr().out.count(ODD) == 2 + 2 + 2 + 1
 
 
 def test_bars_show_text_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,135 +2,204 @@
 
 from __future__ import annotations
 
+import platform
 import sys
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
+from statistics import median
+from typing import Any
 
-from pedzoo.cli.arguments import Arguments
+import numpy as np
+
 from pedzoo.cli.commands.checkout.bench import EXAMPLE, HELP
 from pedzoo.core.errors import UserError, unknown
-from tools.bench import BENCHMARKS
+from tools.bench.programs import CASES, ROOT, Case, Program, checkout, git
+
+SECTIONS: dict[str, tuple[str, list[tuple[int, int]]]] = {
+    "start": ("what a person waits for: imports, help, a typo, one epoch, one evaluation", [(0, 0)]),
+    "environment": ("people who go straight, with every physics", [(1, 5), (64, 5), (1024, 5)]),
+    "policies": ("people who walk by policies", [(64, 5)]),
+    "robots": ("a robot with a lidar among people", [(1, 5), (64, 5)]),
+    "controller": ("a call of a controller", [(1, 2), (1, 20), (1, 200)]),
+    "planner": ("a new goal on a large plan, beside networkx' A*", [(0, 0)]),
+    "forecast": ("twenty futures of one scene", [(1, 10), (1, 200)]),
+    "train": ("an iteration of Social GAN's training", [(64, 10)]),
+}
+"""What each section times, and its sizes: scenes and people."""
 
 
 def run(argv: list[str]) -> int:
     """Measure and print; returns the exit code."""
-    options = _parsed(argv)
-
-    # --help and mistakes need not wait for torch
-    from pedzoo.cli.output import check_outputs, write_and_print
-    from tools.bench.compare import compare, read_report
-    from tools.bench.run import Run
-    from tools.bench.section import Settings
-    from tools.bench.tables import line, print_bench, print_comparison
-
-    if options.device != "cpu":
-        raise UserError(
-            f"--device {options.device}: benchmarks are of the CPU only: expected cpu; "
-            "python tools/bench/devices.py --devices cpu cuda measures the environment on others"
-        )
-    check_outputs(json=options.json)
-    old = read_report(options.compare) if options.compare else None
-    settings = Settings(
-        seconds=options.seconds,
-        turns=options.turns,
-        quick=options.quick,
-        threads=options.threads,
-        sizes=options.size,
-        maps=tuple(options.map),
-        peers=options.peer,
-        peer_python=options.peer_python,
-        sgan=Path(options.sgan) if options.sgan else None,
-        crowdnav=Path(options.crowdnav) if options.crowdnav else None,
-        data=options.data,
+    width = max(map(len, SECTIONS))
+    about = "\n".join(f"  {name:<{width}}  {text}" for name, (text, _) in SECTIONS.items())
+    parser = ArgumentParser(
+        "pedzoo bench",
+        description=f"{HELP}\n\nsections:\n{about}\n\nexample: {EXAMPLE}",
+        formatter_class=RawDescriptionHelpFormatter,
     )
-    measuring = Run(options.sections, settings)
-
-    def tell(text: str) -> None:
-        print(text, file=sys.stderr, flush=True)
-
-    def finish(**more: bool) -> None:
-        report = measuring.report() | more
-        write_and_print(report, options.json, lambda: print_bench(report))
-        if old is not None:
-            print_comparison(compare(old, report), options.compare)
-
-    try:
-        measuring.go(lambda row: tell(line(row)), tell)
-    except (KeyboardInterrupt, UserError):
-        if measuring.rows:
-            print("not finished: only what was measured by then")
-            finish(interrupted=True)
-        raise
-    finish()
-    return 0
-
-
-def _parsed(argv: list[str]) -> Namespace:
-    names = BENCHMARKS.names()
-    width = max(map(len, names))
-    about = [f"  {name:<{width}}  {BENCHMARKS.describe(name)}" for name in names]
-    parser = Arguments("bench", "\n".join([f"{HELP}", "", "sections:", *about]), EXAMPLE)
-    parser.add_argument("sections", nargs="*", metavar="SECTION", help="which (default: all that can be run)")
-    add_timing(parser, "loop, orca, profile, robots")
-    parser.add_argument("--threads", type=int, default=1, help="of torch and of peers (default: 1)")
-    parser.add_argument(
-        "--map",
-        nargs="+",
-        default=[],
-        metavar="PLAN",
-        help="floor plans, files or office.7; each case takes the first with room",
-    )
-    parser.add_argument(
-        "--device",
-        default="cpu",
-        choices=("cpu", "cuda"),
-        help="cpu; tools/bench/devices.py measures the others",
-    )
-    parser.add_argument(
-        "--sgan", metavar="FOLDER", help="checkout of the original Social GAN, for section sgan"
-    )
-    parser.add_argument(
-        "--crowdnav", metavar="FOLDER", help="checkout of CrowdNav, for the peer crowdnav_gym.py"
-    )
-    parser.add_argument("--data", metavar="FOLDER", help="ETH/UCY, for section sgan (default: PEDZOO_DATA)")
-    parser.add_argument("--compare", metavar="FILE", help="an older report: what has become faster or slower")
-    options = timed(parser.parse_args(argv))
-    for name in options.sections:
-        if name not in names and ":" not in name:
-            raise unknown("benchmark", name, names)
-    return options
-
-
-def add_timing(parser: ArgumentParser, sized: str) -> None:
-    """Add the options of every benchmark that times sides and peers in turns; ``sized`` have sizes."""
     add = parser.add_argument
-    add("--quick", action="store_true", help="small cases and short turns: about a minute")
-    add("--seconds", type=float, help="least seconds per side and turn (default: 1; quick 0.1)")
-    add("--turns", type=int, help="how often each side is timed (default: 5; quick 3)")
-    add("--size", nargs="+", default=[], metavar="BxA", help=f"scenes x people in {sized}: 1024x5")
+    add("sections", nargs="*", metavar="SECTION", help="which (default: all)")
+    add("--before", metavar="COMMIT", help="time this commit, too")
+    add("--size", nargs="+", default=[], metavar="BxA", help="only these sizes: 64x5")
     add("--peer", nargs="+", default=[], metavar="FILE.py", help="other programs: tools/bench/peers/*.py")
-    python = "interpreter of peers (default: this)"
-    add("--peer_python", "--peer-python", default="", metavar="PYTHON", help=python)
+    add("--peer_python", default="", metavar="PYTHON", help="their interpreter (default: this)")
+    add("--turns", type=int, default=5, help="how often each is timed (default: 5)")
+    add("--seconds", type=float, default=1.0, help="least seconds of a turn (default: 1)")
     add("--json", metavar="FILE", help="also write the report to this file")
+    options = parser.parse_args(argv)
+    for name in options.sections:
+        if name not in SECTIONS:
+            raise unknown("section", name, list(SECTIONS))
+    if options.turns < 1 or not options.seconds >= 0:
+        raise UserError(
+            f"--turns {options.turns} --seconds {options.seconds:g}: expected 1 or more, and 0 or more"
+        )
+
+    from pedzoo.cli.output import check_outputs, write_and_print
+    from pedzoo.core.machine import versions
+
+    check_outputs(json=options.json)
+    sections = asked(options.sections or list(SECTIONS), options.size)
+    with ExitStack() as stack:
+        programs = [Program("pedzoo", CASES, tree=ROOT)]
+        stack.callback(programs[0].close)
+        if options.before:
+            tree = stack.enter_context(checkout(options.before))
+            programs.append(Program(options.before, CASES, tree=tree))
+            stack.callback(programs[-1].close)
+        for script in map(Path, options.peer):
+            programs.append(Program(script.stem, script, options.peer_python))
+            stack.callback(programs[-1].close)
+        cases = [case for program in programs for case in program.cases(sections)]
+        taken, failed = in_turns(cases, options.turns, options.seconds)
+        known = {name: value for program in programs for name, value in program.versions.items()}
+    changed = " with changes" if git("status", "--porcelain", "--untracked-files=no") else ""
+    report: dict[str, Any] = {
+        "command": "bench",
+        "protocol": {
+            "commit": git("rev-parse", "--short", "HEAD") + changed,
+            "before": options.before,
+            "turns": options.turns,
+            "seconds_per_turn": options.seconds,
+            "clock": "processor time, one thread",
+        },
+        "machine": {"cpu": processor(), "system": platform.platform()},
+        "versions": versions() | known,
+        "rows": rows(taken),
+        "failed": failed,
+    }
+    write_and_print(report, options.json, lambda: show(report))
+    for title, error in failed.items():
+        print(f"failed: {title}: {error}", file=sys.stderr)
+    return 1 if failed else 0
 
 
-def timed(options: Namespace) -> Namespace:
-    """Return the options with seconds and turns where none are given, sizes as numbers and peers as paths.
+def asked(names: Sequence[str], sizes: Sequence[str]) -> dict[str, list[tuple[int, int]]]:
+    """Return sizes by section.
 
     Raises:
-        UserError: Something that is no size.
+        UserError: Something that is no size, or sizes that no section has.
     """
-    seconds, turns = (0.1, 3) if options.quick else (1.0, 5)
-    options.seconds = seconds if options.seconds is None else options.seconds
-    options.turns = turns if options.turns is None else options.turns
-    options.size = tuple(map(_size, options.size))
-    options.peer = tuple(map(Path, options.peer))
-    return options
+    wanted = []
+    for text in sizes:
+        scenes, _, people = text.partition("x")
+        if not (scenes.isdecimal() and people.isdecimal()):
+            raise UserError(f"--size {text}: expected scenes x people such as 1024x5")
+        wanted.append((int(scenes), int(people)))
+    sections = {name: [size for size in SECTIONS[name][1] if not wanted or size in wanted] for name in names}
+    sections = {name: kept for name, kept in sections.items() if kept}
+    if not sections:
+        known = sorted({f"{b}x{a}" for name in names for b, a in SECTIONS[name][1] if b})
+        raise UserError(f"--size {' '.join(sizes)}: expected some of {', '.join(known)}")
+    return sections
 
 
-def _size(text: str) -> tuple[int, int]:
-    """Return scenes and people of ``1024x5``."""
-    scenes, _, people = text.partition("x")
-    if not (scenes.isdecimal() and people.isdecimal()):
-        raise UserError(f"--size {text}: expected scenes x people such as 1024x5")
-    return int(scenes), int(people)
+def in_turns(
+    cases: Sequence[Case], turns: int, seconds: float
+) -> tuple[dict[Case, list[float]], dict[str, str]]:
+    """Return the seconds of a step in each turn, by case, and errors by title.
+
+    Programs take turns at the same work, every second turn backwards: other load slows all of them alike.
+    """
+    taken: dict[Case, list[float]] = {}
+    failed: dict[str, str] = {}
+    for same in dict.fromkeys(map(work, cases)):
+        block = [case for case in cases if work(case) == same]
+        for turn in range(turns):
+            for case in block[:: -1 if turn % 2 else 1]:
+                title = f"{case.program.name}: {case.name}, {case.scenes} x {case.people}"
+                if title in failed:
+                    continue
+                print(f"turn {turn + 1} of {turns}, {title}", file=sys.stderr, flush=True)
+                try:
+                    taken.setdefault(case, []).append(case.seconds(seconds))
+                except UserError as error:
+                    failed[title] = str(error)
+                    taken.pop(case, None)
+    return taken, failed
+
+
+def work(case: Case) -> tuple[str, int, int]:
+    """Return what cases share that take turns: section and size."""
+    return case.section, case.scenes, case.people
+
+
+def rows(taken: Mapping[Case, Sequence[float]]) -> list[dict[str, Any]]:
+    """Return a row for every case: milliseconds of a step, and how many times as fast pedzoo is.
+
+    Pedzoo's case of the same name counts; for a peer that does something else, its first one of this size.
+    """
+    ours = [case for case in taken if case.program.name == "pedzoo"]
+    result = []
+    for case, seconds in taken.items():
+        row: dict[str, Any] = {
+            "program": case.program.name,
+            "section": case.section,
+            "name": case.name,
+            "size": f"{case.scenes} x {case.people}" if case.scenes else "",
+            "n": len(seconds),
+            "ms": quartiles([1e3 * second for second in seconds]),
+            "note": case.note,
+        }
+        if case.scenes:
+            row["agent_steps_per_s"] = case.scenes * case.people / median(seconds)
+        same = [own for own in ours if work(own) == work(case)]
+        same.sort(key=lambda own: own.name != case.name)
+        if same and case.program.name != "pedzoo":
+            row["beside"] = same[0].name
+            row["times_as_fast"] = quartiles([a / b for a, b in zip(seconds, taken[same[0]], strict=False)])
+        result.append(row)
+    return result
+
+
+def quartiles(values: Sequence[float]) -> list[float]:
+    """Return the median and both quartiles."""
+    return np.quantile(values, (0.5, 0.25, 0.75)).tolist()
+
+
+def show(report: Mapping[str, Any]) -> None:
+    """Print a table for each section."""
+    from rich.table import Table
+
+    from pedzoo.cli.progress import plain_console
+
+    for section in dict.fromkeys(row["section"] for row in report["rows"]):
+        table = Table(
+            "work", "size", "program", "ms", "agent-steps/s", "pedzoo is x times as fast", title=section
+        )
+        for row in report["rows"]:
+            if row["section"] == section:
+                speed = f"{row['agent_steps_per_s']:,.0f}" if "agent_steps_per_s" in row else ""
+                times = "{:.2f} ({:.2f} to {:.2f})".format(*row["times_as_fast"]) if "beside" in row else ""
+                table.add_row(row["name"], row["size"], row["program"], f"{row['ms'][0]:.3g}", speed, times)
+        plain_console().print(table)
+
+
+def processor() -> str:
+    """Return what the processor is called."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.is_file() else []
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(names, platform.processor() or platform.machine())

@@ -12,8 +12,6 @@ What is 1e-3 m/s and more apart is counted in the first of these classes that it
 * edge: the answer jumps, and a change of the state by less than 1e-4 gives the other one's answer;
 * blocked: no velocity obeys all walls, so that the answer depends on the order of lines;
 * other.
-
-`pedzoo bench orca --peer tools/bench/peers/pyrvo_orca.py` measures the speed of both.
 """
 
 from __future__ import annotations
@@ -32,7 +30,7 @@ from torch import Tensor
 from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.formats import read_plan
-from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
 from pedzoo.maps.walls.segment_table import NOWHERE, SegmentTable, edges
 from pedzoo.maps.walls.segments import WallSegments
 from pedzoo.policies.orca.programs import nearest
@@ -40,11 +38,20 @@ from pedzoo.policies.orca.settings import OrcaSettings
 from pedzoo.policies.orca.velocity import orca_velocity
 from pedzoo.policies.orca.wall_lines import wall_lines
 from tools.bench.rvo2_peer import Rvo2
-from tools.bench.scenes import plan
 
 SPEED, TOP_SPEED = 1.3, 1.69
 SETTINGS = OrcaSettings(dt=0.1, max_obstacles=1000)
 APART = 1e-3
+
+
+def plan(side: int, boxes: int, seed: int) -> OccupancyGrid:
+    """Return a square room of ``side`` cells of 0.1 m with boxes in it."""
+    cells, random = np.zeros((side, side), dtype=np.uint8), np.random.default_rng(seed)
+    cells[[0, -1]] = cells[:, [0, -1]] = OCCUPIED
+    for _ in range(boxes):
+        (x, y), (width, height) = random.integers(2, side - 12, 2), random.integers(1, 15, 2)
+        cells[y : y + height, x : x + width] = OCCUPIED
+    return OccupancyGrid(cells, 0.1, name=f"plan {side} {boxes} {seed}")
 
 
 class Pieces(WallSegments):

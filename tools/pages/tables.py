@@ -22,8 +22,7 @@ from pedzoo.maps.grid import spread_points
 from pedzoo.maps.plans import load_plan
 from pedzoo.models.zoo.card import ModelCard, read_card
 from pedzoo.models.zoo.store import ROBOTS, names
-from tools.bench import first_hour
-from tools.pages import results_tables, speed_tables
+from tools.pages import results_tables
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "checkpoints" / "results"
@@ -274,12 +273,6 @@ def measure() -> None:
 PAGES: dict[str, dict[str, Callable[[], str]]] = {
     "README.md": {"models": models, "results": results},
     "docs/zoo.md": {"zoo": zoo},
-    "docs/speed.md": {
-        "first_hour": first_hour.page,
-        "steps": speed_tables.steps,
-        "versus": speed_tables.versus,
-        "devices": speed_tables.devices,
-    },
     "docs/results.md": {
         "loop": results_tables.in_the_loop,
         "walked": results_tables.walked,

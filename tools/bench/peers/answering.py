@@ -1,4 +1,9 @@
-"""How a peer of `pedzoo bench` answers: lines of JSON, see ``tools/bench/peer.py``.
+"""How a program of `pedzoo bench` answers: lines of JSON on its standard streams.
+
+It is asked twice. ``{"sections": {"loop": [[64, 5]]}}`` gives sizes (scenes, people) by section; it answers
+``{"name", "versions", "cases": [{"section", "name", "scenes", "people", "note"}, ...]}`` with what it can do.
+``{"run": i, "seconds": s}`` lets it repeat its case i for about s seconds of processor time; it answers
+``{"seconds": x}``, the time of one step, or ``{"error": "..."}``.
 
 A peer imports nothing of pedzoo: it may live in an environment of its own, with packages whose licences are
 not ours.
@@ -8,14 +13,15 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import sys
 import time
 import traceback
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
 Step = Callable[[], None]
+Sizes = dict[str, list[tuple[int, int]]]
 
 
 @dataclass
@@ -23,109 +29,72 @@ class TimedCase:
     """Something that can be timed.
 
     Attributes:
-        name: What it does.
-        scenes: How many scenes.
+        section: Which section of the benchmark it belongs to.
+        name: What it does; the same work has the same name in every program.
+        build: Makes the scenes and returns what makes one step of all of them.
+        scenes: How many scenes; 0 where the work has no size.
         people: In each.
-        step_seconds: Simulated seconds of one agent-step.
         note: What is included, for the reader of the table.
-        build: Makes the scenes and returns what makes one step of all of them; called before the first turn.
-        every: After so many steps ``again`` is called, which is not counted.
-        again: Puts the scenes back; None where they go on for ever.
+        steps: So many steps are made between two looks at the clock.
+        again: Puts scenes back after so many steps; not counted.
     """
 
+    section: str
     name: str
-    scenes: int
-    people: int
-    step_seconds: float
-    note: str
-    build: Callable[[], tuple[Step, Step | None]]
-    every: int = 1
+    build: Callable[[], Step]
+    scenes: int = 0
+    people: int = 0
+    note: str = ""
+    steps: int = 1
+    again: list[Step] = field(default_factory=list)
 
 
-def loop_cases(
-    asked: list[dict[str, Any]],
-    most: int,
-    kinds: dict[str, tuple[Any, str]],
-    note: str,
-    build: Callable[[dict[str, Any], Any], tuple[Step, Step | None]],
-    section: str = "loop",
-) -> list[TimedCase]:
-    """Return the cases of a simulator with steps of 0.1 s, each kind at every size of a section.
-
-    Args:
-        asked: The sizes that are asked about.
-        most: More people than this are left out.
-        kinds: By name, what ``build`` takes and its description for the reader.
-        note: What is included; ``{about}`` stands for what is said of the kind.
-        build: Takes what is asked about, and the kind's value.
-        section: Other questions are left out.
-    """
-    return [
-        TimedCase(
-            kind,
-            size["scenes"],
-            size["people"],
-            0.1,
-            note.format(about=about),
-            lambda size=size, value=value: build(size, value),
-        )
-        for size in asked
-        if size["section"] == section and size["people"] <= most
-        for kind, (value, about) in kinds.items()
-    ]
+def processor_time() -> float:
+    """Return the seconds that this process and its finished children have computed."""
+    return time.process_time() + sum(resource.getrusage(resource.RUSAGE_CHILDREN)[:2])
 
 
-def serve(
-    name: str, versions: dict[str, str], cases: Callable[[list[dict[str, Any]], int], list[TimedCase]]
-) -> None:
+def serve(name: str, versions: dict[str, str], cases: Callable[[Sizes], Sequence[TimedCase]]) -> None:
     """Answer until no question comes any more.
 
     Args:
         name: Of the program.
         versions: Of it and of what it depends on.
-        cases: Says what can be done of given scenes with so many threads.
+        cases: Returns what it can do of sizes by section.
     """
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # nothing else may come between the answers, whatever a library prints to
-    known: list[TimedCase] = []
-    built: dict[int, tuple[Step, Step | None]] = {}
-    now = time.perf_counter
+    known: Sequence[TimedCase] = []
+    built: dict[int, Step] = {}
     for line in sys.stdin:
         question = json.loads(line)
-        if "cases" in question:
-            now = time.process_time if question["threads"] == 1 else time.perf_counter
-            known, built = cases(question["cases"], question["threads"]), {}
-            about = [
-                {key: value for key, value in vars(case).items() if key not in ("build", "every")}
-                for case in known
-            ]
-            answer: dict[str, Any] = {"name": name, "versions": versions, "cases": about}
-        else:
-            case = known[question["run"]]
-            try:
-                if question["run"] not in built:
-                    built[question["run"]] = case.build()
-                    timed(case, built[question["run"]], 0.0, now)
-                speed = timed(case, built[question["run"]], question["seconds"], now)
-                answer = {"agent_steps_per_s": speed}
-            except Exception as error:  # the other cases may still work
-                traceback.print_exc()
-                answer = {"error": f"{type(error).__name__}: {error}"}
+        try:
+            if "sections" in question:
+                known, built = cases(question["sections"]), {}
+                kept = ("section", "name", "scenes", "people", "note")
+                about = [{key: getattr(case, key) for key in kept} for case in known]
+                answer = {"name": name, "versions": versions, "cases": about}
+            else:
+                number = question["run"]
+                if number not in built:
+                    built[number] = known[number].build()
+                    timed(known[number], built[number], 0.0)  # what is compiled or found once is not counted
+                answer = {"seconds": timed(known[number], built[number], question["seconds"])}
+        except Exception as error:  # the other cases may still work
+            traceback.print_exc()
+            answer = {"error": f"{type(error).__name__}: {error}"}
         print(json.dumps(answer), file=answers, flush=True)
 
 
-def timed(
-    case: TimedCase, scenes: tuple[Step, Step | None], seconds: float, now: Callable[[], float]
-) -> float:
-    """Return agent-steps per second of about so many seconds; what puts scenes back is not counted."""
-    step, again = scenes
+def timed(case: TimedCase, step: Step, seconds: float) -> float:
+    """Return the seconds of one step, from about so many seconds of steps."""
     taken, steps = 0.0, 0
     while taken <= seconds:
-        if again is not None:
+        for again in case.again:
             again()
-        begun = now()
-        for _ in range(case.every):
+        begun = processor_time()
+        for _ in range(case.steps):
             step()
-        taken += now() - begun
-        steps += case.every
-    return steps * case.scenes * case.people / taken
+        taken += processor_time() - begun
+        steps += case.steps
+    return taken / steps

@@ -2,7 +2,7 @@
 
     git clone https://github.com/vita-epfl/CrowdNav ../CrowdNav
     ../venv_peers/bin/pip install pyrvo numpy matplotlib
-    pedzoo bench robots --crowdnav ../CrowdNav --peer tools/bench/peers/crowdnav_gym.py ...
+    CROWDNAV=../CrowdNav pedzoo bench robots --peer tools/bench/peers/crowdnav_gym.py ...
 
 Nothing of it is copied: the checkout is imported as it is. It asks for ``rvo2``, which is pyrvo here under
 the names of Python-RVO2, and for an old ``gym``, of which it needs two names. The robot goes straight to its
@@ -20,24 +20,24 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from answering import Step, TimedCase, serve
+from answering import Sizes, Step, TimedCase, serve
 
 FOLDER = "CROWDNAV"
-"""The variable with the checkout: ``pedzoo bench --crowdnav`` sets it."""
+"""The variable with the checkout."""
 
 MOST = 20
 """People who find room on its circle."""
 
 
-def cases(asked: list[dict[str, Any]], threads: int) -> list[TimedCase]:
+def cases(asked: Sizes) -> list[TimedCase]:
     """Return the circle crossing for every number of people that is asked about in one scene."""
-    sizes = [size for size in asked if size["section"] == "robots" and size["scenes"] == 1]
-    folder = checkout() if sizes else Path()
     note = "circle crossing, neither walls nor lidar, people decide every 0.25 s, a robot that goes straight"
     return [
-        TimedCase("gym", 1, size["people"], 0.25, note, lambda size=size: built(folder, size["people"] - 1))
-        for size in sizes
-        if size["people"] <= MOST
+        TimedCase(
+            "robots", "CrowdNav's gym", lambda people=people: built(checkout(), people), 1, people, note
+        )
+        for scenes, people in asked.get("robots", [])
+        if scenes == 1 and people <= MOST
     ]
 
 
@@ -47,12 +47,12 @@ def checkout() -> Path:
     if not (folder / "crowd_sim" / "envs" / "crowd_sim.py").is_file():
         sys.exit(
             f"{str(folder)!r} is no checkout of CrowdNav: git clone https://github.com/vita-epfl/CrowdNav "
-            "and give its folder (--crowdnav FOLDER)"
+            f"and give its folder: {FOLDER}=../CrowdNav"
         )
     return folder
 
 
-def built(folder: Path, people: int) -> tuple[Step, None]:
+def built(folder: Path, people: int) -> Step:
     """Return what makes one step of its environment, and begins the next episode after the last one."""
     sys.modules |= modules()
     sys.path.insert(0, str(folder))
@@ -75,7 +75,7 @@ def built(folder: Path, people: int) -> tuple[Step, None]:
         if done:
             seen = env.reset("test")
 
-    return step, None
+    return step
 
 
 def modules() -> dict[str, ModuleType]:

@@ -1,7 +1,7 @@
 """JaxMARL's JaxNav as a peer of `pedzoo bench`: with the rays of its lidar, and with next to none.
 
     python -m venv ../venv_peers && ../venv_peers/bin/pip install jaxmarl==0.2.0
-    pedzoo bench loop --peer tools/bench/peers/jaxnav.py --peer_python ../venv_peers/bin/python
+    pedzoo bench environment --peer tools/bench/peers/jaxnav.py --peer_python ../venv_peers/bin/python
 
 Robots with differential drive and a body of 0.3 m get random actions in grids of 11 x 11 m. Observations,
 rewards and resets are computed in each step of 0.1 s. A robot that touches something stands. An episode ends
@@ -21,7 +21,7 @@ import os
 from importlib.metadata import version
 from typing import Any
 
-from answering import Step, TimedCase, loop_cases, serve
+from answering import Sizes, Step, TimedCase, serve
 
 ONE_THREAD = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
 STARTS = 64
@@ -37,17 +37,28 @@ KINDS = {
 ROBOTS = {"lidar": ((64, False), "64 rays of one robot among walls of its own")}
 
 
-def cases(asked: list[dict[str, Any]], threads: int) -> list[TimedCase]:
-    """Return both kinds for every size that is asked about."""
-    if threads == 1:
-        os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {ONE_THREAD}".strip()
-        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+def cases(asked: Sizes) -> list[TimedCase]:
+    """Return all kinds for every size that is asked about."""
+    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {ONE_THREAD}".strip()
+    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     note = "JaxNav, {about}, random actions, scenes that end go on from starts drawn beforehand"
-    every = ("loop", KINDS), ("robots", ROBOTS)
-    return [case for name, kinds in every for case in loop_cases(asked, MOST, kinds, note, built, name)]
+    return [
+        TimedCase(
+            section,
+            f"JaxNav, {name}",
+            lambda scenes=scenes, people=people, kind=kind: built(scenes, people, *kind),
+            scenes,
+            people,
+            note.format(about=about),
+        )
+        for section, kinds in (("environment", KINDS), ("robots", ROBOTS))
+        for scenes, people in asked.get(section, [])
+        if people <= MOST
+        for name, (kind, about) in kinds.items()
+    ]
 
 
-def built(size: dict[str, Any], lidars: tuple[int, bool]) -> tuple[Step, None]:
+def built(scenes: int, people: int, rays: int, each: bool) -> Step:
     """Return what makes one step of all scenes; so many rays of each robot, or of the last one."""
     # XLA reads its flags when jax is first used.
     import jax  # pyright: ignore[reportMissingImports]
@@ -60,7 +71,6 @@ def built(size: dict[str, Any], lidars: tuple[int, bool]) -> tuple[Step, None]:
         def _lidar_sense(self, idx: Any, state: Any) -> Any:
             return super()._lidar_sense(self.num_agents - 1, state)
 
-    scenes, people, (rays, each) = size["scenes"], size["people"], lidars
     side = max(11, math.ceil(11 * math.sqrt(people / 5)))
     make = JaxNav if each else LastLidar
     env = make(num_agents=people, lidar_num_beams=rays, map_params={"map_size": (side, side), "fill": 0.3})
@@ -91,7 +101,7 @@ def built(size: dict[str, Any], lidars: tuple[int, bool]) -> tuple[Step, None]:
 
     for _ in range(WARM):
         step()
-    return step, None
+    return step
 
 
 if __name__ == "__main__":

@@ -1,95 +1,87 @@
-"""RVO2 through pyrvo as a peer of `pedzoo bench`: one step of ORCA from the same states among the same walls.
+"""RVO2 through pyrvo as a peer of `pedzoo bench`: one step of ORCA without walls, beside a whole environment.
 
     pip install pyrvo
-    pedzoo bench loop orca --peer tools/bench/peers/pyrvo_orca.py
+    pedzoo bench policies --peer tools/bench/peers/pyrvo_orca.py
 
-One simulator per scene. ``from python`` gives all preferred velocities, steps, and reads all
-velocities, as a program that moves people has to; ``bare`` is RVO2's step alone. People are put back to where
-they were given every 10 steps, which is not counted.
+One simulator per scene. ``from Python`` gives all preferred velocities, steps, and reads all velocities, as a
+program that moves people has to; ``bare`` is RVO2's step alone. People start at random in 7 m2 each and
+want to go anywhere; they are put back every 10 steps, which is not counted.
 """
 
 from __future__ import annotations
 
+import math
+import random
 from importlib.metadata import version
-from typing import Any
 
-from answering import Step, TimedCase, serve
+from answering import Sizes, Step, TimedCase, serve
 from pyrvo.pyrvo import RVOSimulator
 
 EVERY = 10
-UNLIMITED = 10_000
+DT, DISTANCE, NEIGHBORS, HORIZON, RADIUS, SPEED = 0.4, 10.0, 10, 2.0, 0.3, 1.3
 
 
-def cases(asked: list[dict[str, Any]], threads: int) -> list[TimedCase]:
-    """Return both kinds of steps for all scenes that are given; RVO2 in pyrvo has one thread."""
-    return [
-        TimedCase(
-            name,
-            scenes["scenes"],
-            scenes["people"],
-            scenes["orca"]["dt"],
-            f"ORCA only, {walls(scenes)}, {about}",
-            lambda scenes=scenes, bare=bare: built(scenes, bare),
-            EVERY,
-        )
-        for scenes in asked
-        if scenes["orca"]
-        for name, bare, about in (
-            ("from python", False, "preferred velocities set and velocities read one by one"),
-            ("bare", True, "nothing set and nothing read"),
-        )
-    ]
+def cases(asked: Sizes) -> list[TimedCase]:
+    """Return both kinds of steps for all sizes; RVO2 in pyrvo has one thread."""
+    result = []
+    for scenes, people in asked.get("policies", []):
+        for name, bare in (("from Python", False), ("bare", True)):
+            again: list[Step] = []
+
+            def build(
+                scenes: int = scenes, people: int = people, bare: bool = bare, again: list[Step] = again
+            ) -> Step:
+                step, put_back = built(scenes, people, bare)
+                again[:] = [put_back]
+                return step
+
+            note = "ORCA only, no walls, 0.4 s"
+            case = TimedCase("policies", f"RVO2 {name}", build, scenes, people, note, EVERY, again)
+            result.append(case)
+    return result
 
 
-def walls(scenes: dict[str, Any]) -> str:
-    """Return how many walls there are."""
-    edges = sum(map(len, scenes["walls"]))
-    return f"the same {edges} edges of walls" if edges else "no walls"
-
-
-def built(scenes: dict[str, Any], bare: bool) -> tuple[Step, Step]:
+def built(scenes: int, people: int, bare: bool) -> tuple[Step, Step]:
     """Return what makes a step of all scenes, and what puts every person back."""
-    orca = scenes["orca"]
-    most = UNLIMITED if orca["max_neighbors"] is None else orca["max_neighbors"]
-    common = orca["dt"], orca["neighbor_dist"], most, orca["time_horizon"], orca["time_horizon_obst"]
+    draws, half = random.Random(0), math.sqrt(7 * people) / 2
+    place = [
+        [(draws.uniform(-half, half), draws.uniform(-half, half)) for _ in range(people)]
+        for _ in range(scenes)
+    ]
+    turn = [[draws.uniform(0, 2 * math.pi) for _ in range(people)] for _ in range(scenes)]
+    wish = [[(SPEED * math.cos(angle), SPEED * math.sin(angle)) for angle in scene] for scene in turn]
     simulators = []
-    for speeds in scenes["top_speed"]:
-        one = RVOSimulator(*common, orca["radius"], max(speeds))
-        for agent, speed in enumerate(speeds):
-            one.add_agent((0.0, 0.0))
-            one.set_agent_max_speed(agent, speed)
-        for polygon in scenes["walls"]:
-            one.add_obstacle([tuple(point) for point in polygon])
-        one.process_obstacles()
+    for scene in place:
+        one = RVOSimulator(DT, DISTANCE, NEIGHBORS, HORIZON, HORIZON, RADIUS, SPEED)
+        for point in scene:
+            one.add_agent(point)
         simulators.append(one)
-    people = range(scenes["people"])
 
-    def wish() -> None:
-        for one, wishes in zip(simulators, scenes["preferred"], strict=True):
+    def want() -> None:
+        for one, wishes in zip(simulators, wish, strict=True):
             for agent, wanted in enumerate(wishes):
                 one.set_agent_pref_velocity(agent, wanted)
 
-    def again() -> None:
-        states = zip(simulators, scenes["position"], scenes["velocity"], strict=True)
-        for one, places, velocities in states:
-            for agent, (place, velocity) in enumerate(zip(places, velocities, strict=True)):
-                one.set_agent_position(agent, place)
+    def put_back() -> None:
+        for one, places, wishes in zip(simulators, place, wish, strict=True):
+            for agent, (point, velocity) in enumerate(zip(places, wishes, strict=True)):
+                one.set_agent_position(agent, point)
                 one.set_agent_velocity(agent, velocity)
-        wish()
+        want()
 
     def alone() -> None:
         for one in simulators:
             one.do_step()
 
     def from_python() -> None:
-        wish()
+        want()
         alone()
         for one in simulators:
-            for agent in people:
+            for agent in range(people):
                 velocity = one.get_agent_velocity(agent)
                 _ = velocity.x, velocity.y
 
-    return (alone if bare else from_python), again
+    return (alone if bare else from_python), put_back
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """``pedzoo bench``: every speed figure of the project, measured in one run."""
 
 HELP = "every speed figure, as ratios measured in one run, beside other programs where they are given"
-EXAMPLE = "pedzoo bench loop orca --peer tools/bench/peers/pyrvo_orca.py --json speed.json --compare old.json"
+EXAMPLE = "pedzoo bench policies --before HEAD~1 --peer tools/bench/peers/pyrvo_orca.py --json speed.json"
 
 
 def run(argv: list[str]) -> int:
