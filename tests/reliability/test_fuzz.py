@@ -1,4 +1,4 @@
-"""Hostile contents for every reader: seconds of what `python -m tools.reliability fuzz` does for hours."""
+"""Hostile contents for every reader: sound ones with mistakes, any bytes, and what was wrong once."""
 
 from __future__ import annotations
 
@@ -8,12 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.hostile import ODD, content_of, outcome, warm
+from helpers.readers import READERS, Reader
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tools.reliability.fuzz import CORPUS, IN_MEMORY
-from tools.reliability.hostile import ODD, content_of, outcome, warm
-from tools.reliability.readers import READERS, Reader
+CORPUS = Path(__file__).parents[1] / "corpus"
+
+IN_MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None
+"""Where files of inputs are: a disk would do nothing but wait for each of them."""
 
 QUICK = settings(
     max_examples=40,

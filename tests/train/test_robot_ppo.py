@@ -37,8 +37,8 @@ from pedzoo.train.robots.crowdnav_env import CrowdNavEnv
 from pedzoo.train.robots.experience import act, walked_once
 from pedzoo.train.robots.ppo import RobotPPO
 from pedzoo.train.robots.teacher import taught, teacher_of
+from tools.kills import difference
 from tools.paper.crowdnav_runs import run
-from tools.reliability.kills import difference
 
 pytestmark = [
     *LIGHTNING_MARKS,

@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from helpers.readers import Reader
 from pedzoo.core.errors import UserError
-from tools.reliability.readers import Reader
 
 _BYTES = (b"", b"\0", b"\xff\xfe", b"\n", b"\x1b[2J", b"\xf0\x9f\x9a\xb6", b"'", b'"', b",", b":", b"+", b"=")
 _NUMBERS = (b"nan", b"-inf", b"1e300", b"-1", b"0", b"0x10", b"1e-320", b"9" * 40, b"1" * 5000, b"2147483648")

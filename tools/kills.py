@@ -2,17 +2,21 @@
 
 Weights and ``metrics.csv`` are compared with those of a training that nobody killed. When training ``i`` is
 killed is drawn from ``i``.
+
+    python -m tools.kills                    # ten trainings of each kind, for hours
+    python -m tools.kills sgan --trainings 2
 """
 
 from __future__ import annotations
 
+import argparse
 import os
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +25,7 @@ import torch
 
 from pedzoo.train.metrics_file import rows_of
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 
 SHORT = ["--data.fold", "embedded", "--data.loading.batch_size=8", "--trainer.enable_progress_bar=false"]
 SHORT += ["--trainer.limit_train_batches=2", "--trainer.limit_val_batches=1", "--trainer.max_epochs=8"]
@@ -161,36 +165,39 @@ def difference(run: Path, other: Path) -> str:
     return f"weights {unlike}" if unlike else "" if rows == other_rows else "metrics.csv"
 
 
-def go_on(kind: str, trainings: int, done: list[dict[str, Any]], save: Callable[[], None]) -> None:
-    """Kill and resume trainings of a kind until there were so many.
-
-    Args:
-        kind: One of `TRAININGS`.
-        trainings: How many are wanted.
-        done: What became of those before; it grows.
-        save: Called after each.
-    """
-    if len(done) >= trainings:
-        return
+def tried(kind: str, trainings: int) -> list[dict[str, Any]]:
+    """Kill and resume trainings of a kind of `TRAININGS`, and return what became of each."""
+    done: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as home:
-        expected, seconds = whole(TRAININGS[kind], made(Path(home, "whole")))
-        while len(done) < trainings:
-            draw = np.random.default_rng([len(done), *kind.encode()])
-            folder = made(Path(home, f"killed-{len(done)}"))
+        folders = [Path(home, str(number)) for number in range(trainings + 1)]
+        for folder in folders:
+            folder.mkdir()
+        expected, seconds = whole(TRAININGS[kind], folders[-1])
+        for number, folder in enumerate(folders[:-1]):
+            draw = np.random.default_rng([number, *kind.encode()])
             result = killed(TRAININGS[kind], folder, seconds, draw)
             result["wrong"] = result["wrong"] or difference(runs_in(folder)[-1], expected)
             done.append(result)
-            save()
-            print(kind, result, flush=True)
+            print(kind, result, file=sys.stderr, flush=True)
+    return done
 
 
-def made(folder: Path) -> Path:
-    """Return a folder, which is made."""
-    folder.mkdir()
-    return folder
+def main() -> int:
+    """Print a row for each kind; returns 1 where something was lost or a process left over."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("kinds", nargs="*", metavar="TRAINING", help=f"some of {', '.join(TRAININGS)}")
+    parser.add_argument("--trainings", type=int, default=10, help="of each kind (default: 10)")
+    options = parser.parse_args()
+    print("| training | trainings | kills | processes left over | lost |\n|---|---|---|---|---|")
+    lost = 0
+    for kind in options.kinds or TRAININGS:
+        done = tried(kind, options.trainings)
+        kills, left = (sum(one[name] for one in done) for name in ("kills", "not ended by itself"))
+        wrong = sum(bool(one["wrong"]) for one in done)
+        print(f"| {kind} | {len(done)} | {kills} | {left} | {wrong} |", flush=True)
+        lost += left + wrong
+    return bool(lost)
 
 
-def summed(done: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return how many trainings and kills there were, and what became of them."""
-    sums = {name: sum(one[name] for one in done) for name in ("kills", "not ended by itself")}
-    return {"trainings": len(done), **sums, "wrong": [one["wrong"] for one in done if one["wrong"]]}
+if __name__ == "__main__":
+    sys.exit(main())
