@@ -9,7 +9,6 @@ import errno
 import os
 import sys
 from importlib import import_module
-from pathlib import Path
 
 from pedzoo import __version__
 from pedzoo.cli.signals import EndedBySignal, exit_code, handle_signals
@@ -27,12 +26,7 @@ from pedzoo.core.registry import (
     Registry,
 )
 
-PAGES = Path(__file__).with_name("pages")
-"""Help of heavy commands, written by ``tools/pages/command_pages.py``."""
-
-COMMANDS = Registry(
-    "command", "pedzoo.cli.commands", "pedzoo.cli.commands.training", "pedzoo.cli.commands.checkout"
-)
+COMMANDS = Registry("command", "pedzoo.cli.commands")
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -89,14 +83,15 @@ def _dispatch(argv: list[str]) -> int:
         print(f"pedzoo {__version__}")
         return 0
     name, rest = argv[0], argv[1:]
-    if package := COMMANDS.package_of(name):
-        page = PAGES / f"{name}.txt"
-        if rest in (["--help"], ["-h"]) and page.is_file():  # without the seconds that its imports take
-            print(page.read_text(), end="", flush=True)
-            raise SystemExit(0)
-        import_module("pedzoo.cli.checks").check(name, rest)
-        return import_module(f"{package}.{name}").run(rest)
-    return COMMANDS.get(name)(rest)  # a plugin's function, or the error with the nearest name
+    package = COMMANDS.package_of(name)
+    if package is None:
+        return COMMANDS.get(name)(rest)  # a plugin's function, or the error with the nearest name
+    from pedzoo.cli.check import check_names
+
+    check_names(name, rest)
+    from pedzoo.cli.parsing import call
+
+    return call(import_module(f"{package}.{name}"), rest)
 
 
 def overview() -> str:

@@ -1,4 +1,4 @@
-"""Parsing with errors that a person can act on: one line, with the option's full name and its right spelling.
+"""A command's options from the signature of its function, and errors that say what to type instead.
 
 jsonargparse checks everything; what it says about nested options is long, so it is translated here.
 """
@@ -7,15 +7,17 @@ import inspect
 import json
 import re
 from argparse import ArgumentError
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from difflib import get_close_matches
 from itertools import takewhile
 from pydoc import locate
+from types import ModuleType
 from typing import Any, get_args, get_origin
 
+from docstring_parser import parse_from_object
 from jsonargparse import ArgumentParser, Namespace
 
-from pedzoo.cli.suggestions import NO_POLICIES, shipped_configs, split_names, unknown_option, without_model
+from pedzoo.cli.check import no_model_chosen, shipped_configs, split_names, unknown_option
 from pedzoo.core.adapters import option_types
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import find_config
@@ -24,8 +26,66 @@ from pedzoo.core.spec import homes, split
 PARSER_SETTINGS: dict[str, Any] = {"exit_on_error": False, "allow_abbrev": False}
 """For every parser used with `parse`: errors are raised, and ``--trainer.max_epoch`` is a misspelling."""
 
-
 _TRUTH = ("true", "false", "yes", "no", "on", "off")
+
+_POSITIONAL = inspect.Parameter.POSITIONAL_ONLY
+
+
+def call(command: ModuleType, argv: list[str]) -> int:
+    """Run a command's ``run`` with a command line, and return its exit code.
+
+    ``run(argv)`` parses the words itself. Of any other one the options are its arguments, with the texts of
+    its docstring: positional-only arguments are words, ``data_root`` is ``--data.root``, a list has commas
+    between its values, a tuple spaces. A further argument ``argv`` gets the words as they were typed.
+    """
+    arguments = inspect.signature(command.run, eval_str=True).parameters
+    if next(iter(arguments), "") == "argv":
+        return command.run(argv)
+    options = parse(parser_of(command), argv)
+    words = [options[name] for name, one in arguments.items() if one.kind is _POSITIONAL]
+    settings = {name: options[_option(name)] for name in list(arguments)[len(words) :] if name != "argv"}
+    if "argv" in arguments:
+        settings["argv"] = argv
+    return command.run(*words, **settings)
+
+
+def parser_of(command: ModuleType, function: Callable[..., Any] | None = None) -> ArgumentParser:
+    """Return the parser of a command's file; its options are the arguments of ``run``, or of ``function``."""
+    function, name = function or command.run, command.__name__.rpartition(".")[2]
+    parser = ArgumentParser(
+        prog=f"pedzoo {name}",
+        usage=f"%(prog)s %s[options]\nexample: {command.EXAMPLE}",
+        description=command.HELP,
+        **PARSER_SETTINGS,
+    )
+    about = {one.arg_name: one.description for one in parse_from_object(function).params}
+    words = ""
+    for item in inspect.signature(function, eval_str=True).parameters.values():
+        kind, settings = item.annotation, {"help": about.get(item.name)}
+        if item.name == "argv" or item.kind is item.VAR_KEYWORD:
+            continue
+        required = item.default is item.empty
+        if item.kind is _POSITIONAL:
+            several = get_origin(kind) is list
+            settings |= {"nargs": "+" if required else "*"} if several else {} if required else {"nargs": "?"}
+            kind = get_args(kind)[0] if several else kind
+            word = f"{item.name.upper()}{'...' if several else ''}"
+            words += f"{word} " if required else f"[{word}] "
+            names = [item.name]
+        else:
+            names = [*(["-o"] if item.name == "out" else []), f"--{_option(item.name)}"]
+            if get_origin(kind) is tuple and ... in get_args(kind):
+                settings["nargs"], kind = "+", get_args(kind)[0]
+            settings["required"] = required
+        if not required:
+            settings["default"] = list(item.default) if item.default == () else item.default
+        parser.add_argument(*names, type=kind, **settings)
+    parser.usage = str(parser.usage).replace("%s", words, 1)
+    return parser
+
+
+def _option(argument: str) -> str:
+    return argument.replace("data_", "data.", 1) if argument.startswith("data_") else argument
 
 
 def parse(parser: ArgumentParser, argv: list[str], classes: Iterable[tuple[str, type]] = ()) -> Namespace:
@@ -40,51 +100,56 @@ def parse(parser: ArgumentParser, argv: list[str], classes: Iterable[tuple[str, 
         UserError: An option or value is refused.
     """
     try:
-        return parser.parse_args(_written_out(parser, _config_files(argv)))
+        return parser.parse_args(_as_jsonargparse_reads(parser, argv))
     except ArgumentError as error:
         raise UserError(explain(str(error), known_options(parser, classes))) from error
 
 
 def explain(message: str, known: list[str]) -> str:
     """Return jsonargparse's ``message`` in one line, with the nearest of the ``known`` options."""
-    if match := re.search(r"unrecognized arguments: (\S+)", message):
-        given = match[1].partition("=")[0]
-        path, owner = _place(message[: match.start()])
+    found: re.Match[str] | None = None
+
+    def has(pattern: str) -> bool:
+        nonlocal found
+        found = re.search(pattern, message)
+        return found is not None
+
+    def place() -> tuple[str, str]:
+        """Return the option that the nested text has come down to, and the class that takes it."""
+        above = message[: found.start()] if found else message
+        owners = re.findall(r"given class_path '([^']*)'", above)
+        return "--" + ".".join(re.findall(r'Parser key "([^"]*)"', above)), owners[-1] if owners else ""
+
+    if has(r"unrecognized arguments: (\S+)") and found:
+        given = found[1].partition("=")[0]
+        path, owner = place()
         if owner:  # one of a group in it
             return unknown_option(f"{path}.{given.lstrip('-')}", _options_of(path, owner))
         return unknown_option(given, known) if given.startswith("-") else f"unexpected argument {given!r}"
-    if re.search(r"arguments are required: model\b", message):
-        return without_model()
-    if re.search(r"arguments are required: policies\b", message):
-        return NO_POLICIES
-    if match := re.search(r"Group '([^']*)' does not accept option '([^']*)'", message):
-        return unknown_option("--" + ".".join(filter(None, match.groups())), known)
-    if match := re.search(r"Option '([^']*)' is not accepted", message):
-        path, owner = _place(message[: match.start()])
-        options = _options_of(path, owner) if owner else []
-        return unknown_option(_below(path, match[1]), options or known)
-    if match := re.search(r"Expected an? (.+?)\. Got value: (.*)", message):
-        path, _ = _place(message[: match.start()])
-        return _mismatch(path, _plain(match[1]), match[2])
-    if match := re.search(r"Not of type \w+: (.*) does not conform to restriction v(.*)", message):
-        path, _ = _place(message[: match.start()])
-        return f"{path}: expected a number {match[2]}, not {match[1]}"
-    if match := re.search(r"Expected a dot import path string: (.*)", message):
-        path, _ = _place(message[: match.start()])
-        return f"{path}: no class {match[1]!r}; PACKAGE.CLASS names any, and {path}.help CLASS explains one"
-    if match := re.search(
-        r"given class_path '([^']*)':\s+the following arguments are required: (.*)", message
-    ):
-        path, _ = _place(message[: match.start()])
-        return f"{path} {match[1]} needs {match[2]}, too: start from --config NAME ({shipped_configs()})"
-    if match := re.search(r"given class_path '([^']*)':\s+(.*)", message):
-        path, _ = _place(message[: match.start()])
-        return f"{path} {match[1]}: {match[2]}"
-    if match := re.search(r"Subtypes: \[(.*)\]", message):
-        path, _ = _place(message[: match.start()])
+    if has(r"arguments are required: model\b"):
+        return str(no_model_chosen())
+    if has(r"arguments are required: policies\b"):
+        return "no policies: name them before the options, as in orca go_to_goal --episodes 20"
+    if has(r"Group '([^']*)' does not accept option '([^']*)'") and found:
+        return unknown_option("--" + ".".join(filter(None, found.groups())), known)
+    if has(r"Option '([^']*)' is not accepted") and found:
+        path, owner = place()
+        return unknown_option(_below(path, found[1]), (_options_of(path, owner) if owner else []) or known)
+    if has(r"Expected an? (.+?)\. Got value: (.*)") and found:
+        return _mismatch(place()[0], _plain(found[1]), found[2])
+    if has(r"Expected a dot import path string: (.*)") and found:
+        path, wrong = place()[0], found[1]
+        return f"{path}: no class {wrong!r}; PACKAGE.CLASS names any, and {path}.help CLASS explains one"
+    required = r"the following arguments are required: "
+    if has(rf"given class_path '([^']*)':\s+({required})?(.*)") and found:
+        path, (cls, lacks, rest) = place()[0], found.groups()
+        if lacks:
+            return f"{path} {cls} needs {rest}, too: start from --config NAME ({shipped_configs()})"
+        return f"{path} {cls}: {rest}"
+    if has(r"Subtypes: \[(.*)\]") and found:
         value = re.search(r"Given value: (.*)", message)
-        expected = " or ".join(_plain(part.strip()) for part in split(match[1]))
-        return _mismatch(path, expected, value[1] if value else "?")
+        expected = " or ".join(_plain(part.strip()) for part in split(found[1]))
+        return _mismatch(place()[0], expected, value[1] if value else "?")
     return message
 
 
@@ -110,12 +175,6 @@ def _below(path: str, name: str) -> str:
     return f"{path}{name}" if path == "--" else f"{path}.{name}"
 
 
-def _place(text: str) -> tuple[str, str]:
-    """Return the option that the nested ``text`` has come down to, and the class that takes it."""
-    owners = re.findall(r"given class_path '([^']*)'", text)
-    return "--" + ".".join(re.findall(r'Parser key "([^"]*)"', text)), owners[-1] if owners else ""
-
-
 def _mismatch(option: str, expected: str, given: str) -> str:
     near = get_close_matches(given, re.findall(r"'([^']*)'", expected), n=1)
     return f"{option}: expected {expected}, not {given!r}" + (f": did you mean {near[0]!r}?" if near else "")
@@ -126,7 +185,7 @@ def _plain(name: str) -> str:
     return re.sub(r"(?:typing\.)?Literal\[(.*)\]", r"one of \1", name)
 
 
-def known_options(parser: ArgumentParser, classes: Iterable[tuple[str, type]]) -> list[str]:
+def known_options(parser: ArgumentParser, classes: Iterable[tuple[str, type]] = ()) -> list[str]:
     """Return the options of a parser, and of the subclasses that it configures; arguments as of `parse`."""
     known = [name for name in option_types(parser) if name.startswith("--")]
     for prefix, base in classes:
@@ -136,25 +195,13 @@ def known_options(parser: ArgumentParser, classes: Iterable[tuple[str, type]]) -
     return known
 
 
-def _config_files(argv: list[str]) -> list[str]:
-    """Replace the names of shipped configs by their files."""
-    result = list(argv)
-    for i, word in enumerate(argv):
-        flag, _, value = word.partition("=")
-        if flag in ("--config", "-c") and value:
-            result[i] = f"{flag}={find_config(value)}"
-        elif word in ("--config", "-c") and i + 1 < len(argv):
-            result[i + 1] = str(find_config(argv[i + 1]))
-    return result
-
-
-def _written_out(parser: ArgumentParser, argv: list[str]) -> list[str]:
+def _as_jsonargparse_reads(parser: ArgumentParser, argv: list[str]) -> list[str]:
     """Return a command line as jsonargparse reads it, from one as people type it.
 
-    ``--video-view`` stands for ``--video_view``, and ``--quick`` alone for ``--quick=true``.
-    ``a.csv,b.csv`` gets brackets where a list is expected. What could be something else too, as
-    ``--trainer.devices 2``, is a list only where it has a comma. Settings stay with their name:
-    ``door:width=0.9,people=4,circle`` is two scenarios.
+    ``--video-view`` stands for ``--video_view``, ``--quick`` alone for ``--quick=true``, and a shipped
+    config's name for its file. ``a.csv,b.csv`` gets brackets where a list is expected. What could be
+    something else too, as ``--trainer.devices 2``, is a list only where it has a comma. Settings stay with
+    their name: ``door:width=0.9,people=4,circle`` is two scenarios.
     """
     known, result = option_types(parser), list(argv)
     for i, word in enumerate(argv):
@@ -165,16 +212,20 @@ def _written_out(parser: ArgumentParser, argv: list[str]) -> list[str]:
         hint, follows = known.get(flag), argv[i + 1 : i + 2]
         if hint is bool and not joined and not (follows and follows[0].lower() in _TRUTH):
             result[i] = f"{flag}=true"
-        kind, alone = _list_type(hint)
-        if kind is None or not (joined or follows):
+        if not (joined or follows):
             continue
-        item = get_args(kind)[0]
-        value = value if joined else follows[0]
-        if not value.startswith(("[", "-", "{")) and value != "null" and (alone or "," in value):
+        value, place = (value, i) if joined else (follows[0], i + 1)
+        new = value
+        if flag in ("--config", "-c") and value:
+            new = str(find_config(value))
+        kind, alone = _list_type(hint)
+        is_list = kind is not None and not value.startswith(("[", "-", "{")) and value != "null"
+        if is_list and (alone or "," in value):
             if get_origin(kind) is tuple and ... not in get_args(kind):
-                _check_count(flag, len(get_args(kind)), value, argv[i + 1 + (not joined) :])
-            listed = json.dumps(split_names(value)) if item is str else f"[{value}]"
-            result[i if joined else i + 1] = f"{flag}={listed}" if joined else listed
+                _check_count(flag, len(get_args(kind)), value, argv[place + 1 :])
+            new = json.dumps(split_names(value)) if get_args(kind)[0] is str else f"[{value}]"
+        if new != value:
+            result[place] = f"{flag}={new}" if joined else new
     return result
 
 

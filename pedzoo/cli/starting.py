@@ -1,17 +1,25 @@
-"""Where a training starts from: what ``--resume``, ``--weights`` and checkpoints stand for."""
+"""Where a training starts from: what its configs, ``--resume``, ``--weights`` and checkpoints stand for."""
 
+import os
 import re
-from collections.abc import Set
+from collections.abc import Callable, Set
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
-from pedzoo.cli.suggestions import given, split_names
+import yaml
+from jsonargparse import Namespace
+from lightning.pytorch.cli import LightningArgumentParser
+
+from pedzoo.cli.check import given, split_names
+from pedzoo.cli.parsing import PARSER_SETTINGS
+from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.core.forms import refuse_code
-from pedzoo.core.registry import names_code, whole_name
+from pedzoo.core.registry import import_path, names_code, whole_name
 from pedzoo.models.zoo.loading import read_checkpoint
 from pedzoo.train.fine_tuning import architecture_options, config_beside, options_of, options_to_continue
 from pedzoo.train.run import RunFolder
+from pedzoo.train.run_settings import resumable_settings, reusable_settings
 
 Command = Literal["fit", "validate", "test"]
 
@@ -43,9 +51,12 @@ def expand(command: Command, argv: list[str]) -> ExpandedCommand:
     if "--weights" in named and len(named) > 1:
         other = next(option for option in named if option != "--weights")
         raise UserError(f"--weights begins a training and {other} goes on with one: give one of them")
-    if folder := named.get("--resume"):
-        return resumed(argv, folder)
     configured = given(argv, "--config") or given(argv, "-c")
+    if folder := named.get("--resume"):
+        run = RunFolder.resume(folder)
+        config = run.path / "config.yaml"
+        beside = None if configured and Path(configured).resolve() == config.resolve() else config
+        return ExpandedCommand([*options_to_continue(run), *argv], run, beside, names_typed(argv))
     if weights := named.get("--weights"):
         if configured:
             options = _without_code(architecture_options(weights, configured), argv, weights)
@@ -60,19 +71,6 @@ def expand(command: Command, argv: list[str]) -> ExpandedCommand:
             return ExpandedCommand(["--config", str(config), *argv], beside=config)
         _check_checkpoint(checkpoint)
     return ExpandedCommand(argv)
-
-
-def resumed(argv: list[str], folder: str) -> ExpandedCommand:
-    """Write out what ``--resume RUN`` stands for.
-
-    Raises:
-        UserError: No such run, or its checkpoint is damaged.
-    """
-    run = RunFolder.resume(folder)
-    config = run.path / "config.yaml"
-    named = given(argv, "--config") or given(argv, "-c")
-    beside = None if named and Path(named).resolve() == config.resolve() else config
-    return ExpandedCommand([*options_to_continue(run), *argv], run, beside, names_typed(argv))
 
 
 def names_typed(argv: list[str]) -> set[str]:
@@ -114,3 +112,42 @@ def _behind_configs(argv: list[str], options: list[str]) -> list[str]:
         else:
             rest.append(word)
     return [*configs, *options, *rest]
+
+
+class ConfigParser(LightningArgumentParser):
+    """Reads config files with what they inherit.
+
+    Attributes:
+        start: What the command goes on from. A config that the person did not name is not trusted.
+    """
+
+    start: ExpandedCommand = ExpandedCommand([])
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        """Make a parser, also one of a class within: these have no settings of `PARSER_SETTINGS`."""
+        super().__init__(*args, **PARSER_SETTINGS | kwargs)
+
+    def parse_path(self, path: str | os.PathLike, *args: Any, **kwargs: Any) -> Namespace:
+        """Parse a config file; arguments as of jsonargparse's."""
+        settings = load_config(os.fspath(path))
+        beside, typed = self.start.beside, self.start.typed
+        if beside and Path(path).resolve() == beside.resolve():
+            if typed is None:
+                settings = reusable_settings(settings, beside)
+            else:
+                settings = resumable_settings(settings, beside, typed)
+        settings = with_classes(settings, lambda path: import_path(path) if names_code(path) else path)
+        text = yaml.safe_dump(settings, sort_keys=False)
+        return self.parse_string(text, os.path.basename(path), *args, **kwargs)
+
+
+def with_classes(settings: Any, change: Callable[[str], str]) -> Any:
+    """Return settings in which every ``class_path`` is changed."""
+    if isinstance(settings, list):
+        return [with_classes(one, change) for one in settings]
+    if not isinstance(settings, dict):
+        return settings
+    result = {key: with_classes(value, change) for key, value in settings.items()}
+    if isinstance(path := result.get("class_path"), str):
+        result["class_path"] = change(path)
+    return result

@@ -189,6 +189,20 @@ def import_of_checkout(module: str) -> ModuleType:
     return importlib.import_module(module)
 
 
+def run_tool(command: str, package: str, argv: list[str]) -> int:
+    """Run a command whose code is in a package of ``tools/`` in a checkout; returns the exit code.
+
+    Raises:
+        UserError: This pedzoo was installed from a wheel.
+    """
+    if not (folder_of(package) / "command.py").is_file():
+        raise UserError(
+            f"{command}: needs a checkout of pedzoo's repository, and {ROOT} is none: "
+            f"git clone the repository, run tools/setup in it, then .venv/bin/pedzoo {command}"
+        )
+    return import_of_checkout(f"{package}.command").run(argv)
+
+
 def _assigned(body: list[ast.stmt], variable: str) -> ast.expr | None:
     for node in body:
         if isinstance(node, ast.Assign | ast.AnnAssign):

@@ -399,7 +399,7 @@ def test_reports_are_written_whole_and_into_folders_that_are_made(elsewhere, mon
     [
         (["plans", "office", "--count", "1", "--sheet", "full.png"], "--sheet full.png: is a folder"),
         (["plans", "office", "--count", "1", "--json", "file/a.json"], "file' is a file, expected a folder"),
-        (["forecast", "absent", "--json", "full.png"], "--json full.png: is a folder"),
+        (["forecast", "constant_velocity", "--json", "full.png"], "--json full.png: is a folder"),
     ],
 )
 def test_files_that_cannot_be_written_are_refused_before_the_work(argv, message, capsys, elsewhere):

@@ -77,9 +77,8 @@ def test_results_are_written_before_they_are_printed(
     def dies(*_: Any) -> None:
         raise BufferError
 
-    monkeypatch.setattr(
-        f"pedzoo.cli.{'commands.models' if words[0] == 'models' else 'output'}.{printer}", dies
-    )
+    module = f"commands.{words[0]}" if words[0] in ("evaluate", "models") else "output"
+    monkeypatch.setattr(f"pedzoo.cli.{module}.{printer}", dies)
     file = tmp_path / "report.json"
     more = ["--markdown", str(tmp_path / "page.md")] if words[0] == "evaluate" else []
     with pytest.raises(BufferError):

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 import torch
 import yaml
+from pedzoo.cli.checks import check
 
 import pedzoo
-from pedzoo.cli.checks import check
 from pedzoo.core.errors import UserError
 from pedzoo.core.spec import Spec, setting_types
 from pedzoo.eval.comparison import Comparison

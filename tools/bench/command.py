@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pedzoo.cli.commands.checkout.bench import EXAMPLE, HELP
+from pedzoo.cli.commands.bench import EXAMPLE, HELP
 from pedzoo.core.errors import UserError, unknown
 from tools.bench.programs import CASES, ROOT, Case, Program, checkout, git
 

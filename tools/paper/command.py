@@ -6,9 +6,9 @@ from argparse import Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pedzoo.cli.arguments import Arguments
-from pedzoo.cli.commands.checkout.reproduce import EXAMPLE, HELP
+from pedzoo.cli.commands.reproduce import EXAMPLE, HELP
 from pedzoo.core.errors import UserError, unknown
+from tools.arguments import Arguments
 
 if TYPE_CHECKING:
     from tools.paper.base import Reproduction
@@ -60,9 +60,9 @@ What was interrupted goes on."""
     )
     options = parser.parse_args(argv)
 
+    from pedzoo.cli.check import whole_numbers
     from pedzoo.cli.output import check_outputs, print_tables, write_json, write_text
     from pedzoo.cli.progress import overall_bar
-    from pedzoo.cli.suggestions import whole_numbers
     from pedzoo.core.machine import versions
     from tools.paper.base import markdown
 

@@ -1,59 +1,55 @@
 """``pedzoo completion``: commands, options and names on the tab key of a shell."""
 
+import argparse
+from importlib import import_module
+
+from pedzoo.cli.check import known
+from pedzoo.cli.parsing import known_options, parser_of
+from pedzoo.core.errors import unknown
+from pedzoo.core.paths import config_names
+from pedzoo.core.registry import PHYSICS, POLICIES, SCENARIOS, SUITES, Registry, datasets_of_folds
+from pedzoo.models.zoo.store import names
+
 HELP = "let the shell complete commands, options and names"
 EXAMPLE = "pedzoo completion bash > ~/.pedzoo.bash && source ~/.pedzoo.bash"
 
 SHELLS = ("bash", "zsh")
 
-_BASH = """\
-_pedzoo() {
-    local IFS=$'\\n' word="${COMP_WORDS[COMP_CWORD]}"
-    local known="$(pedzoo completion words "${COMP_WORDS[@]:1:COMP_CWORD-1}" 2>/dev/null)"
-    COMPREPLY=($(compgen -W "$known" -- "$word"))
-}
-complete -o default -F _pedzoo pedzoo
-"""
-_START = {"bash": "", "zsh": "autoload -U +X bashcompinit && bashcompinit\n"}
 
+def run(shell: str, /) -> int:
+    """Print the shell's code.
 
-def run(argv: list[str]) -> int:
-    """Print the shell's code, or the words that can follow those of a command line; returns the exit code."""
-    from pedzoo.cli.arguments import Arguments
-    from pedzoo.core.errors import unknown
+    Args:
+        shell: bash or zsh.
+    """
+    import shtab
 
-    if argv[:1] == ["words"]:
-        print("\n".join(_following(argv[1:])))
-        return 0
-    parser = Arguments("completion", HELP, EXAMPLE)
-    parser.add_argument("shell", help=f"{' or '.join(SHELLS)}")
-    shell = parser.parse_args(argv).shell
     if shell not in SHELLS:
         raise unknown("shell", shell, SHELLS)
-    print(_START[shell] + _BASH, end="")
+    print(shtab.complete(_parser(), shell))
     return 0
 
 
-def _following(words: list[str]) -> list[str]:
-    """Return what can follow the words of a command line, the command first."""
-    from pedzoo.cli.checks import known
-    from pedzoo.cli.main import COMMANDS
-    from pedzoo.core.paths import config_names
-    from pedzoo.core.registry import PHYSICS, POLICIES, SCENARIOS, SUITES, datasets_of_folds
-    from pedzoo.models.zoo.store import names
+def _parser() -> argparse.ArgumentParser:
+    """Return a parser of all commands with the names that their words and options may have."""
+    values = {"--config": config_names(), "--scenario": SCENARIOS.names(), "--suite": SUITES.names()}
+    values |= {"--physics": PHYSICS.names(), "--weights": names(), "--data.fold": [*datasets_of_folds()]}
+    words = {name: names() for name in ("export", "forecast", "info")}
+    words |= {name: [*POLICIES.names(), *names()] for name in ("evaluate", "rollout", "score")}
+    result = argparse.ArgumentParser("pedzoo")
+    commands = result.add_subparsers()
+    registry = Registry("command", __name__.rpartition(".")[0])
+    for command in registry.names():
+        package = registry.package_of(command)
+        parser = commands.add_parser(command, help=registry.constant(command, "HELP"))
+        for option in known().get(command) or (_options(f"{package}.{command}") if package else []):
+            if option != "--help" and not option.endswith("+"):
+                parser.add_argument(option, choices=values.get(option))
+        if command in words:
+            parser.add_argument("words", nargs="*", choices=words[command])
+    return result
 
-    if not words:
-        return COMMANDS.names()
-    values = {
-        "--config": config_names,
-        "--scenario": SCENARIOS.names,
-        "--suite": SUITES.names,
-        "--physics": PHYSICS.names,
-        "--weights": names,
-        "--data.fold": lambda: [*datasets_of_folds()],
-    }
-    if words[-1] in values:
-        return values[words[-1]]()
-    options = [name for name in known()["options"].get(words[0], ["--help", "--json"]) if name[-1] != "+"]
-    policies = POLICIES.names() if words[0] in ("evaluate", "rollout", "score") else []
-    takes_models = words[0] in ("evaluate", "export", "forecast", "info", "rollout", "score")
-    return [*options, *policies, *(names() if takes_models else [])]
+
+def _options(module: str) -> list[str]:
+    options = known_options(parser_of(import_module(module)))
+    return ["--json"] if options == ["--help"] else options

@@ -3,6 +3,10 @@
 import shlex
 from pathlib import Path
 
+from pedzoo.cli.output import check_outputs
+from pedzoo.cli.parsing import call
+from pedzoo.core.errors import at_least_one, need
+
 HELP = "the first minutes: pretrained models walk beside ORCA and social force, one is fine-tuned"
 EXAMPLE = "pedzoo demo"
 
@@ -55,55 +59,43 @@ def reported(out: str) -> tuple[str, str]:
     return title, f"report {out}/door.json {out}/apartment.json {out}/runs -o {out}/report.html"
 
 
-def run(argv: list[str]) -> int:
-    """Do all steps; returns the exit code."""
-    from pedzoo.cli.arguments import Arguments
+def run(out: str = "demo", epochs: int = 20) -> int:
+    """Do all steps.
 
-    parser = Arguments("demo", HELP, EXAMPLE)
-    parser.add_argument(
-        "--out", default="demo", metavar="FOLDER", help="where everything goes (default: demo)"
-    )
-    parser.add_argument(
-        "--epochs", type=int, default=20, help="epochs of fine-tuning (default: 20, about a minute)"
-    )
-    options = parser.parse_args(argv)
-
-    from pedzoo.cli.main import main
-    from pedzoo.cli.output import check_outputs
-    from pedzoo.core.errors import UserError, need
-
+    Args:
+        out: Where everything goes.
+        epochs: Epochs of fine-tuning; 20 take about a minute.
+    """
     need("train", "the demo")
     need("video", "the demo")
     from pedzoo.sim.make import usual_physics
 
-    if options.epochs < 1:
-        raise UserError(f"--epochs {options.epochs}: expected at least 1")
-    out = Path(options.out)
-    check_outputs(out=str(out / "door.json"))
-    physics = usual_physics()
-    commands = steps(shlex.quote(options.out), options.epochs, physics)
+    at_least_one("--epochs", epochs)
+    folder = Path(out)
+    check_outputs(out=str(folder / "door.json"))
+    written = shlex.quote(out)
+    commands = steps(written, epochs, usual_physics())
     total = len(commands) + 3
-    for number, (title, command) in enumerate(commands, start=1):
-        _announce(number, total, title, command)
-        if code := main(shlex.split(command)):
-            return code
-    tuned = _newest(out / "runs")
-    title, command = compared(shlex.quote(str(tuned)))
-    _announce(total - 2, total, title, command)
-    if code := main(shlex.split(command)):
-        return code
+    for number, step in enumerate(commands, start=1):
+        _do(number, total, step)
+    tuned = _newest(folder / "runs")
+    _do(total - 2, total, compared(shlex.quote(str(tuned))))
     print(f"\n{total - 1}/{total} from Python: a controller for any simulator, and a picture of forecasts")
-    _in_python(tuned, out / "forecasts.png")
-    title, command = reported(shlex.quote(options.out))
-    _announce(total, total, title, command)
-    if code := main(shlex.split(command)):
-        return code
-    print(f"\neverything is in {out}: report.html door.png door.webm apartment.png forecasts.png runs")
+    _in_python(tuned, folder / "forecasts.png")
+    _do(total, total, reported(written))
+    print(f"\neverything is in {folder}: report.html door.png door.webm apartment.png forecasts.png runs")
     return 0
 
 
-def _announce(number: int, total: int, title: str, command: str) -> None:
+def _do(number: int, total: int, step: tuple[str, str]) -> None:
+    """Print what a step shows and what to type, and do it."""
+    from pedzoo.cli.commands import fit, forecast, models, report, rollout
+
+    title, command = step
     print(f"\n{number}/{total} {title}\n$ pedzoo {command}", flush=True)
+    name, *words = shlex.split(command)
+    modules = {"fit": fit, "forecast": forecast, "models": models, "report": report, "rollout": rollout}
+    call(modules[name], words)
 
 
 def _in_python(tuned: Path, picture: Path) -> None:

@@ -4,7 +4,6 @@ import os
 from importlib import import_module
 from pathlib import Path
 
-from pedzoo.cli.arguments import Arguments
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import data_home, expanded
 from pedzoo.core.registry import DATASETS
@@ -15,22 +14,22 @@ EXAMPLE = "pedzoo download eth_ucy"
 ALEXNET = "alexnet"
 
 
-def run(argv: list[str]) -> int:
-    """Download, and print what came, where it is and on whose terms; returns the exit code."""
+def run(name: str, /, to: str | None = None) -> int:
+    """Download, and print what came, where it is and on whose terms.
+
+    Args:
+        name: eth_ucy or another dataset, alexnet, or a model as `pedzoo info` takes it.
+        to: Put a dataset into this folder; by default into one of the user's cache.
+    """
     from pedzoo.data.published.files import published
 
     datasets = published()
-    parser = Arguments("download", HELP, EXAMPLE)
-    what = f"{', '.join(datasets)}, {ALEXNET}, or a model as `pedzoo info` takes it"
-    parser.add_argument("name", help=what)
-    parser.add_argument("--to", metavar="FOLDER", help=f"put a dataset here (default: {data_home()}/NAME)")
-    options = parser.parse_args(argv)
-    if options.name in datasets:
-        _dataset(options.name, options.to)
+    if name in datasets:
+        _dataset(name, to)
         return 0
-    if options.to:
-        raise UserError(f"--to {options.to}: only for datasets ({', '.join(datasets)}), not {options.name!r}")
-    print(_alexnet() if options.name == ALEXNET else _model(options.name, datasets))
+    if to:
+        raise UserError(f"--to {to}: only for datasets ({', '.join(datasets)}), not {name!r}")
+    print(_alexnet() if name == ALEXNET else _model(name, datasets))
     return 0
 
 

@@ -1,51 +1,72 @@
 """``pedzoo forecast``: open-loop errors of models between the trivial baselines."""
 
+import sys
+from pathlib import Path
+from typing import Any, Literal
+
+from pedzoo.cli.check import given
+from pedzoo.cli.output import check_outputs, print_report, write_and_print
+from pedzoo.cli.parsing import call, parse, parser_of
+from pedzoo.core.configs import load_config
+from pedzoo.core.errors import UserError
+from pedzoo.core.machine import versions
+
 HELP = "ADE and FDE of models beside constant velocity and the lines to the goal"
 EXAMPLE = "pedzoo forecast sgan_goal.zara1 --data.fold zara1 --samples 20 --json out.json"
-
-TRAIN = (
-    "Configs that are first trained on the training part of the data, between commas: their checkpoints are "
-    "models of the table."
-)
 
 
 def run(argv: list[str]) -> int:
     """Print the table; returns the exit code."""
-    from jsonargparse import ArgumentParser
-
-    from pedzoo.cli.output import check_outputs, print_report, write_and_print
-    from pedzoo.cli.parsing import PARSER_SETTINGS, parse
-    from pedzoo.cli.progress import progress_bar
-    from pedzoo.cli.suggestions import given
-    from pedzoo.core.machine import versions
     from pedzoo.data.datamodule import Loading, TrajectoryDataModule
+
+    parser = parser_of(sys.modules[__name__], _forecast)
+    parser.add_class_arguments(TrajectoryDataModule, "data", skip={"imitated"})
+    options = parse(parser, argv).as_dict()
+    data = options.pop("data")
+    data["loading"] = Loading(**data["loading"])
+    return _forecast(options.pop("models"), **options, argv=argv, data=data)
+
+
+def _forecast(
+    models: list[str] = [],  # noqa: B006
+    /,
+    samples: int = 20,
+    seed: int = 0,
+    split: Literal["train", "val", "test"] = "test",
+    train: str = "",
+    runs: str = "runs",
+    json: str | None = None,
+    **more: Any,
+) -> int:
+    """Print the table.
+
+    Args:
+        models: Zoo names, .safetensors, .ckpt or file.py:Class.
+        samples: K of the best-of-K errors; 0 for none.
+        seed: Of the samples, the same for every model.
+        split: Which part of the fold.
+        train: Configs that are first trained on the training part of the data, between commas: their
+            checkpoints are models of the table.
+        runs: Folder of these runs.
+        json: Also write the report to this file.
+        more: The command line ``argv``, and the arguments of the ``data``.
+    """
+    from pedzoo.cli.progress import progress_bar
+    from pedzoo.data.datamodule import TrajectoryDataModule
     from pedzoo.eval.forecast import forecast
     from pedzoo.models.zoo.loading import load
 
-    usage = f"pedzoo forecast MODEL... [--data.fold FOLD] [--data.X ...] [--samples K]\nexample: {EXAMPLE}"
-    parser = ArgumentParser(prog="pedzoo forecast", usage=usage, description=HELP, **PARSER_SETTINGS)
-    parser.add_argument(
-        "models", nargs="*", type=str, help="Zoo names, .safetensors, .ckpt or file.py:Class."
-    )
-    parser.add_class_arguments(TrajectoryDataModule, "data", skip={"imitated"})
-    parser.add_function_arguments(forecast, as_group=False, skip={"names", "data", "progress"})
-    parser.add_argument("--train", type=str, default="", help=TRAIN)
-    parser.add_argument("--runs", type=str, default="runs", help="Folder of these runs.")
-    parser.add_argument("--json", type=str | None, help="Also write the report to this file.")
-    options = parse(parser, argv)
-    check_outputs(json=options.json)
-
-    names = [*options.models, *trained(options.train, argv, options.runs)]
-    settings = options.data.as_dict()
-    settings["loading"] = Loading(**settings["loading"])
+    check_outputs(json=json)
+    argv, settings = more["argv"], more["data"]
+    names = [*models, *trained(train, argv, runs)]
     if not given(argv, "--data.goal"):  # then every model that has a goal protocol is asked for its own
         own = (load(name).goal_protocol for name in names)
         settings["goal"] = next((goal for goal in own if goal not in (None, "none")), "none")
     data = TrajectoryDataModule(**settings)
     with progress_bar() as progress:
-        report = forecast(names, data, options.samples, options.seed, options.split, progress)
+        report = forecast(names, data, samples, seed, split, progress)
     report = {"command": "forecast", **report, "versions": versions()}
-    write_and_print(report, options.json, lambda: print_report(report))
+    write_and_print(report, json, lambda: print_report(report))
     return 0
 
 
@@ -60,11 +81,7 @@ def trained(configs: str, argv: list[str], runs: str) -> list[str]:
     Raises:
         UserError: A config is unknown or a training fails.
     """
-    from pathlib import Path
-
-    from pedzoo.cli.main import main
-    from pedzoo.core.configs import load_config
-    from pedzoo.core.errors import UserError
+    from pedzoo.cli.commands import fit
 
     words = [word for pair in _pairs(argv) if pair[0].startswith("--data.") for word in pair]
     options = {name.partition("=")[0]: value for name, value in _pairs(argv)}
@@ -76,7 +93,7 @@ def trained(configs: str, argv: list[str], runs: str) -> list[str]:
         more = ["--model.generator.architecture.steps", steps] if steps else []
         before = set(Path(runs).rglob("best.ckpt"))
         seed = ["--seed_everything", options.get("--seed", "0")]
-        if main(["fit", "--config", config, "--runs", runs, *seed, *words, *more]):
+        if call(fit, ["--config", config, "--runs", runs, *seed, *words, *more]):
             raise UserError(f"the training of {config!r} failed: see above")
         result += [str(file) for file in sorted(set(Path(runs).rglob("best.ckpt")) - before)]
     return result

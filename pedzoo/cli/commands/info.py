@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from pedzoo.cli.arguments import Arguments
 from pedzoo.cli.output import check_outputs, print_tables, write_json, write_text
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import MODELS
@@ -20,22 +19,21 @@ HELP = "show a model's card: training, data and its terms, results, checksum"
 EXAMPLE = "pedzoo info sgan_goal_map.zara1"
 
 
-def run(argv: list[str]) -> int:
-    """Print or write the card; returns the exit code."""
-    parser = Arguments("info", HELP, EXAMPLE)
-    parser.add_argument(
-        "name", help="zoo name, folder with a card, hf://OWNER/REPO or https:// address, or an architecture"
-    )
-    parser.add_argument("--json", metavar="FILE", help="write the card to this file instead (- for here)")
-    parser.add_argument("--markdown", metavar="FILE", help="likewise, as a page")
-    options = parser.parse_args(argv)
-    check_outputs(json=options.json, markdown=options.markdown)
-    card = _card(options.name)
-    if options.json:
-        write_json(options.json, {"command": "info", "card": asdict(card)})
-    if options.markdown:
-        write_text(options.markdown, page(card))
-    if not (options.json or options.markdown):
+def run(name: str, /, json: str | None = None, markdown: str | None = None) -> int:
+    """Print or write the card.
+
+    Args:
+        name: Zoo name, folder with a card, hf://OWNER/REPO or https:// address, or an architecture.
+        json: Write the card to this file instead; - for here.
+        markdown: Likewise, as a page.
+    """
+    check_outputs(json=json, markdown=markdown)
+    card = _card(name)
+    if json:
+        write_json(json, {"command": "info", "card": asdict(card)})
+    if markdown:
+        write_text(markdown, page(card))
+    if not (json or markdown):
         _print(card)
     return 0
 

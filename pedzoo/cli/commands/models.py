@@ -3,7 +3,6 @@
 from fnmatch import fnmatch
 from typing import Any
 
-from pedzoo.cli.arguments import Arguments
 from pedzoo.cli.output import check_outputs, print_tables, write_and_print
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import MODELS
@@ -34,17 +33,18 @@ the most likely forecast on the fold's test windows (eth_ucy: validation windows
 success: share of people who get through. All of a model: pedzoo info NAME"""
 
 
-def run(argv: list[str]) -> int:
-    """Print both tables; returns the exit code."""
-    parser = Arguments("models", HELP, EXAMPLE)
-    parser.add_argument("pattern", nargs="?", default="*", help="which names, with * and ?")
-    parser.add_argument("--json", metavar="FILE", help="also write the tables to this file")
-    options = parser.parse_args(argv)
-    check_outputs(json=options.json)
-    architectures = MODELS.described(options.pattern)
-    weights = [_row(name) for name in names() if fnmatch(name, options.pattern)]
+def run(pattern: str = "*", /, json: str | None = None) -> int:
+    """Print both tables.
+
+    Args:
+        pattern: Which names, with * and ?.
+        json: Also write the tables to this file.
+    """
+    check_outputs(json=json)
+    architectures = MODELS.described(pattern)
+    weights = [_row(name) for name in names() if fnmatch(name, pattern)]
     report = {"command": "models", "architectures": architectures, "weights": weights}
-    write_and_print(report, options.json, lambda: _print(architectures, weights))
+    write_and_print(report, json, lambda: _print(architectures, weights))
     return 0
 
 

@@ -4,36 +4,29 @@ HELP = "results as one page: sortable tables, replays from above, distributions,
 EXAMPLE = "pedzoo report results.json runs -o report.html"
 
 
-def run(argv: list[str]) -> int:
-    """Write the page; returns the exit code."""
-    from pedzoo.cli.arguments import Arguments
+def run(results: list[str], /, out: str = "report.html", title: str = "pedzoo report") -> int:
+    """Write the page.
 
-    parser = Arguments("report", HELP, EXAMPLE)
-    parser.add_argument(
-        "results",
-        nargs="+",
-        metavar="RESULTS",
-        help="JSON of evaluate, rollout, forecast, score or bench, and folders of trainings; with "
-        "replays where evaluate or rollout ran with --keep_episodes 3",
-    )
-    parser.add_argument("-o", "--out", default="report.html", metavar="FILE", help="default: report.html")
-    parser.add_argument("--title", default="pedzoo report", help="the page's heading")
-    options = parser.parse_args(argv)
-
+    Args:
+        results: JSON of evaluate, rollout, forecast, score or bench, and folders of trainings; with replays
+            where evaluate or rollout ran with --keep_episodes 3.
+        out: The page.
+        title: Its heading.
+    """
     from pedzoo.cli.output import check_output_ending, check_outputs, write_text
     from pedzoo.core.paths import PAGES
 
-    check_outputs(out=options.out)
-    check_output_ending("out", options.out, PAGES)
+    check_outputs(out=out)
+    check_output_ending("out", out, PAGES)
 
     from pedzoo.viz.page import page
     from pedzoo.viz.report import content_of
 
-    content = content_of(options.results)
-    text = page(content, options.title)
-    write_text(options.out, text)
-    if options.out != "-":
+    content = content_of(results)
+    text = page(content, title)
+    write_text(out, text)
+    if out != "-":
         replays = sum(len(policy["episodes"]) for case in content["cases"] for policy in case["policies"])
         shown = f"{replays} replays" if replays else "no replays: evaluate with --keep_episodes 3 for some"
-        print(f"report: {options.out} ({len(text.encode()) / 1e6:.1f} MB, {shown})")
+        print(f"report: {out} ({len(text.encode()) / 1e6:.1f} MB, {shown})")
     return 0

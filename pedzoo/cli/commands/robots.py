@@ -1,6 +1,5 @@
 """``pedzoo robots``: bodies, sensors, rewards and policies of robots, read without importing torch."""
 
-from pedzoo.cli.arguments import Arguments
 from pedzoo.cli.output import check_outputs, write_and_print
 from pedzoo.core.registry import ROBOT_POLICIES, ROBOT_REWARDS, ROBOTS, SENSORS
 
@@ -16,15 +15,16 @@ LISTS = {
 """What is listed, and where its names are taken."""
 
 
-def run(argv: list[str]) -> int:
-    """Print the lists; returns the exit code."""
-    parser = Arguments("robots", HELP, EXAMPLE)
-    parser.add_argument("pattern", nargs="?", default="*", help="which names, with * and ?")
-    parser.add_argument("--json", metavar="FILE", help="also write the lists to this file")
-    options = parser.parse_args(argv)
-    check_outputs(json=options.json)
-    lists = {kind: registry.described(options.pattern) for kind, (registry, _) in LISTS.items()}
-    write_and_print({"command": "robots", **lists}, options.json, lambda: _print(lists))
+def run(pattern: str = "*", /, json: str | None = None) -> int:
+    """Print the lists.
+
+    Args:
+        pattern: Which names, with * and ?.
+        json: Also write the lists to this file.
+    """
+    check_outputs(json=json)
+    lists = {kind: registry.described(pattern) for kind, (registry, _) in LISTS.items()}
+    write_and_print({"command": "robots", **lists}, json, lambda: _print(lists))
     return 0
 
 

@@ -1,82 +1,95 @@
 """``pedzoo rollout``: policies walk through the same scenes, and one can look at it."""
 
+from typing import Literal
+
+from pedzoo.cli.output import check_outputs, print_report, write_and_print
+from pedzoo.core.errors import UserError
+from pedzoo.core.machine import versions
+from pedzoo.core.registry import METRICS
+
 HELP = "policies walk through the same scenes: table, trajectories, video"
 EXAMPLE = "pedzoo rollout orca:radius=0.1 sgan_goal_map.zara1 --plot door.png --html door.html"
 
 
-def run(argv: list[str]) -> int:
-    """Print the table; returns the exit code."""
-    from typing import Literal
+def run(
+    policies: list[str],
+    /,
+    scenario: str = "door",
+    physics: str | None = None,
+    episodes: int = 20,
+    seed: int = 0,
+    deterministic: bool = False,
+    warm_start: Literal["orca", "static", "recorded"] = "orca",
+    clearance: float = 0.25,
+    decision_dt: float | None = None,
+    device: str = "cpu",
+    keep_episodes: int = 0,
+    deadline: float | None = None,
+    metrics: list[str] | None = None,
+    json: str | None = None,
+    plot: str | None = None,
+    video: str | None = None,
+    html: str | None = None,
+    video_view: Literal["perspective", "top"] = "perspective",
+    video_seconds: float | None = None,
+    show: int = 0,
+) -> int:
+    """Walk, and print the table.
 
-    from jsonargparse import ArgumentParser
-    from jsonargparse.typing import PositiveFloat
-
-    from pedzoo.cli.output import check_outputs, print_report, write_and_print
-    from pedzoo.cli.parsing import PARSER_SETTINGS, parse
+    Args:
+        policies: orca:radius=0.3, go_to_goal, or any model, one row each; or mixed:
+            orca:share=0.5+sgan_goal.indoor.
+        scenario: Its name, mine.yaml or file.py:Class, with settings: door:width=0.9,people=4,
+            hallway:width=[1.5,2.5] (one per scene), goals:map=apartment.7 (or a file; if its path has commas,
+            in quotes: "goals:map='/a,b/plan.yaml'"). pedzoo --help lists all.
+        physics: ``compiled`` (the fastest), ``torch``, ``bullet`` or ``file.py:Class``; by default bullet, or
+            compiled where there is no pybullet.
+        episodes: Scenes per policy.
+        seed: Of the scenes, the same for all policies.
+        deterministic: Models walk with noise zero.
+        warm_start: The first 2.8 s, which are not counted.
+        clearance: Metres that planned ways keep from walls.
+        decision_dt: Seconds; refused unless it is the policies' own.
+        device: Where scenes and models are, such as ``cuda``.
+        keep_episodes: So many episodes keep their positions in the report, for ``pedzoo report``.
+        deadline: Seconds that people have for every goal; by default four times as many as their way takes
+            freely, at least 20.
+        metrics: Print these alone, as success,time_ratio; the report has all. Of your own, as mine.py:f: a
+            function of a rollout that returns two sums per episode.
+        json: Also write the report to this file.
+        plot: Draw trajectories into this .png, .pdf or .svg.
+        video: Film an episode into this .webm or .mp4.
+        html: Replays of all episodes as a page: .html.
+        video_view: Where the camera is; only bullet has a perspective.
+        video_seconds: Film so many seconds at most.
+        show: Number of the episode in plot and video.
+    """
     from pedzoo.cli.progress import progress_bar
-    from pedzoo.core.errors import UserError
-    from pedzoo.core.machine import versions
-    from pedzoo.core.registry import METRICS, SCENARIOS
     from pedzoo.eval.comparison import Comparison
-    from pedzoo.viz.episodes import Replay
     from pedzoo.viz.video import check_video_path, film
 
-    usage = f"pedzoo rollout POLICY... [--scenario SCENARIO] [--physics PHYSICS] [...]\nexample: {EXAMPLE}"
-    parser = ArgumentParser(prog="pedzoo rollout", usage=usage, description=HELP, **PARSER_SETTINGS)
-    parser.add_argument(
-        "policies",
-        nargs="+",
-        type=str,
-        help="orca:radius=0.3, go_to_goal, or any model, one row each; or mixed: "
-        "orca:share=0.5+sgan_goal.indoor.",
-    )
-    parser.add_argument(
-        "--scenario",
-        type=str,
-        default="door",
-        help=f"{', '.join(SCENARIOS.names())}, mine.yaml or file.py:Class, with settings: "
-        "door:width=0.9,people=4, hallway:width=[1.5,2.5] (one per scene), goals:map=apartment.7 (or a "
-        "file; if its path has commas, in quotes: \"goals:map='/a,b/plan.yaml'\").",
-    )
-    walking = parser.add_class_arguments(Comparison, as_group=False, skip={"policies", "scenario", "metrics"})
-    parser.add_argument(
-        "--metrics",
-        type=list[str],
-        default=[],
-        help="Print these alone, as success,time_ratio (default: all; the report has all). Of your own, as "
-        "mine.py:f: a function of a rollout that returns two sums per episode.",
-    )
-    parser.add_argument("--json", type=str | None, help="Also write the report to this file.")
-    parser.add_argument("--plot", type=str | None, help="Draw trajectories into this .png, .pdf or .svg.")
-    parser.add_argument("--video", type=str | None, help="Film an episode into this .webm or .mp4.")
-    parser.add_argument("--html", type=str | None, help="Replays of all episodes as a page: .html.")
-    parser.add_argument(
-        "--video_view",
-        type=Literal["perspective", "top"],
-        default="perspective",
-        help="Where the camera is; only bullet has a perspective.",
-    )
-    parser.add_argument("--video_seconds", type=PositiveFloat, help="Film so many seconds at most.")
-    parser.add_argument("--show", type=int, default=0, help="Number of the episode in plot and video.")
-    options = parse(parser, argv)
-    if options.plot:
+    check_outputs(json=json, plot=plot, video=video, html=html)
+    if plot:
         from pedzoo.viz.plots import check_plot_path
 
-        check_plot_path(options.plot)
-    if options.video:
-        check_video_path(options.video)
-    check_outputs(json=options.json, plot=options.plot, video=options.video, html=options.html)
-    only = [METRICS.get(name).__name__ for name in options.metrics]
-    if not 0 <= options.show < max(options.episodes, 1):
-        raise UserError(f"--show {options.show}: expected 0 to {options.episodes - 1}, see --episodes")
-
-    settings = {key: options[key] for key in (*walking, "metrics")}
-    with Comparison(options.policies, options.scenario, **settings) as comparison:
+        check_plot_path(plot)
+    if video:
+        check_video_path(video)
+    metrics = metrics or []
+    only = [METRICS.get(name).__name__ for name in metrics]
+    if not 0 <= show < max(episodes, 1):
+        raise UserError(f"--show {show}: expected 0 to {episodes - 1}, see --episodes")
+    if video_seconds is not None and not video_seconds > 0:
+        raise UserError(f"--video_seconds {video_seconds}: expected a number > 0")
+    walking = {"physics": physics, "episodes": episodes, "seed": seed, "deterministic": deterministic}
+    walking |= {"warm_start": warm_start, "clearance": clearance, "decision_dt": decision_dt}
+    walking |= {"device": device, "keep_episodes": keep_episodes, "deadline": deadline, "metrics": metrics}
+    with Comparison(policies, scenario, **walking) as comparison:
 
         def tell(**more: bool) -> None:
             report = {"command": "rollout", **comparison.report(), "versions": versions(), **more}
             shown = None if comparison.refusal else only
-            write_and_print(report, options.json, lambda: print_report(report, shown))
+            write_and_print(report, json, lambda: print_report(report, shown))
 
         try:
             with progress_bar() as progress:
@@ -87,20 +100,21 @@ def run(argv: list[str]) -> int:
                 tell(interrupted=True)
             raise
         tell()
-        if options.plot:
+        if plot:
             from pedzoo.viz.trajectories import plot_rollouts
 
-            plot_rollouts(comparison.walked, options.plot, options.show)
-            print(f"plot:  {options.plot}")
-        if options.video:
+            plot_rollouts(comparison.walked, plot, show)
+            print(f"plot:  {plot}")
+        if video:
             with progress_bar() as progress:
-                size = (640, 480) if len(options.policies) == 1 else (480, 360)
-                shot = options.show, options.video_view, size, options.video_seconds
-                film(comparison.walked, options.video, *shot, progress)
-            print(f"video: {options.video}")
-        if options.html:
-            Replay(comparison.walked, options.scenario, options.seed).save(options.html)
-            print(f"page:  {options.html}")
+                size = (640, 480) if len(policies) == 1 else (480, 360)
+                film(comparison.walked, video, show, video_view, size, video_seconds, progress)
+            print(f"video: {video}")
+        if html:
+            from pedzoo.viz.episodes import Replay
+
+            Replay(comparison.walked, scenario, seed).save(html)
+            print(f"page:  {html}")
         if comparison.refusal:
             raise comparison.refusal
     return 0

@@ -1,4 +1,4 @@
-"""The parser of commands that import nothing heavy."""
+"""The parser of the tools' commands."""
 
 import argparse
 from typing import NoReturn

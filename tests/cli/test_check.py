@@ -1,0 +1,206 @@
+"""Mistakes are one line; misspelt names and options are refused before anything heavy is imported."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pedzoo.cli.check import check_names
+from pedzoo.cli.main import main
+from pedzoo.core.errors import UserError
+from pedzoo.core.registry import ROOT
+
+pytestmark = pytest.mark.usefixtures("elsewhere")
+
+HEAVY = {"torch", "lightning", "torchrl", "tensordict", "numpy", "scipy", "rich", "matplotlib"}
+
+OWN = """
+from pedzoo.policies.policy import Policy as Base
+
+class Gru(Base):
+    pass
+
+def waits(rollout):
+    return rollout.mask.sum(1), rollout.mask.sum(1)
+"""
+
+NAMES = [
+    ("rollout orcaa", "unknown policy 'orcaa': did you mean 'orca'?"),
+    ("rollout orca+sgan_goal_map.indor", "did you mean 'sgan_goal_map.indoor'?"),
+    ("rollout orca --scenario dor", "unknown scenario 'dor': did you mean 'door'?"),
+    ("rollout orca --episode 3", "unknown option --episode: did you mean --episodes?"),
+    ("evaluate none.ckpt", "no checkpoint at 'none.ckpt'"),
+    ("forecast sgan_goal.zara7", "unknown model 'sgan_goal.zara7': did you mean"),
+    ("fit --config sgan_goall", "unknown config 'sgan_goall': did you mean 'sgan_goal'?"),
+    ("fit --config sgan_goal --model.lrr 1", "did you mean --model.lr?"),
+    ("fit --config closed_loop/sgan_goal_map --model.steeps 1", "did you mean --model.steps?"),
+    ("forecast robot_ppo.mix", "'robot_ppo.mix' moves robots"),
+    ("export robot_ppo.mix --onnx r.onnx", "pedzoo evaluate robot_ppo.mix --suite robots"),
+    ("rollout orca+robot_ppo.mix", "'robot_ppo.mix' moves robots"),
+    ("fit --weights robot_ppo.mix", "'robot_ppo.mix' moves robots"),
+    ("view dor orca", "unknown scenario 'dor': did you mean 'door'?"),
+    ("view door orcca", "unknown policy 'orcca': did you mean 'orca'?"),
+    ("score ocra --against zara1", "unknown policy 'ocra': did you mean 'orca'?"),
+    ("export none.ckpt --onnx x.onnx", "no checkpoint at 'none.ckpt'"),
+    ("rollout", "no policies: name them before the options, as in orca go_to_goal"),
+    ("evaluate --quick", "no policies: name them before the options"),
+    ("fit", "no model: choose one with --config NAME ("),
+    ("fit --trainer.max_epochs 3", "no model: choose one with --config NAME ("),
+    ("fit --config empty.yaml", "empty.yaml': expected a mapping such as 'model: ...', not None"),
+    ("report a.json -o r.txt", "--out r.txt: expected a file that ends in .html or .htm"),
+    ("evaluate orca --people orka", "unknown policy 'orka': did you mean 'orca'?"),
+]
+"""Mistakes in names and options, and what is said about them."""
+
+VALUES = [
+    ("rollout orca:radus=3", "unknown setting of policy orca 'radus': did you mean 'radius'?"),
+    ("rollout sgan_goal.zara1:saftey=no", "did you mean 'safety'?"),
+    (
+        "rollout orca --scenario door:widht=1",
+        "unknown setting of scenario door 'widht': did you mean 'width'?",
+    ),
+    ("rollout orca --physics bulet", "unknown physics 'bulet': did you mean 'bullet'?"),
+    ("evaluate orca --suite door,gols", "unknown suite 'gols': did you mean 'goals'?"),
+    ("fit --config sgan_goal --data.fold zara9", "unknown fold 'zara9': did you mean 'zara"),
+    ("fit --config sgan_goal --data.files none.csv --data.dt 0.4", "none.csv"),
+    ("fit --config sgan_goal --data.files wrong.csv --data.dt 0.4", "has no column 'agent'"),
+    ("score wrong.csv --against wrong.csv --data.dt 0.4", "has no column 'agent'"),
+    ("fit --resume nowhere", "cannot resume 'nowhere': it has no config.yaml"),
+    ("score none.csv --against none.csv --data.dt 0.4", "none.csv"),
+    ("score orca --against none.csv", "--data.dt is None: give the seconds between two consecutive"),
+    ("score orca --against none.csv", "frame numbers of the file of --against (0.04"),
+    ("score orca --against zara1 --dt -1", "--dt is -1.0: give the seconds between"),
+    ("score orca --against zara1 --rollouts 0", "rollouts 0: expected at least 1"),
+    ("rollout orca --metrics sucess", "unknown metric 'sucess': did you mean 'success'?"),
+    ("rollout orca --scenario goals:map=apartmnt.7", "did you mean 'apartment.7'?"),
+    ("evaluate orca --maps nowhere.yaml", "no map file 'nowhere.yaml'"),
+    ("evaluate orca --suite robots --robot jackall", "unknown robot 'jackall': did you mean 'jackal'?"),
+    ("score orca --against zarra1", "unknown fold 'zarra1': did you mean 'zara1'?"),
+    ("evaluate orca --metrics none.py:f", "no file 'none.py'"),
+    ("rollout orca --episodes x", "--episodes: expected int, not 'x'"),
+    ("fit --config sgan --data.goal widnow_end", "did you mean 'window_end'?"),
+    ("rollout orca --plot a.txt", "--plot a.txt: expected a file that ends in .png or .pdf or .svg"),
+    ("rollout orca --video door.foo", "--video door.foo: expected a file that ends in .webm or .mp4"),
+    ("rollout orca --episodes 0", "episodes 0: expected at least 1"),
+    ("rollout code.py", "code.py:CLASS, such as code.py:Gru\n"),
+    ("rollout code.py:Gruu", "unknown class in code.py 'Gruu': did you mean 'Gru'? known: Gru\n"),
+    ("rollout orca --scenario code.py", "code.py:CLASS, such as code.py:Gru\n"),
+    ("rollout orca --metrics code.py", "code.py:FUNCTION, such as code.py:waits\n"),
+    ("evaluate orca --metrics spl,code.py:wait", "unknown function in code.py 'wait': did you mean 'waits'?"),
+]
+"""Other mistakes, which the commands find themselves."""
+
+
+@pytest.fixture(autouse=True)
+def files(elsewhere: Path) -> None:
+    """Write what the command lines name."""
+    Path("wrong.csv").write_text("frame,person,x,y\n0,1,2,3\n")
+    Path("code.py").write_text(OWN)
+    Path("empty.yaml").touch()
+
+
+def test_misspelt_names_import_nothing_heavy() -> None:
+    code = (
+        "import sys; from pedzoo.cli.main import main;"
+        "codes = {main(line.split()) for line in sys.argv[1:]}; assert codes == {2}, codes;"
+        f"heavy = {HEAVY} & set(sys.modules); assert not heavy, heavy"
+    )
+    lines = [line for line, _ in NAMES]
+    done = subprocess.run([sys.executable, "-c", code, *lines], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    for (line, message), said in zip(NAMES, done.stderr.splitlines(), strict=True):
+        assert said.startswith("pedzoo: ") and message in said, line
+
+
+@pytest.mark.parametrize(("line", "message"), VALUES)
+def test_mistakes_in_values_are_one_line(line: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(line.split()) == 2
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1 and "Base" not in error
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "rollout orca:radius=0.3 file.py:Mine --scenario door:width=0.9,people=4 --video-view top",
+        "rollout go_to_goal --scenario file.py:Mine:anything=1 --metrics spl,file.py:f",
+        "evaluate sgan_goal_map.indoor:safety=false,noise=step orca:share=0.5+go_to_goal --suite encounters",
+        "evaluate robot_ppo.circle stop --suite robots --people orca,replay:fold=zara1",
+        "forecast hf://OWNER/REPO bent_line --data.keep_people present",
+        "fit --config sgan_goal --data.files file.py --model.generator.noise_dim 4 --trainer.max_epochs=2",
+        "fit --config robot/ppo --model.scenarios circle",
+        "fit --model file.py --model.anything 3 --data.loading.max-pairs 9",
+        "fit --model.lr 3",
+        "score sgan_goal_map.indoor walks.TSV --against zara1",
+        "view goals:map=[apartment.1,office.2] orca+go_to_goal",
+        "rollout --episodes 3 orca",
+        "rollout orca --scenario mine.yaml:speed=1",
+        "evaluate orca --people replay,replay:fold=zara1,here.py:Imported --robot here.py:Other:x=1",
+        "fit --print_config",
+        "validate --ckpt_path here.py",
+    ],
+)
+def test_doubtful_names_pass(line: str) -> None:
+    command, *words = line.split()
+    check_names(command, words)
+
+
+@pytest.mark.parametrize("line", ["fit --config NAME", "fit --resume NAME", "report NAME"])
+def test_too_long_names_are_one_line(line: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(line.replace("NAME", "a" * 300).split()) == 2
+    error = capsys.readouterr().err
+    assert "no file has so long a name" in error and error.count("\n") == 1
+
+
+def test_odd_values_of_a_config_are_refused(elsewhere: Path) -> None:
+    config = elsewhere / "odd.yaml"
+    config.write_text("monitor: 2026-11-99")
+    with pytest.raises(UserError, match=r"config '.*odd\.yaml' is no YAML: cannot be read: "):
+        check_names("fit", ["--config", str(config)])
+    config.write_text("model: 3")  # the command says what is wrong with it
+    check_names("fit", ["--config", str(config)])
+
+
+def test_known_options_are_those_of_the_parsers() -> None:
+    code = (  # a process of its own: options of subclasses that tests define are not shipped
+        "import json; from tools.pages import command_options as made;"
+        "print(json.dumps([made.known(), json.loads(made.FILE.read_text())]))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    known, written = json.loads(done.stdout.splitlines()[-1])
+    assert written == known, "run python -m tools.pages.command_options"
+
+
+def test_head_ends_a_command_without_a_traceback() -> None:
+    line = f"{sys.executable} -m pedzoo models | head -1; exit ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", line], capture_output=True, text=True)
+    assert done.stdout.count("\n") == 1 and "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("pedzoo ro", "rollout"),
+        ("pedzoo rollout orca --scenario doo", "door"),
+        ("pedzoo fit --data.fo", "--data.fold"),
+    ],
+)
+def test_bash_completes_commands_options_and_names(
+    words: str, expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["completion", "bash"]) == 0
+    last = len(words.split()) - 1
+    asks = f"COMP_WORDS=({words}); COMP_CWORD={last}; _shtab_pedzoo; echo ${{COMPREPLY[@]}}"
+    script = f"{capsys.readouterr().out}\n{asks}"
+    done = subprocess.run(["bash"], input=script, capture_output=True, text=True, check=True)
+    assert expected in done.stdout.split(), done.stderr
+
+
+def test_zsh_has_a_completion(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["completion", "zsh"]) == 0
+    assert capsys.readouterr().out.startswith("#compdef pedzoo")
+    assert main(["completion", "fish"]) == 2
