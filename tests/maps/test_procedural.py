@@ -330,7 +330,7 @@ def test_the_command_writes_what_it_says(tmp_path: Path, capsys: pytest.CaptureF
     ("words", "message"),
     [
         (["castle"], "unknown kind of floor plan 'castle'"),
-        (["office", "--count", "0"], "--count: expected a number >0"),
+        (["office", "--count", "0"], "--count 0: expected at least 1"),
         (["office", "--sheet", "sheet.jpg"], "expected a name in .png"),
         (["office", "--size", "3,4"], "expected width and height from 12 to 60 m"),
         (["office", "--furnshed", "0"], "did you mean --furnished"),

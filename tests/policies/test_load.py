@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from pedzoo.cli.checks import check_model
+from pedzoo.cli.check import check_model
 
 import pedzoo
 from pedzoo.core.configs import load_config

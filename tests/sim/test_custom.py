@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 import torch
 import yaml
-from pedzoo.cli.checks import check
 
 import pedzoo
 from pedzoo.core.errors import UserError
@@ -115,13 +114,13 @@ def test_mistakes_in_the_file(keys: dict[str, Any], message: str, tmp_path: Path
     assert "\n" not in str(error.value)
 
 
-def test_wrong_files_are_refused_before_anything_heavy_is_imported(tmp_path: Path) -> None:
+def test_wrong_scenario_files_are_refused(tmp_path: Path) -> None:
     for text, message in (("people: [", "is no YAML"), ("- 1", r"expected people: \[")):
         (tmp_path / "mine.yaml").write_text(text)
         with pytest.raises(UserError, match=message):
-            check("rollout", ["orca", "--scenario", f"{tmp_path}/mine.yaml"])
+            make_env(f"{tmp_path}/mine.yaml")
     with pytest.raises(UserError, match=r"scenario 'no.yaml' cannot be read: No such file"):
-        check("rollout", ["orca", "--scenario", "no.yaml"])
+        make_env("no.yaml")
 
 
 def test_the_keys_are_the_settings_of_the_scenario() -> None:

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from pedzoo.cli import checkout
 from pedzoo.cli.main import main, overview
+from pedzoo.core import registry
 from pedzoo.core.paths import CARD, shipped, weight_files
 from pedzoo.core.registry import SUITES, Registry, folder_of
 from pedzoo.eval.cards import about
@@ -18,7 +18,7 @@ from pedzoo.models.zoo.card import read_card
 def test_a_wheel_says_how_to_get_a_checkout(
     words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(checkout, "folder_of", lambda package: tmp_path / package)
+    monkeypatch.setattr(registry, "folder_of", lambda package: tmp_path / package)
     assert main(words) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"pedzoo: {words[0]}: needs a checkout") and "run tools/setup" in line
