@@ -104,30 +104,10 @@ def scene_batch(
 ) -> TensorDict:
     """Return a scene batch (B,) on the device of ``mask``; shapes and units as in the legend above.
 
-    Args:
-        maps: The floor plans that ``map_id`` speaks of; ``MapBank()`` for scenes without any.
-        map_id: Floor plans.
-        pose: Scene poses, the key ``scene_pose``.
-        history: Positions.
-        valid: Which of them are known.
-        mask: Which agents are here.
-        pref_speed: Preferred speeds.
-        top_speed: Top speeds; None for 1.3 times the preferred ones.
-        velocity: Current velocities; None for those of the last observed step.
-        heading: Directions of the bodies; None for those of ``velocity``.
-        radius: Radii of the bodies; None for `pedzoo.core.types.BODY_RADIUS`.
-        kind: Kinds of agents; None for persons.
-        group: Numbers of their companies; None for agents that are all alone.
-        goal: Short-term goals; None leaves the key out, as for all that follow but ``controlled`` and ``id``.
-        desired_velocity: The planner's velocities.
-        remaining_path: Length of the path to the goal.
-        goal_since: When agents were given their goals.
-        controlled: Which agents the policy moves; None for all that are here.
-        id: Numbers of the agents; None for their slots.
-        key: Keys of the scenes, the key ``scene_key``.
-        time: Seconds since the warm start.
-        future: The true continuation.
-        future_valid: Which of it is known.
+    Arguments are the keys of the legend, ``pose`` is ``scene_pose`` and ``key`` is ``scene_key``. None stands
+    for the velocity of the last observed step, the heading of the velocity, 1.3 times the preferred speed as
+    top speed, the radius `BODY_RADIUS`, a person who walks alone, the number of the slot, and control of all
+    that are here. All other keys are left out where they are None.
     """
     device, size = mask.device, mask.shape
     if velocity is None:
@@ -180,10 +160,7 @@ def ids_of(batch: TensorDictBase) -> Tensor:
 
 
 def companions_of(batch: TensorDictBase) -> Tensor:
-    """Return which agents that are here walk in company (B, A, A) bool, none with itself.
-
-    In a batch that knows no groups all are alone.
-    """
+    """Return which present agents walk in company (B, A, A) bool, none with itself; without groups nobody."""
     agents = agents_of(batch)
     here = cast("Tensor", agents["mask"])
     return in_company(agents.get("group", torch.full_like(here, -1, dtype=torch.long)), here)
@@ -268,13 +245,10 @@ def maps_of(batch: TensorDictBase) -> MapBank:
 
 def _banks(entry: Any) -> Iterator[MapBank]:
     """Yield the banks under ``maps``, which TensorDict may have wrapped."""
-    if isinstance(entry, NonTensorData):
+    if isinstance(entry, NonTensorStack | list | tuple):
+        for part in entry.tensordicts if isinstance(entry, NonTensorStack) else entry:
+            yield from _banks(part)
+    elif isinstance(entry, NonTensorData):
         yield from _banks(entry.data)
-    elif isinstance(entry, NonTensorStack):
-        for part in entry.tensordicts:
-            yield from _banks(part)
-    elif isinstance(entry, list | tuple):
-        for part in entry:
-            yield from _banks(part)
     elif entry is not None:
         yield entry

@@ -104,21 +104,12 @@ class Fleet(NamedTuple):
     @classmethod
     def of(cls, bodies: list[RobotBody]) -> Fleet:
         """Return the tensors of some bodies."""
-        rows = [
-            (
-                body.radius,
-                body.top_speed,
-                body.top_turn,
-                body.acceleration,
-                body.turn_acceleration,
-                body.track,
-            )
-            for body in bodies
-        ]
-        radius, top_speed, top_turn, acceleration, turn_acceleration, track = torch.tensor(rows).unbind(1)
+        values = {
+            name: torch.tensor([float(getattr(one, name)) for one in bodies]) for name in cls._fields[1:-1]
+        }
         slowest = torch.tensor([-body.top_speed if body.reverse else 0.0 for body in bodies])
         drive = torch.tensor([DRIVES[body.drive] for body in bodies])
-        return cls(drive, radius, top_speed, top_turn, acceleration, turn_acceleration, track, slowest)
+        return cls(drive=drive, slowest=slowest, **values)
 
     def to(self, device: torch.device | str) -> Fleet:
         """Return the tensors on a device."""

@@ -22,7 +22,6 @@ from typing import Any
 from zlib import crc32
 
 from pedzoo.core.errors import UserError, unknown
-from pedzoo.core.paths import Kind, check_named, missing
 
 _OF_FILES = "pedzoo_user_"
 """The prefix of module names of users' files."""
@@ -248,18 +247,21 @@ def whole_name(text: str) -> str:
     return f"{file_of_code(f'{file}.py') or f'{file}.py'}:{name}" if code else text
 
 
-def _in_file(spec: str, kind: Kind, wanted: Callable[[Any], bool]) -> Any:
-    """Return what ``path/to/file.py:name`` defines, of the ``wanted`` kind."""
+def _in_file(spec: str, kind: str, wanted: Callable[[Any], bool]) -> Any:
+    """Return what ``path/to/file.py:name`` defines, of the ``wanted`` kind: a class or a function."""
     file, _, name = spec.rpartition(":") if names_code(spec) else (spec, "", "")
     path = file_of_code(file)
     if path is None:
         raise UserError(f"no file {file!r:.200} (from {spec!r:.200}): expected path/to/file.py:NAME")
-    check_named(spec, path, kind)
     inside = _executed(path)
     known = {key: value for key, value in inside.items() if wanted(value)}
+    own = [key for key, value in known.items() if value.__module__ == inside["__name__"] and key[0] != "_"]
+    if not name:
+        such = " or ".join(f"{file}:{one}" for one in own[:5])
+        such = f", such as {such}" if own else f"; it defines no {kind}"
+        raise UserError(f"{file!r:.200}: expected {file:.200}:{kind.upper()}{such}")
     if name not in known:
-        own = [key for key, value in known.items() if value.__module__ == inside["__name__"]]
-        raise missing(file, kind, name, own or [*known])
+        raise unknown(f"{kind} in {file}", name, own or [*known])
     return known[name]
 
 

@@ -46,6 +46,7 @@ NAMES = [
     ("view door orcca", "unknown policy 'orcca': did you mean 'orca'?"),
     ("score ocra --against zara1", "unknown policy 'ocra': did you mean 'orca'?"),
     ("export none.ckpt --onnx x.onnx", "no checkpoint at 'none.ckpt'"),
+    ("forcast", "did you mean 'forecast'?"),
     ("rollout", "no policies: name them before the options, as in orca go_to_goal"),
     ("evaluate --quick", "no policies: name them before the options"),
     ("fit", "no model: choose one with --config NAME ("),

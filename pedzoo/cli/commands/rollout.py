@@ -3,7 +3,7 @@
 from typing import Literal
 
 from pedzoo.cli.output import check_outputs, print_report, write_and_print
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, need
 from pedzoo.core.machine import versions
 from pedzoo.core.registry import METRICS
 
@@ -64,11 +64,14 @@ def run(
         video_seconds: Film so many seconds at most.
         show: Number of the episode in plot and video.
     """
+    check_outputs(json=json, plot=plot, video=video, html=html)
+    for option, file in (("--plot", plot), ("--video", video)):
+        if file:
+            need("video", option)
     from pedzoo.cli.progress import progress_bar
     from pedzoo.eval.comparison import Comparison
     from pedzoo.viz.video import check_video_path, film
 
-    check_outputs(json=json, plot=plot, video=video, html=html)
     if plot:
         from pedzoo.viz.plots import check_plot_path
 
