@@ -102,7 +102,8 @@ def parse(parser: ArgumentParser, argv: list[str], classes: Iterable[tuple[str, 
     try:
         return parser.parse_args(_as_jsonargparse_reads(parser, argv))
     except ArgumentError as error:
-        raise UserError(explain(str(error), known_options(parser, classes))) from error
+        said = explain(str(error), known_options(parser, classes))
+        raise UserError(said if said != str(error) else f"{said} (see {parser.prog} --help)") from error
 
 
 def explain(message: str, known: list[str]) -> str:
@@ -126,7 +127,7 @@ def explain(message: str, known: list[str]) -> str:
         if owner:  # one of a group in it
             return unknown_option(f"{path}.{given.lstrip('-')}", _options_of(path, owner))
         return unknown_option(given, known) if given.startswith("-") else f"unexpected argument {given!r}"
-    if has(r"arguments are required: model\b"):
+    if has(r"arguments are required: model\b") and "--model" in known:
         return str(no_model_chosen())
     if has(r"arguments are required: policies\b"):
         return "no policies: name them before the options, as in orca go_to_goal --episodes 20"

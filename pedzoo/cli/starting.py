@@ -23,6 +23,14 @@ from pedzoo.train.run_settings import resumable_settings, reusable_settings
 
 Command = Literal["fit", "validate", "test"]
 
+_TRAINER = re.compile("Customize every aspect of training via flags:.*?\n\n", re.DOTALL)
+_TRAINER_IN_SHORT = """\
+Lightning's trainer, as --trainer.max_epochs 20; `pedzoo fit --config NAME --help` explains all:
+  max_epochs, max_steps, max_time, devices, accelerator, strategy, precision, check_val_every_n_epoch,
+  limit_train_batches, limit_val_batches, log_every_n_steps, enable_progress_bar, callbacks, ...
+
+"""
+
 
 class ExpandedCommand(NamedTuple):
     """A command line with what its options stand for.
@@ -126,6 +134,11 @@ class ConfigParser(LightningArgumentParser):
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         """Make a parser, also one of a class within: these have no settings of `PARSER_SETTINGS`."""
         super().__init__(*args, **PARSER_SETTINGS | kwargs)
+
+    def format_help(self) -> str:
+        """Return the help text, without 300 lines about Lightning's trainer where no config is named."""
+        text = super().format_help()
+        return text if given(self.start.argv, "--config") else _TRAINER.sub(_TRAINER_IN_SHORT, text)
 
     def parse_path(self, path: str | os.PathLike, *args: Any, **kwargs: Any) -> Namespace:
         """Parse a config file; arguments as of jsonargparse's."""

@@ -79,9 +79,7 @@ def test_numbers_are_left_out_where_no_person_wants_them(tmp_path: Path) -> None
     assert read_card(tmp_path / "zoo" / "sgan_goal.mall" / "card.yaml").evaluations == []
 
 
-def test_a_folder_for_the_hub_loads_again_and_is_the_same_when_written_again(
-    model: str, tmp_path: Path
-) -> None:
+def test_a_hub_folder_loads_and_is_written_the_same_again(model: str, tmp_path: Path) -> None:
     hub = tmp_path / "hub"
     assert main(["export", model, "--hub", str(hub)]) == 0
     assert sorted(os.listdir(hub)) == ["LICENSE.md", "README.md", "card.yaml", "weights.safetensors"]
@@ -91,7 +89,7 @@ def test_a_folder_for_the_hub_loads_again_and_is_the_same_when_written_again(
     assert {path.name: path.read_bytes() for path in hub.iterdir()} == before
 
 
-def test_a_folder_for_the_hub_replaces_files_of_an_earlier_layout(model: str) -> None:
+def test_a_hub_folder_replaces_files_of_an_earlier_layout(model: str) -> None:
     folder = Path(model).parent
     before = answers(load(model))
     write_hub(model, folder)
@@ -180,7 +178,7 @@ def test_a_hub_folder_has_one_model(model: str, tmp_path: Path) -> None:
     assert len(os.listdir(tmp_path / "hub")) == 4
 
 
-def test_shipped_weights_have_the_licence_that_their_recordings_allow(tmp_path: Path) -> None:
+def test_shipped_weights_have_the_licence_of_their_data(tmp_path: Path) -> None:
     """MIT are only those that saw no recorded person; masks under CC BY-NC are passed on as what they are."""
     seen = set()
     for file in sorted(shipped("checkpoints").glob("*/card.yaml")):

@@ -65,9 +65,7 @@ def test_info_writes_the_card_for_machines_and_as_a_page(capsys: pytest.CaptureF
     assert capsys.readouterr().out == page(card)
 
 
-def test_text_of_a_card_is_never_taken_for_orders_to_the_terminal(
-    zoo: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_text_of_a_card_gives_the_terminal_no_orders(zoo: Path, capsys: pytest.CaptureFixture[str]) -> None:
     evaluations = make_card().evaluations
     evaluations[1]["rows"][0]["table"] = "[/red]"
     card = make_card("sgan_goal.mall", licence="[bold]MIT[/nothing]", evaluations=evaluations)

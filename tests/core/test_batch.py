@@ -56,7 +56,7 @@ def test_what_is_left_out_has_its_default() -> None:
     assert batch.device == agents.device == torch.device("cpu")
 
 
-def test_recordings_the_environment_and_the_controller_have_the_same_keys() -> None:
+def test_all_sources_of_batches_have_the_same_keys() -> None:
     data = TrajectoryDataModule(fold="embedded", goal="destination")
     data.setup("test")
     recorded = next(iter(data.test_dataloader()))
@@ -109,7 +109,7 @@ def test_augmented_recordings_face_where_they_go() -> None:
     torch.testing.assert_close(agents["heading"][walks][:, 0], facing)
 
 
-def test_bodies_of_the_environment_face_where_they_go_and_keep_it_when_they_stand() -> None:
+def test_bodies_face_where_they_go_and_keep_it_at_rest() -> None:
     env = make_env("door:people=2", 1, "compiled")
     now = env.reset()
     for speed in (1.0, 0.0):
@@ -155,7 +155,7 @@ def test_batches_of_two_banks_or_of_none_are_refused() -> None:
         maps_of(first.exclude("maps"))
 
 
-def test_equal_banks_are_one_and_what_counts_as_a_wall_is_a_difference() -> None:
+def test_banks_of_equal_plans_and_walls_are_one() -> None:
     bank = MapBank([ROOM], "wall")
     bank.signed_distance(torch.zeros(1, 1, 2), torch.tensor([ROOM.map_id]), identity_pose(1))
     sent = pickle.dumps(bank)

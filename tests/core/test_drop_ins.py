@@ -206,7 +206,7 @@ def test_evaluations_run_as_many_scenes_as_a_backend_says(folder: Path) -> None:
     assert env.batch_size[0] == 2
 
 
-def test_contacts_of_a_backend_of_ones_own_are_those_of_its_walks(folder: Path) -> None:
+def test_walks_have_the_contacts_of_an_own_backend(folder: Path) -> None:
     own = folder / "carts.py"
     cases = ("torch", False), (f"{own}:Sticky", True), ("compiled", False), (f"{own}:Glue", True)
     for physics, touch in cases:

@@ -1,7 +1,8 @@
-"""Names with settings: what they mean, and what a misspelling is told."""
+"""Names with settings, also in groups: what they mean, and what a misspelling is told."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,8 @@ import pytest
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import POLICIES, SCENARIOS
-from pedzoo.core.spec import Spec, build, parse, split
+from pedzoo.core.spec import Spec, build, flat, grouped, make_ungrouped, parse, setting_types, split
+from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.policy import Policy
 from pedzoo.policies.rule_based.orca import Orca
@@ -46,15 +48,13 @@ def test_quotes_hold_what_would_split_a_text(text: str, path: str) -> None:
     assert several.files == [path, "flat"]
 
 
-def test_quoted_values_have_their_types() -> None:
-    policy = build(POLICIES, "orca:preset='igibson',radius='0.3'", Policy)
-    assert isinstance(policy, Orca) and policy.settings.radius == 0.3
-
-
-def test_values_have_their_types() -> None:
-    policy = build(POLICIES, "orca:radius=0.3,walls=false,preset=igibson", Policy)
+@pytest.mark.parametrize("text", ["radius=0.3,walls=false,preset=igibson", "preset='igibson',radius='0.3'"])
+def test_values_have_their_types(text: str) -> None:
+    """A preset has the values that are not given."""
+    policy = build(POLICIES, f"orca:{text}", Policy)
     assert isinstance(policy, Orca)
-    assert (policy.settings.radius, policy.settings.max_neighbors) == (0.3, None)
+    result = policy.settings
+    assert (result.radius, result.max_neighbors, result.top_speed_ratio) == (0.3, None, 1.0)
     scenario = build(SCENARIOS, "goals:people=[2,5],goals=2", Scenario)
     assert (scenario.fewest, scenario.people, scenario.goals) == (2, 5, 2)
 
@@ -105,12 +105,50 @@ def test_mistakes(name: str, message: str) -> None:
         load_policy(name)
 
 
-def test_a_list_of_one_is_written_in_brackets() -> None:
+def test_what_a_name_may_not_be_is_told(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"files=a.csv: expected list.*; write a list of one as \[a.csv\]$"):
         build(SCENARIOS, "replay:files=a.csv,dt=0.1", Scenario)
-
-
-def test_a_class_of_the_wrong_kind(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text("class Mine:\n    pass\n")
     with pytest.raises(UserError, match="is no scenario"):
         build(SCENARIOS, f"{tmp_path}/mine.py:Mine", Scenario)
+
+
+@dataclass(frozen=True)
+class Size:
+    """A group."""
+
+    width: float = 1.0
+    height: float = 2.0
+
+
+class Box:
+    """A class whose default differs from its group's."""
+
+    def __init__(self, name: str = "box", size: Size = Size(height=3.0)) -> None:
+        """Take them."""
+        self.name, self.size = name, size
+
+
+def test_settings_have_names_with_and_without_their_group() -> None:
+    assert setting_types(Box) == {"name": str, "width": float, "height": float}
+    assert grouped(Box, {"width": 4.0, "name": "a"}) == {"name": "a", "size": {"width": 4.0}}
+    # a name without its group wins
+    assert grouped(Box, {"width": 4.0, "size": {"width": 5.0, "height": 6.0}}) == {
+        "size": {"width": 4.0, "height": 6.0}
+    }
+
+
+def test_defaults_are_those_of_the_class() -> None:
+    assert make_ungrouped(Box, {}).size == Size(1.0, 3.0)
+    assert make_ungrouped(Box, {"width": 4.0}).size == Size(4.0, 3.0)
+    assert make_ungrouped(Box, {"size": {"height": 1.0}}).size == Size(1.0, 1.0)
+    circle: Any = build(SCENARIOS, "circle:jitter=0", Scenario)
+    assert (circle.people, circle.aside, circle.jitter) == (4, 1.0, 0.0)
+
+
+def test_a_model_says_its_settings_without_groups() -> None:
+    model = SGAN.of(noise_dim=4, best_k=3, safety=True)
+    assert model.config == SGAN().config | {"noise_dim": 4, "best_k": 3, "safety": True}
+    assert flat(Size(1.0)) == {"width": 1.0, "height": 2.0}
+    with pytest.raises(UserError, match="noise_dim 32: expected 1 to 31"):
+        SGAN.of(noise_dim=32)

@@ -11,7 +11,7 @@ from pedzoo.metrics.closed_loop import NAMES
 PAGE = PAGES["docs/evaluate.md"]
 
 
-def test_every_metric_of_a_walk_has_a_row_with_formula_unit_and_direction() -> None:
+def test_every_metric_has_a_row_with_formula_and_unit() -> None:
     rows = re.findall(r"^\| (`.*?) \| (.+?) \| (.+?) \| (.+?) \| (.+?) \|$", PAGE, re.MULTILINE)
     explained: set[str] = set()
     for cell, formula, unit, better, _ in rows:
