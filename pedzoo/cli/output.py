@@ -56,16 +56,16 @@ def check_output_ending(option: str, file: str, endings: Sequence[str]) -> None:
 
 
 def write_json(file: str | Path, content: dict[str, Any]) -> None:
-    """Write ``content`` to ``file`` (``-`` for the terminal), whole or not at all; its folder is made.
-
-    Raises:
-        UserError: It cannot be written.
-    """
+    """Write ``content`` as `write_text` does."""
     write_text(file, json.dumps(content, indent=2, allow_nan=False) + "\n")
 
 
 def write_text(file: str | Path, text: str) -> None:
-    """Write ``text`` as `write_json` does."""
+    """Write ``text`` to ``file`` (``-`` for the terminal), whole or not at all; its folder is made.
+
+    Raises:
+        UserError: It cannot be written.
+    """
     if str(file) == "-":
         sys.stdout.write(text)
         return
@@ -145,11 +145,9 @@ _NARROW = 120
 def _print_page(console: Console, page: ResultTable) -> None:
     if page.title:
         console.print(f"\n{page.title}", style="bold")
-    tables = _tables(page, console.width)
-    if len(tables) > 1:
-        turned = (_tables(_transposed(page), console.width, least) for least in (64, 24))
-        tables = min(tables, *turned, key=len)
-    for table in tables:
+    turned = _transposed(page)
+    layouts = (_tables(one, console.width, least) for one, least in ((page, 9), (turned, 64), (turned, 24)))
+    for table in min(layouts, key=len):
         console.print(table)
 
 

@@ -1,17 +1,20 @@
-"""Where a training starts from: what its configs, ``--resume``, ``--weights`` and checkpoints stand for."""
+"""Where a training starts from: what configs, ``--resume``, ``--weights`` and checkpoints stand for."""
 
 import os
 import re
 from collections.abc import Callable, Set
 from pathlib import Path
+from traceback import extract_tb
 from typing import Any, Literal, NamedTuple
 
 import yaml
 from jsonargparse import Namespace
+from lightning.pytorch.callbacks import Callback, RichProgressBar
 from lightning.pytorch.cli import LightningArgumentParser
 
 from pedzoo.cli.check import given, split_names
 from pedzoo.cli.parsing import PARSER_SETTINGS
+from pedzoo.cli.signals import reinstall_handlers
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.core.forms import refuse_code
@@ -164,3 +167,41 @@ def with_classes(settings: Any, change: Callable[[str], str]) -> Any:
     if isinstance(path := result.get("class_path"), str):
         result["class_path"] = change(path)
     return result
+
+
+def restores_checkpoint(error: Exception) -> bool:
+    """Return whether an error was raised while Lightning took a checkpoint's state."""
+    frames = extract_tb(error.__traceback__)
+    return any("checkpoint_connector" in frame.filename and "restore" in frame.name for frame in frames)
+
+
+def how_to_go_on(run: RunFolder | None) -> str:
+    """Return the command that goes on with a run; '' where it has no checkpoint."""
+    if not run or not run.last.is_file():
+        return ""
+    config = run.path / "config.yaml"
+    try:
+        resumable_settings(load_config(config), config, frozenset())
+    except UserError:  # code of one's own has to be named again
+        return f"; continue with: pedzoo fit --resume {run.path} --config {config}"
+    return f"; continue with: pedzoo fit --resume {run.path}"
+
+
+class ProgressBar(RichProgressBar):
+    """Lightning's bar without the version, which here is the name of the run folder."""
+
+    def get_metrics(self, *args: Any) -> dict[str, Any]:
+        """Return what is shown beside the bar."""
+        return {key: value for key, value in super().get_metrics(*args).items() if key != "v_num"}
+
+
+class Signals(Callback):
+    """Reinstalls our signal handlers: Lightning's talks to other processes in the midst of a step."""
+
+    def on_sanity_check_start(self, *_: Any) -> None:
+        """Do so before the first validation."""
+        reinstall_handlers()
+
+    def on_train_start(self, *_: Any) -> None:
+        """Do so before the first step."""
+        reinstall_handlers()

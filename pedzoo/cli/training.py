@@ -12,21 +12,27 @@ from contextlib import ExitStack, contextmanager
 from csv import DictReader
 from pathlib import Path
 from time import monotonic
-from traceback import extract_tb
 from typing import Any, Literal, cast
 
 import yaml
 from lightning.fabric.utilities.exceptions import MisconfigurationException
-from lightning.pytorch.callbacks import Callback, RichProgressBar
+from lightning.pytorch.callbacks import Callback
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 
 from pedzoo.cli.check import ROBOT_MODULES, trained_class
 from pedzoo.cli.output import check_outputs, write_json
 from pedzoo.cli.parsing import parse
 from pedzoo.cli.progress import duration
-from pedzoo.cli.signals import reinstall_handlers
-from pedzoo.cli.starting import Command, ConfigParser, expand, with_classes
-from pedzoo.core.configs import load_config
+from pedzoo.cli.starting import (
+    Command,
+    ConfigParser,
+    ProgressBar,
+    Signals,
+    expand,
+    how_to_go_on,
+    restores_checkpoint,
+    with_classes,
+)
 from pedzoo.core.errors import NO_ROOM, UserError, at_least_one
 from pedzoo.core.machine import versions
 from pedzoo.core.registry import file_path, import_path, names_code
@@ -38,7 +44,7 @@ from pedzoo.train.fine_tuning import start_from
 from pedzoo.train.modules.module import ForecastModule, check_state, read_progress
 from pedzoo.train.robots.ppo import RobotPPO
 from pedzoo.train.run import RunFolder, Wandb, finish_wandb, run_name
-from pedzoo.train.run_settings import DATA, check_unchanged, resumable_settings, tell_changes
+from pedzoo.train.run_settings import DATA, check_unchanged, tell_changes
 from pedzoo.train.slurm import run_again
 from pedzoo.train.validation.rollout_validation import ClosedLoopValidation
 
@@ -81,26 +87,6 @@ def train(command: Command, argv: list[str], about: str, example: str) -> int:
             if error.errno not in (*NO_ROOM, errno.EACCES):
                 raise
             raise UserError(f"cannot write {error.filename or 'a file'}: {error.strerror}") from error
-
-
-class ProgressBar(RichProgressBar):
-    """Lightning's bar without the version, which here is the name of the run folder."""
-
-    def get_metrics(self, *args: Any) -> dict[str, Any]:
-        """Return what is shown beside the bar."""
-        return {key: value for key, value in super().get_metrics(*args).items() if key != "v_num"}
-
-
-class Signals(Callback):
-    """Reinstalls our signal handlers: Lightning's talks to other processes in the midst of a step."""
-
-    def on_sanity_check_start(self, *_: Any) -> None:
-        """Do so before the first validation."""
-        reinstall_handlers()
-
-    def on_train_start(self, *_: Any) -> None:
-        """Do so before the first step."""
-        reinstall_handlers()
 
 
 class TrainingCLI(LightningCLI):
@@ -291,11 +277,8 @@ class TrainingCLI(LightningCLI):
 
     def _summary(self, run: RunFolder, chosen: Path) -> str:
         """Return what the weights are worth by the run's own table: ``val/ade 0.075 (epoch 2)`` and so on."""
-        epoch, file, monitor = (
-            read_checkpoint(chosen).get("epoch"),
-            run.path / "metrics.csv",
-            self.config["monitor"],
-        )
+        epoch, monitor = read_checkpoint(chosen).get("epoch"), self.config["monitor"]
+        file = run.path / "metrics.csv"
         rows = list(DictReader(file.read_text().splitlines())) if file.is_file() else []
         its = [row for row in rows if row.get("epoch") == str(epoch)]
         values = {key: value for row in its for key, value in row.items() if value}
@@ -400,34 +383,17 @@ class TrainingCLI(LightningCLI):
         except SystemExit as error:
             stop = error.__context__
             if isinstance(stop, KeyboardInterrupt) and self.trainer.is_global_zero:
-                print(f"\ninterrupted{_how_to_go_on(run) or ', nothing saved yet'}", flush=True)
+                print(f"\ninterrupted{how_to_go_on(run) or ', nothing saved yet'}", flush=True)
                 if str(stop) == "SIGUSR1":
                     print(run_again(), flush=True)
             raise
         except Exception as error:  # raised again; such as that of a process whose neighbour was killed
-            if not isinstance(error, UserError | MisconfigurationException) and _restores(error):
+            if not isinstance(error, UserError | MisconfigurationException) and restores_checkpoint(error):
                 said, file = " ".join(str(error).split()), self.config["ckpt_path"]
                 raise UserError(
                     f"cannot go on from {file!r} ({type(error).__name__}: {said:.300}): is it damaged, or of "
                     "another training?"
                 ) from error
-            if self.trainer.is_global_zero and (how := _how_to_go_on(run)):
+            if self.trainer.is_global_zero and (how := how_to_go_on(run)):
                 print(f"\nbroken off{how}", flush=True)
             raise
-
-
-def _restores(error: Exception) -> bool:
-    """Return whether an error was raised while Lightning took a checkpoint's state."""
-    frames = extract_tb(error.__traceback__)
-    return any("checkpoint_connector" in frame.filename and "restore" in frame.name for frame in frames)
-
-
-def _how_to_go_on(run: RunFolder | None) -> str:
-    if not run or not run.last.is_file():
-        return ""
-    config = run.path / "config.yaml"
-    try:
-        resumable_settings(load_config(config), config, frozenset())
-    except UserError:  # code of one's own has to be named again
-        return f"; continue with: pedzoo fit --resume {run.path} --config {config}"
-    return f"; continue with: pedzoo fit --resume {run.path}"
