@@ -77,8 +77,7 @@ def test_results_are_written_before_they_are_printed(
     def dies(*_: Any) -> None:
         raise BufferError
 
-    module = f"commands.{words[0]}" if words[0] in ("evaluate", "models") else "output"
-    monkeypatch.setattr(f"pedzoo.cli.{module}.{printer}", dies)
+    monkeypatch.setattr(f"pedzoo.cli.commands.{words[0]}.{printer}", dies)
     file = tmp_path / "report.json"
     more = ["--markdown", str(tmp_path / "page.md")] if words[0] == "evaluate" else []
     with pytest.raises(BufferError):
