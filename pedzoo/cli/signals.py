@@ -6,7 +6,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
@@ -32,21 +32,41 @@ def exit_code(stop: KeyboardInterrupt) -> int:
     return 128 + (stop.number if isinstance(stop, EndedBySignal) else signal.SIGINT)
 
 
+class _Handler:
+    """Ends the main thread by `EndedBySignal`, once for repeated signals."""
+
+    last = -_PATIENCE
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        repeated, self.last = time.monotonic() < self.last + _PATIENCE, time.monotonic()
+        if repeated:
+            return
+        if number == getattr(signal, "SIGHUP", None):
+            for place in (1, 2):  # where the terminal is gone, printing would be an error
+                try:
+                    os.write(place, b"")
+                except OSError:
+                    os.dup2(os.open(os.devnull, os.O_WRONLY), place)
+        raise EndedBySignal(number)
+
+
+_handlers: dict[int, _Handler] = {}
+
+
 @contextmanager
 def handle_signals() -> Iterator[None]:
     """Let signals end a block with `EndedBySignal`. Those that are ignored stay so, as ``nohup`` wants it.
 
-    SIGUSR1 is among them in a job of Slurm, which sends it before the time is up.
+    SIGUSR1 is among them in a job of Slurm, which sends it before the time is up. Other threads than the main
+    one handle none.
     """
-    if threading.current_thread() is not threading.main_thread():  # others hear nothing
-        yield
-        return
-    names = ("SIGTERM", "SIGHUP", *(("SIGUSR1",) if "SLURM_JOB_ID" in os.environ else ()))
-    numbers = [signal.Signals[name] for name in names if hasattr(signal, name)]
-    mine = [number for number in numbers if signal.getsignal(number) == signal.SIG_DFL]
-    handler = _handler()
-    _handlers.update(dict.fromkeys(mine, handler))
-    reinstall_handlers()
+    mine: list[int] = []
+    if threading.current_thread() is threading.main_thread():
+        names = ("SIGTERM", "SIGHUP", *(("SIGUSR1",) if "SLURM_JOB_ID" in os.environ else ()))
+        numbers = [signal.Signals[name] for name in names if hasattr(signal, name)]
+        mine += [number for number in numbers if signal.getsignal(number) == signal.SIG_DFL]
+        _handlers.update(dict.fromkeys(mine, _Handler()))
+        reinstall_handlers()
     try:
         yield
     finally:
@@ -59,29 +79,3 @@ def reinstall_handlers() -> None:
     """Reinstall our signal handlers after a library has installed its own."""
     for number, handler in _handlers.items():
         signal.signal(number, handler)
-
-
-_handlers: dict[int, Callable[[int, FrameType | None], None]] = {}
-
-
-def _handler() -> Callable[[int, FrameType | None], None]:
-    last = -_PATIENCE
-
-    def end(number: int, frame: FrameType | None) -> None:
-        nonlocal last
-        repeated, last = time.monotonic() < last + _PATIENCE, time.monotonic()
-        if not repeated:
-            if number == getattr(signal, "SIGHUP", None):
-                _leave_terminal()
-            raise EndedBySignal(number)
-
-    return end
-
-
-def _leave_terminal() -> None:
-    """Send what is still printed nowhere where the terminal is gone: printing would be an error."""
-    for place in (1, 2):
-        try:
-            os.write(place, b"")
-        except OSError:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), place)
