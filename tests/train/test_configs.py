@@ -33,7 +33,7 @@ def test_config_trains(
         }
         options |= {"model.envs": "4", "model.episodes": "2", "model.minibatches": "2"}
     if "/" in name and not name.startswith("open_loop"):
-        options["model.steps"] = "2"
+        options["model.collection.steps" if name.startswith("ppo") else "model.steps"] = "2"
     if name.startswith("closed_loop"):
         options["rollout.scenarios"] = '["hallway"]'  # its own are many, and slow to prepare
     words = [word for key, value in options.items() for word in (f"--{key}", value)]

@@ -153,7 +153,7 @@ def test_what_does_not_fit_is_refused_before_a_run_begins(
     config = {"architecture": "own.py:Mine", "init": {}, "training": {"config": "sgan"}}
     save_file({"x": torch.zeros(1)}, "trap.safetensors", {"config": json.dumps(config)})
     assert "no other file ever makes code run" in refused(capsys, "--weights", "trap.safetensors", *fold)
-    assert "no file 'none.safetensors'" in refused(capsys, "--weights", "none.safetensors", *fold)
+    assert "no weights at 'none.safetensors'" in refused(capsys, "--weights", "none.safetensors", *fold)
 
 
 TRAP = "raise SystemExit('this must not run')"

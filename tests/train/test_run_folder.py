@@ -69,9 +69,9 @@ def test_a_process_killed_while_it_writes_leaves_the_old_file(moment: str, tmp_p
     code = f"""
 import os, signal
 from pathlib import Path
-from pedzoo.core.paths import write_whole
+from pedzoo.core.paths import write_atomically
 os.{moment} = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
-write_whole(Path({str(path)!r}), b"new")
+write_atomically(Path({str(path)!r}), b"new")
 """
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
     assert path.read_text() == "old"
