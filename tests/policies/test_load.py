@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 import torch
-from pedzoo.cli.check import check_model
 
 import pedzoo
+from pedzoo.cli.check import check_model
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import config_names
