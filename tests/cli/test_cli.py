@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 import torch
 from jsonargparse import ArgumentParser
-from torch.utils._pytree import tree_flatten
 
 import pedzoo
 from pedzoo.cli.main import COMMANDS, main
@@ -27,18 +26,8 @@ from pedzoo.models.zoo.card import read_config
 
 ROOT = Path(pedzoo.__file__).parents[1]
 FIT = ["fit", "--config", "sgan_goal", "--data.fold", "embedded"]
-QUICK = [
-    f"--trainer.{key}=1" for key in ("limit_train_batches", "limit_val_batches", "check_val_every_n_epoch")
-] + ["--rollout.episodes=1"]
-QUIET = [
-    "--trainer.enable_progress_bar",
-    "false",
-    "--model.samples",
-    "2",
-    "--model.generator.losses.best_k",
-    "2",
-]
-
+QUICK = ["--trainer.limit_train_batches=1", "--trainer.limit_val_batches=1", "--rollout.episodes=1"]
+QUIET = ["--trainer.enable_progress_bar=false", "--model.samples=2", "--model.generator.losses.best_k=2"]
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 
@@ -87,42 +76,36 @@ def test_every_command_has_help_with_an_example(command, capsys):
 @pytest.mark.parametrize(
     ("given", "expected"),
     [
-        (["--model.lrr", "1e-3"], "unknown option --model.lrr: did you mean --model.lr?"),
-        (["--lr", "1e-3"], "did you mean --model.lr?"),
-        (["--model.generator.noise_dm", "4"], "did you mean --model.generator.architecture.noise_dim?"),
-        (["--model.discriminator.knd", "local"], "did you mean --model.discriminator.kind?"),
+        ("--model.lrr 1e-3", "unknown option --model.lrr: did you mean --model.lr?"),
+        ("--lr 1e-3", "did you mean --model.lr?"),
+        ("--model.generator.noise_dm 4", "did you mean --model.generator.architecture.noise_dim?"),
+        ("--model.discriminator.knd local", "did you mean --model.discriminator.kind?"),
+        ("--data.bach_size 4", "--data.bach_size: did you mean --data.loading.batch_size?"),
+        ("--trainer.max_epoch 4", "did you mean --trainer.max_epochs?"),
+        ("--model.lr fast", "--model.lr: expected float, not 'fast'"),
+        ("--model.lr -1", "--model.lr -1.0: expected at least 0"),
+        ("--model.lr_discriminator -1", "--model.lr_discriminator -1.0: expected at least 0"),
+        ("--model.clip -2", "--model.clip -2.0: expected at least 0"),
+        ("--trainer.check_val_every_n_epoch 0", "--trainer.check_val_every_n_epoch 0: expected at least 1"),
+        ("--trainer.accelerator foo", "invalid accelerator name: `accelerator='foo'`"),
+        ("--trainer.strategy foo", "invalid strategy name: `strategy='foo'`"),
         (
-            ["--data.bach_size", "4"],
-            "--data.bach_size: did you mean --data.loading.batch_size?",
-        ),
-        (["--trainer.max_epoch", "4"], "did you mean --trainer.max_epochs?"),  # no silent abbreviation
-        (["--model.lr", "fast"], "--model.lr: expected float, not 'fast'"),
-        (["--model.lr", "-1"], "--model.lr -1.0: expected at least 0"),
-        (["--model.lr_discriminator", "-1"], "--model.lr_discriminator -1.0: expected at least 0"),
-        (["--model.clip", "-2"], "--model.clip -2.0: expected at least 0"),  # it would train uphill
-        (
-            ["--trainer.check_val_every_n_epoch", "0"],
-            "--trainer.check_val_every_n_epoch 0: expected at least 1",
-        ),
-        (["--trainer.accelerator", "foo"], "invalid accelerator name: `accelerator='foo'`"),
-        (["--trainer.strategy", "foo"], "invalid strategy name: `strategy='foo'`"),
-        (
-            ["--model.generator.architecture.noise_dim", "x"],
+            "--model.generator.architecture.noise_dim x",
             "--model.generator.architecture.noise_dim: expected int, not 'x'",
         ),
-        (["--data.loading.batch_size", "1.5"], "--data.loading.batch_size: expected int, not '1.5'"),
-        (["--data.goal", "window_ends"], "did you mean 'window_end'?"),
-        (["--model", "GANModul"], "--model: no class 'GANModul'"),
-        (["--config", "sgan_gaol"], "unknown config 'sgan_gaol': did you mean 'sgan_goal'?"),
-        (["stray"], "unexpected argument 'stray'"),
-        (["--ckpt_path", "none.ckpt"], "no checkpoint 'none.ckpt'"),
-        (["--resume", "nowhere"], "cannot resume 'nowhere': it has no config.yaml"),
-        (["--model.generator.losses.best", "3"], "did you mean --model.generator.losses.best_k?"),
-        (["--data.loading.seed", "3"], "seed_everything"),
+        ("--data.loading.batch_size 1.5", "--data.loading.batch_size: expected int, not '1.5'"),
+        ("--data.goal window_ends", "did you mean 'window_end'?"),
+        ("--model GANModul", "--model: no class 'GANModul'"),
+        ("--config sgan_gaol", "unknown config 'sgan_gaol': did you mean 'sgan_goal'?"),
+        ("stray", "unexpected argument 'stray'"),
+        ("--ckpt_path none.ckpt", "no checkpoint 'none.ckpt'"),
+        ("--resume nowhere", "cannot resume 'nowhere': it has no config.yaml"),
+        ("--model.generator.losses.best 3", "did you mean --model.generator.losses.best_k?"),
+        ("--data.loading.seed 3", "seed_everything"),
     ],
 )
 def test_misspelt_options_and_wrong_types_are_refused(given, expected, capsys, elsewhere):
-    assert expected in refused(capsys, *FIT, *given)
+    assert expected in refused(capsys, *FIT, *given.split())
     assert not list(elsewhere.iterdir())
 
 
@@ -336,33 +319,6 @@ def test_fit_resume_test_and_forecast(capsys, elsewhere):
         "anchors",
     ]
     assert {row["metrics"]["ade_m"] > 0 for row in rows} == {True}
-
-
-def test_interrupted_fit_ends_like_an_uninterrupted_one(capsys, monkeypatch):
-    """Ctrl-C, the printed command, and the same weights of both networks and states of both optimisers."""
-    from pedzoo.train.modules.module import ForecastModule
-
-    def interrupt(self):
-        if self.current_epoch == 1:
-            raise KeyboardInterrupt
-
-    fit = ["fit", "--config", "sgan", "--data.fold", "embedded", "--trainer.max_epochs", "3", *QUICK, *QUIET]
-    with monkeypatch.context() as patch:
-        patch.setattr(ForecastModule, "on_train_epoch_start", interrupt, raising=False)
-        assert main(fit) == 130
-    assert "continue with: pedzoo fit --resume runs/sgan/embedded-seed0\n" in capsys.readouterr().out
-    assert main(["fit", "--resume", "runs/sgan/embedded-seed0"]) == 0
-    assert main([*fit, "--runs", "whole"]) == 0
-    ends = [
-        torch.load(Path(runs, "sgan/embedded-seed0/checkpoints/last.ckpt"), weights_only=True)
-        for runs in ("runs", "whole")
-    ]
-    for key in ("state_dict", "optimizer_states"):
-        resumed, whole = (
-            [leaf for leaf in tree_flatten(end[key])[0] if isinstance(leaf, torch.Tensor)] for end in ends
-        )
-        assert len(resumed) == len(whole) > 0
-        assert all(torch.equal(a, b) for a, b in zip(resumed, whole, strict=True))
 
 
 def test_reports_are_written_whole_into_new_folders(elsewhere, monkeypatch):
