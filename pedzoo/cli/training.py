@@ -42,7 +42,6 @@ from pedzoo.data.recordings import find_fold
 from pedzoo.models.zoo.loading import architecture_of, read_checkpoint
 from pedzoo.train.fine_tuning import start_from
 from pedzoo.train.modules.module import ForecastModule, check_state, read_progress
-from pedzoo.train.robots.ppo import RobotPPO
 from pedzoo.train.run import RunFolder, Wandb, finish_wandb, run_name
 from pedzoo.train.run_settings import DATA, check_unchanged, tell_changes
 from pedzoo.train.slurm import run_again
@@ -57,11 +56,7 @@ _EXPECTED = (
     "Checkpoint directory .* exists and is not empty",  # a resumed run
 )
 
-_USAGE = {
-    "fit": "--config NAME | --weights NAME [--data.X ...]",
-    "validate": "--ckpt_path FILE [--data.X ...]",
-    "test": "--ckpt_path FILE [--data.X ...]",
-}
+_USAGE = {"fit": "--config NAME | --weights NAME", "validate": "--ckpt_path FILE", "test": "--ckpt_path FILE"}
 
 _ROBOT_PLACE = ("scenarios", "people", "robot", "decision_dt")
 """Settings of a robot's training that its card has: where it was trained, among whom, and in which body."""
@@ -94,19 +89,25 @@ class TrainingCLI(LightningCLI):
 
     Attributes:
         robots: Whether a robot is trained: there are no recordings then.
+        kinds: The classes of model and data.
         run: The folder that the trainer writes into; None where there is none, or none yet.
     """
 
     def __init__(self, command: Command, typed: list[str], about: str = "", example: str = "") -> None:
         """Parse the command line as it was ``typed``, and build trainer, model and data."""
         self.robots = command == "fit" and trained_class(typed).startswith(ROBOT_MODULES)
+        self.kinds: list[type] = [ForecastModule, TrajectoryDataModule]
+        if self.robots:
+            from pedzoo.train.robots.ppo import RobotPPO
+
+            self.kinds = [RobotPPO]
         self.start = expand(command, typed)
         self.run: RunFolder | None = self.start.run
         self.command: Command = command
         self.typed = typed
-        usage = "--config robot/ppo" if self.robots else _USAGE[command]
+        usage = "--config robot/ppo" if self.robots else f"{_USAGE[command]} [--data.X ...]"
         super().__init__(
-            *((RobotPPO,) if self.robots else (ForecastModule, TrajectoryDataModule)),
+            *self.kinds,
             args=self.start.argv,
             run=False,
             parser_class=ConfigParser,
@@ -156,14 +157,13 @@ class TrainingCLI(LightningCLI):
             import_path(word) if before in ("--model", "--model.generator") and names_code(word) else word
             for before, word in zip(["", *args], args, strict=False)
         ]
-        self.config = parse(parser, args, [("model", RobotPPO if self.robots else ForecastModule)])
+        self.config = parse(parser, args, [("model", self.kinds[0])])
         if not 0 <= (seed := self.config["seed_everything"]) < 2**32:
             given = f"{seed:d}" if abs(seed) < 2**63 else f"a number of {len(str(abs(seed)))} digits"
             raise UserError(f"--seed_everything is {given}, expected 0 to {2**32 - 1}")
         if self.command == "fit" and self.config["resume"] and self.run:
-            fixed = ("data", DATA, TrajectoryDataModule)
-            fixed = ("model.init_args", _ROBOT_PLACE, RobotPPO) if self.robots else fixed
-            check_unchanged(self.run.path, self.plain_config(), *fixed)
+            fixed = ("model.init_args", _ROBOT_PLACE) if self.robots else ("data", DATA)
+            check_unchanged(self.run.path, self.plain_config(), *fixed, self.kinds[-1])
             tell_changes(self.run.path, self.plain_config())
 
     def instantiate_classes(self) -> None:
@@ -295,8 +295,7 @@ class TrainingCLI(LightningCLI):
     def _next_commands(self, chosen: Path) -> list[str]:
         """Return what to type next: an evaluation of robots; a forecast, and a walk on their floor plan."""
         if self.robots:
-            people = cast("RobotPPO", self.model).people
-            words = [str(chosen), "straight", "--suite", "robots", "--people", people, "--quick"]
+            words = [str(chosen), "straight", "--suite", "robots", "--people", self.model.people, "--quick"]
             return [f"next: pedzoo evaluate {shlex.join(words)}"]
         code = architecture_of(cast("ForecastModule", self.model).generator)
         weights = shlex.quote(f"{code}:weights={chosen}" if names_code(code) else str(chosen))

@@ -1,1 +1,1 @@
-"""One file per command: literals ``HELP`` and ``EXAMPLE``, read without importing, and ``run(argv)``."""
+"""One file per command: literals ``HELP`` and ``EXAMPLE``, and ``run``, whose arguments are the options."""
