@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 from pedzoo.cli.commands.reproduce import EXAMPLE, HELP
 from pedzoo.core.errors import UserError, unknown
-from tools.arguments import Arguments
 
 if TYPE_CHECKING:
     from tools.paper.base import Reproduction
@@ -22,6 +21,14 @@ ONLY = {
     "physics": ("table2", "figure4", "loop", "robots"),
 }
 """Options that only some have a use for."""
+
+
+class Arguments(ArgumentParser):
+    """argparse with pedzoo's exit code and one line in place of the usage."""
+
+    def error(self, message: str) -> NoReturn:
+        """Refuse the command line."""
+        raise UserError(f"{message} (see {self.prog} --help)")
 
 
 def run(argv: list[str]) -> int:
@@ -38,7 +45,12 @@ robots   robots trained among each kind of people, tested among all others and i
 
 Writes TABLE1.md and .json, TABLE2, FIGURE4, LOOP, FORECASTING, CROWDNAV, ROBOTS.
 What was interrupted goes on."""
-    parser = Arguments("reproduce", about, EXAMPLE)
+    parser = Arguments(
+        "pedzoo reproduce",
+        description=f"{about}\n\nexample: {EXAMPLE}",
+        allow_abbrev=False,
+        formatter_class=RawDescriptionHelpFormatter,
+    )
     parser.add_argument(
         "what",
         choices=("table1", "forecasting", "table2", "figure4", "loop", "crowdnav", "robots"),
