@@ -21,7 +21,7 @@ from pedzoo.cli.check import no_model_chosen, shipped_configs, split_names, unkn
 from pedzoo.core.adapters import option_types
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import find_config
-from pedzoo.core.spec import homes, split
+from pedzoo.core.spec import groups_by_setting, split
 
 PARSER_SETTINGS: dict[str, Any] = {"exit_on_error": False, "allow_abbrev": False}
 """For every parser used with `parse`: errors are raised, and ``--trainer.max_epoch`` is a misspelling."""
@@ -162,7 +162,7 @@ def parameters(owner: object) -> list[str]:
             continue
         taken = inspect.signature(cls.__init__).parameters.values()
         names += [item.name for item in taken if item.kind not in (item.VAR_POSITIONAL, item.VAR_KEYWORD)][1:]
-        names += [f"{group}.{name}" for name, group in homes(cls).items()]
+        names += [f"{group}.{name}" for name, group in groups_by_setting(cls).items()]
         if all(item.kind != item.VAR_KEYWORD for item in taken):
             break
     return names

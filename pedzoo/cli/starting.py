@@ -18,7 +18,7 @@ from pedzoo.cli.signals import reinstall_handlers
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.core.forms import refuse_code
-from pedzoo.core.registry import import_path, names_code, whole_name
+from pedzoo.core.registry import absolute_name, import_path, names_code
 from pedzoo.models.zoo.loading import read_checkpoint
 from pedzoo.train.fine_tuning import architecture_options, config_beside, options_of, options_to_continue
 from pedzoo.train.run import RunFolder
@@ -85,10 +85,10 @@ def expand(command: Command, argv: list[str]) -> ExpandedCommand:
 
 
 def names_typed(argv: list[str]) -> set[str]:
-    """Return all that a command line may name, as of `whole_name`: values, and the parts of lists."""
+    """Return all that a command line may name, as of `absolute_name`: values, and the parts of lists."""
     values = [word.partition("=")[2] if word.startswith("--") else word for word in argv]
     parts = [part for value in values for part in (*split_names(value), *re.split(r"[][{}\"',\s]+", value))]
-    return {whole_name(name) for name in (*values, *parts)}
+    return {absolute_name(name) for name in (*values, *parts)}
 
 
 def _check_checkpoint(file: str) -> None:

@@ -36,7 +36,7 @@ from pedzoo.cli.starting import (
 from pedzoo.core.errors import NO_ROOM, UserError, at_least_one
 from pedzoo.core.machine import versions
 from pedzoo.core.registry import file_path, import_path, names_code
-from pedzoo.core.spec import setting_groups, spelled
+from pedzoo.core.spec import setting_groups, with_settings
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.data.recordings import find_fold
 from pedzoo.models.zoo.loading import architecture_of, read_checkpoint
@@ -300,7 +300,7 @@ class TrainingCLI(LightningCLI):
         code = architecture_of(cast("ForecastModule", self.model).generator)
         weights = shlex.quote(f"{code}:weights={chosen}" if names_code(code) else str(chosen))
         plan = self.config["data"].get("map")
-        scenario = shlex.quote(spelled("goals", {"map": str(plan)})) if plan else "door"
+        scenario = shlex.quote(with_settings("goals", {"map": str(plan)})) if plan else "door"
         return [
             f"next: pedzoo forecast {weights} {self._data_options()} --samples 20",
             f"      pedzoo rollout {weights} --scenario {scenario} --plot rollout.png",

@@ -20,7 +20,7 @@ DRIVES = {"holonomic": HOLONOMIC, "unicycle": UNICYCLE, "diff_drive": DIFF_DRIVE
 """How a robot drives, and the number of it in `pedzoo.sim.state.State.drive`."""
 
 LEAST_RADIUS = 0.01
-"""Metres by which bodies give at walls."""
+"""Minimum radius of a body, metres: walls are as soft as this."""
 
 
 @dataclass(frozen=True)

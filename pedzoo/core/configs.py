@@ -7,7 +7,7 @@ from typing import Any
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import find_config
 from pedzoo.core.size_limits import check_yaml, read_mapping
-from pedzoo.core.spec import spelled
+from pedzoo.core.spec import with_settings
 
 BASE = "base"
 """Key of the config that another one takes over and changes."""
@@ -108,4 +108,4 @@ def _scenario(item: Mapping[str, Any]) -> str:
     name = settings.pop("scenario", None)
     if not isinstance(name, str):
         raise UserError(f"scenario {item!r:.80}: expected its name, as in {{scenario: door, width: 0.9}}")
-    return spelled(name, settings)
+    return with_settings(name, settings)

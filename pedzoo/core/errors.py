@@ -25,10 +25,10 @@ EXTRAS = {
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 NO_ROOM = (errno.ENOSPC, errno.EROFS, errno.EDQUOT, errno.EFBIG)
-"""What a system says where a file cannot be written, or not all of it."""
+"""Error numbers of a full or read-only disk, and of a file that is too large."""
 
 LONGEST = 4000
-"""Letters of a message: what was given may be of any length."""
+"""Maximum length of a message, in characters."""
 
 
 class UserError(ValueError):

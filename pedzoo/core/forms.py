@@ -9,7 +9,7 @@ from typing import Any, Literal, Union, get_args, get_origin
 import msgspec
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.registry import names_code, whole_name
+from pedzoo.core.registry import absolute_name, names_code
 
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 
@@ -78,13 +78,13 @@ def refuse_code(value: Any, what: str, remedy: str, typed: Set[str] = frozenset(
         value: What was read from a file.
         what: What it is, for the message.
         remedy: What a person can do who wants that code to run.
-        typed: What that person has named, as of `whole_name`.
+        typed: What that person has named, as of `absolute_name`.
 
     Raises:
         UserError: It names another one.
     """
     for one in _all_in(value):
-        if isinstance(one, str) and names_code(one) and whole_name(one) not in typed:
+        if isinstance(one, str) and names_code(one) and absolute_name(one) not in typed:
             raise UserError(
                 f"{what}: {one!r:.200} is in a file of code, and no other file ever makes code run: {remedy}"
             )

@@ -52,13 +52,13 @@ def direction_of(heading: Tensor) -> Tensor:
     return torch.stack((heading.cos(), heading.sin()), dim=-1)
 
 
-def nearest_part(away: Tensor, move: Tensor) -> Tensor:
-    """Return at which part (...), 0 to 1, of a straight relative move two are nearest; no gradient."""
+def closest_fraction(away: Tensor, move: Tensor) -> Tensor:
+    """Return at which fraction (...), 0 to 1, of a straight relative move two are closest; no gradient."""
     part = -(away * move).sum(-1) / move.square().sum(-1).clamp_min(1e-9)
     return part.detach().clamp(0, 1)
 
 
-def opposed(ahead: Tensor) -> Tensor:
+def are_opposed(ahead: Tensor) -> Tensor:
     """Return which pairs with directions (..., A, 2) go opposite ways (..., A, A), within 60 degrees."""
     return (ahead.unsqueeze(-2) * ahead.unsqueeze(-3)).sum(-1) < -0.5
 
@@ -133,8 +133,8 @@ def limited(velocity: Tensor, top_speed: Tensor) -> Tensor:
     return velocity * (top_speed / speed).clamp_max(1.0)
 
 
-def passes(begin: Tensor, end: Tensor, goal: Tensor, radius: float = GOAL_RADIUS) -> Tensor:
+def passes_goal(begin: Tensor, end: Tensor, goal: Tensor, radius: float = GOAL_RADIUS) -> Tensor:
     """Return which straight moves (..., 2) come within a radius of the goal (..., 2), (...,) bool; metres."""
     away, move = begin - goal, end - begin
-    nearest = away + nearest_part(away, move).unsqueeze(-1) * move
+    nearest = away + closest_fraction(away, move).unsqueeze(-1) * move
     return nearest.square().sum(-1) < radius**2

@@ -241,8 +241,8 @@ def file_path(path: str) -> str:
     return f"{sys.modules[module].__file__}:{name}" if module.startswith(_OF_FILES) else path
 
 
-def whole_name(text: str) -> str:
-    """Return a name with the path of the file of code in it written out: so the same code has one name."""
+def absolute_name(text: str) -> str:
+    """Return a name in which the path of a file of code is absolute."""
     file, code, name = text.partition(".py:")
     return f"{file_of_code(f'{file}.py') or f'{file}.py'}:{name}" if code else text
 
@@ -266,7 +266,7 @@ def _in_file(spec: str, kind: str, wanted: Callable[[Any], bool]) -> Any:
 
 
 def file_of_code(path: str | Path) -> Path | None:
-    """Return where a file is, or None; systems refuse to look for names that are long or have a zero byte."""
+    """Return the absolute path of a file, or None; also for names that are too long or have a zero byte."""
     try:
         file = Path(os.path.expanduser(path)).resolve()
         return file if file.is_file() else None

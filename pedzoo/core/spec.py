@@ -75,7 +75,7 @@ def parse(text: str) -> SpecText:
     return SpecText(name, settings)
 
 
-def spelled(text: str, settings: Mapping[str, Any]) -> str:
+def with_settings(text: str, settings: Mapping[str, Any]) -> str:
     """Return a name, or a text with settings, with further settings behind it: `parse` reads it again.
 
     Args:
@@ -144,7 +144,7 @@ def make(cls: type, kind: str, spec: Spec | SpecText, **given: Any) -> Any:
         raise UserError(
             f"{kind} {name!r:.200}: {error}; its settings: {', '.join(types) or 'none'}"
         ) from error
-    return make_ungrouped(cls, arguments)
+    return build_ungrouped(cls, arguments)
 
 
 def _typed(where: str, value: Any, hint: Any, written: bool) -> Any:
@@ -215,7 +215,7 @@ def setting_groups(cls: type) -> dict[str, Any]:
     return {item.name: item.default for item in taken if is_dataclass(item.default)}
 
 
-def homes(cls: type) -> dict[str, str]:
+def groups_by_setting(cls: type) -> dict[str, str]:
     """Return the group of every setting that is in one."""
     return {field.name: group for group, default in setting_groups(cls).items() for field in fields(default)}
 
@@ -240,7 +240,7 @@ def grouped(cls: type, given: Mapping[str, Any]) -> dict[str, Any]:
     Raises:
         UserError: A group is no mapping.
     """
-    home = homes(cls)
+    home = groups_by_setting(cls)
     result = {key: value for key, value in given.items() if key not in home}
     for key in given:
         if key in home:
@@ -251,7 +251,7 @@ def grouped(cls: type, given: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
-def make_ungrouped(cls: type, given: Mapping[str, Any]) -> Any:
+def build_ungrouped(cls: type, given: Mapping[str, Any]) -> Any:
     """Return an instance of a class with settings that are named without their groups.
 
     Raises:
@@ -279,6 +279,6 @@ def _changed(default: Any, values: Mapping[str, Any]) -> Any:
     return type(default)(**{k: v for k, v in own.items() if v != getattr(usual, k)} | dict(values))
 
 
-def flat(*given: Any) -> dict[str, Any]:
+def flattened(*given: Any) -> dict[str, Any]:
     """Return the settings of some dataclasses without their groups, as plain values."""
     return {key: value for group in given for key, value in asdict(group).items()}

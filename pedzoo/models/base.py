@@ -15,7 +15,7 @@ from torch.nn import functional
 
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
-from pedzoo.core.spec import flat, make_ungrouped
+from pedzoo.core.spec import build_ungrouped, flattened
 from pedzoo.core.types import PRED_LEN, GoalProtocol
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ class Forecaster(nn.Module):
 
     def built_with(self, *groups: Any) -> None:
         """Keep the settings that the model was built with; those of `Walking` say how it walks by default."""
-        self.config = flat(*groups)
+        self.config = flattened(*groups)
         for group in groups:
             if isinstance(group, Walking):
                 self.walking_safety, self.walking_extend_goal = group.safety, group.extend_goal
@@ -102,7 +102,7 @@ class Forecaster(nn.Module):
     @classmethod
     def of(cls, **settings: Any) -> Self:
         """Return a model of settings that are named without their groups, as files of weights have them."""
-        return make_ungrouped(cls, settings)
+        return build_ungrouped(cls, settings)
 
     def sample(
         self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from pedzoo.core.geometry import passes
+from pedzoo.core.geometry import passes_goal
 from pedzoo.core.randomness import Draws
 from pedzoo.core.types import GOAL_RADIUS
 from pedzoo.maps.planning.guidance import Guidance
@@ -130,5 +130,5 @@ def _walked(
 def _arrived(begin: Tensor, trace: Tensor, goal: Tensor, wanted: Tensor) -> Tensor:
     """Return which agents have come within 0.3 m of the goal until each trace point (B, A, S) bool."""
     points = torch.cat((begin.unsqueeze(2), trace), dim=2)
-    near = passes(points[:, :, :-1], points[:, :, 1:], goal.unsqueeze(2))
+    near = passes_goal(points[:, :, :-1], points[:, :, 1:], goal.unsqueeze(2))
     return (near & wanted.unsqueeze(2)).cummax(2).values

@@ -16,7 +16,7 @@ from lightning.pytorch.utilities import rank_zero_only
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.core.forms import refuse_code
-from pedzoo.core.registry import import_path, names_code, whole_name
+from pedzoo.core.registry import absolute_name, import_path, names_code
 from pedzoo.core.spec import setting_groups
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.train.modules.module import ForecastModule
@@ -156,7 +156,7 @@ def resumable_settings(settings: Mapping[str, Any], file: Path, typed: Set[str])
     Args:
         settings: All that the configuration says.
         file: Where it is, for messages.
-        typed: What the command line names, as of `whole_name`: code and classes of these may run.
+        typed: What the command line names, as of `absolute_name`: code and classes of these may run.
 
     Raises:
         UserError: It names other code, another class, or a place to write to.
@@ -192,7 +192,7 @@ class _Check(NamedTuple):
                 continue
             for one in value if isinstance(value, list) else [value]:
                 path = one.get("class_path") if isinstance(one, Mapping) else one
-                if key in _GIVES_ORDERS and isinstance(path, str) and whole_name(path) not in self.typed:
+                if key in _GIVES_ORDERS and isinstance(path, str) and absolute_name(path) not in self.typed:
                     raise UserError(f"trainer.{key} is {path!r:.80}, which gives orders")
                 if key == "callbacks":
                     self._class(object, one, f"trainer.{key}")
@@ -216,7 +216,7 @@ class _Check(NamedTuple):
             self._arguments(self._named(one["class_path"], place), one.get("init_args"), place)
 
     def _named(self, path: Any, place: str) -> type:
-        if typed := isinstance(path, str) and whole_name(path) in self.typed:
+        if typed := isinstance(path, str) and absolute_name(path) in self.typed:
             path = import_path(path) if names_code(path) else path
         elif not str(path).startswith(_CLASSES):
             raise UserError(f"{place} is of the class {path!r:.80}, and such a file may name pedzoo's alone")
@@ -254,7 +254,7 @@ class _Check(NamedTuple):
                 self._value(inner, place, own)
         elif isinstance(value, str) and not own and not place.endswith(".monitor"):
             to_disk = re.search("dir|path|file", place.rpartition(".")[2])
-            if whole_name(value) not in self.typed and (to_disk or _PLACE.search(value)):
+            if absolute_name(value) not in self.typed and (to_disk or _PLACE.search(value)):
                 raise UserError(
                     f"{place} is {value!r:.80}, and such a file may not name code or places there"
                 )

@@ -14,7 +14,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.paths import config_names
 from pedzoo.core.registry import SCENARIOS
 from pedzoo.core.size_limits import load_yaml, read_mapping
-from pedzoo.core.spec import Spec, SpecText, build, make, parse, spelled
+from pedzoo.core.spec import Spec, SpecText, build, make, parse, with_settings
 from pedzoo.sim.scenario_parts.scenario import Scenario
 
 
@@ -93,10 +93,10 @@ def test_scenarios_may_be_mappings() -> None:
 
 def test_what_is_spelled_out_is_read_again() -> None:
     settings = {"map": "/a,b/plan.yaml", "share": 0.05, "walls": False}
-    written = parse(spelled("goals", settings))
+    written = parse(with_settings("goals", settings))
     assert written.name == "goals"
     assert written.settings == {"map": "'/a,b/plan.yaml'", "share": "0.05", "walls": "false"}
-    assert spelled("door", {}) == "door"
+    assert with_settings("door", {}) == "door"
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import POLICIES, SCENARIOS
-from pedzoo.core.spec import Spec, build, flat, grouped, make_ungrouped, parse, setting_types, split
+from pedzoo.core.spec import Spec, build, build_ungrouped, flattened, grouped, parse, setting_types, split
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.policy import Policy
@@ -139,9 +139,9 @@ def test_settings_have_names_with_and_without_their_group() -> None:
 
 
 def test_defaults_are_those_of_the_class() -> None:
-    assert make_ungrouped(Box, {}).size == Size(1.0, 3.0)
-    assert make_ungrouped(Box, {"width": 4.0}).size == Size(4.0, 3.0)
-    assert make_ungrouped(Box, {"size": {"height": 1.0}}).size == Size(1.0, 1.0)
+    assert build_ungrouped(Box, {}).size == Size(1.0, 3.0)
+    assert build_ungrouped(Box, {"width": 4.0}).size == Size(4.0, 3.0)
+    assert build_ungrouped(Box, {"size": {"height": 1.0}}).size == Size(1.0, 1.0)
     circle: Any = build(SCENARIOS, "circle:jitter=0", Scenario)
     assert (circle.people, circle.aside, circle.jitter) == (4, 1.0, 0.0)
 
@@ -149,6 +149,6 @@ def test_defaults_are_those_of_the_class() -> None:
 def test_a_model_says_its_settings_without_groups() -> None:
     model = SGAN.of(noise_dim=4, best_k=3, safety=True)
     assert model.config == SGAN().config | {"noise_dim": 4, "best_k": 3, "safety": True}
-    assert flat(Size(1.0)) == {"width": 1.0, "height": 2.0}
+    assert flattened(Size(1.0)) == {"width": 1.0, "height": 2.0}
     with pytest.raises(UserError, match="noise_dim 32: expected 1 to 31"):
         SGAN.of(noise_dim=32)

@@ -16,7 +16,7 @@ from pedzoo.core import geometry
 from pedzoo.core.batch import agents_of
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
-from pedzoo.core.spec import make_ungrouped
+from pedzoo.core.spec import build_ungrouped
 from pedzoo.core.types import GoalProtocol
 from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.maps.bank import MapBank
@@ -405,7 +405,7 @@ def test_shipped_variants_learn(name: str, training_batches: dict, request: pyte
     if name.endswith("alexnet"):
         request.getfixturevalue("alexnet")
     options = load_config(name)["model"]["init_args"]["generator"]["init_args"]
-    model = make_ungrouped(SGAN, options)
+    model = build_ungrouped(SGAN, options)
     batch = training_batches[model.goal_protocol]
     optimizer = torch.optim.Adam(model.parameters())
     losses = []

@@ -21,7 +21,7 @@ from pedzoo.cli.main import main
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import rotate
-from pedzoo.core.spec import make_ungrouped
+from pedzoo.core.spec import build_ungrouped
 from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.policies.learned.walker import Walker
@@ -458,7 +458,7 @@ def test_command_line_fine_tunes_and_resumes(tmp_path: Path, monkeypatch: pytest
 )
 def test_what_cannot_be_is_refused(options: dict[str, Any], said: str) -> None:
     with pytest.raises(UserError, match=said):
-        make_ungrouped(
+        build_ungrouped(
             PPOModule, {"generator": small(), "scenarios": ["hallway"], "reward": Reward()} | options
         )
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.geometry import heading_of, passes
+from pedzoo.core.geometry import heading_of, passes_goal
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.policies.controller.arguments import (
     JUMP,
@@ -221,8 +221,11 @@ class Roster(NamedTuple):
         That holds for the goal as it was asked for and for where the planner has put it, which is on their
         side of the wall. Where the one is too far from the other, people go on to the latter.
         """
-        near = passes(begin, end, self.goal_point)
+        near = passes_goal(begin, end, self.goal_point)
         if not near.any():
             return self
-        asked, there = passes(begin, end, self.goal.float()), passes(begin, end, self.goal_point, _THERE)
+        asked, there = (
+            passes_goal(begin, end, self.goal.float()),
+            passes_goal(begin, end, self.goal_point, _THERE),
+        )
         return self._replace(stands=self.stands | near & asked | there)

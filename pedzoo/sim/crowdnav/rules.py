@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from pedzoo.core.geometry import limit_speed, nearest_part
+from pedzoo.core.geometry import closest_fraction, limit_speed
 from pedzoo.policies.local_planner import ObservedPeople, Robot
 from pedzoo.sim.crowdnav.cases import Cases, free_place
 from pedzoo.sim.crowdnav.draws import Draws
@@ -122,7 +122,7 @@ def swept_clearance(robot: Robot, people: ObservedPeople, velocity: Tensor, seco
     """
     away = people.position - robot.position[:, None]
     move = (people.velocity - velocity[:, None]) * seconds
-    apart = (away + nearest_part(away, move)[..., None] * move).norm(dim=-1)
+    apart = (away + closest_fraction(away, move)[..., None] * move).norm(dim=-1)
     return torch.where(people.mask, apart - robot.radius[:, None] - people.radius, torch.inf)
 
 

@@ -19,7 +19,7 @@ from pedzoo.core.geometry import identity_pose
 from pedzoo.core.randomness import Draws
 from pedzoo.core.registry import SCENARIOS
 from pedzoo.core.size_limits import load_yaml
-from pedzoo.core.spec import Spec, build, homes, setting_groups, setting_types
+from pedzoo.core.spec import Spec, build, groups_by_setting, setting_groups, setting_types
 from pedzoo.core.types import BODY_RADIUS, TOP_SPEED_RATIO
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.sim.scenario_parts.in_yaml import scenario_spec
@@ -203,7 +203,7 @@ def with_robots(
             "expected goals, door, hallway, circle or another one that has"
         )
     else:
-        home = homes(cls).get("people")
+        home = groups_by_setting(cls).get("people")
         usual = (
             setting_groups(cls)[home].people if home else inspect.signature(cls).parameters["people"].default
         )

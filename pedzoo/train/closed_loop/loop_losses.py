@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.geometry import nearest_part, opposed
+from pedzoo.core.geometry import are_opposed, closest_fraction
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.train.closed_loop.segments import Segment
@@ -156,7 +156,7 @@ def wrong_side(segment: Segment, side: Tensor) -> Tensor:
     mine = ahead.unsqueeze(-2)
     before = (away * mine).sum(-1)
     left = mine[..., 0] * away[..., 1] - mine[..., 1] * away[..., 0]
-    meet = opposed(ahead) & (before > 0) & (before < _MEET) & (left.abs() < _BESIDE)
+    meet = are_opposed(ahead) & (before > 0) & (before < _MEET) & (left.abs() < _BESIDE)
     meet &= present.unsqueeze(-1) & present.unsqueeze(-2)
     like = side.tanh().unsqueeze(-1)
     cost = like.abs() * (_APART + like.sign() * left).clamp_min(0)
@@ -178,7 +178,7 @@ def least_gaps(segment: Segment, meeting_margin: float = 0.0) -> Tensor:
         segment.moved.unsqueeze(-1), segment.asked * STEP_SECONDS, segment.trace[..., -1, :] - here
     )
     begin, move = (values.unsqueeze(2) - values.unsqueeze(3) for values in (here, way))  # (T, B, A, A, 2)
-    closest = begin + nearest_part(begin, move).unsqueeze(-1) * move
+    closest = begin + closest_fraction(begin, move).unsqueeze(-1) * move
     bodies = segment.radius.unsqueeze(2) + segment.radius.unsqueeze(3)
     gap = (closest.square().sum(-1) + 1e-8).sqrt() - bodies
     if meeting_margin:

@@ -14,7 +14,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from pedzoo.core.batch import agents_of, goals_of, maps_of
-from pedzoo.core.geometry import passes
+from pedzoo.core.geometry import passes_goal
 from pedzoo.core.types import AHEAD_SECONDS, GOAL_RADIUS, STEP_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planning.guidance import Guidance
@@ -157,7 +157,7 @@ def recorded(batch: TensorDict, steps: int) -> Unrolled:
     agents, there = agents_of(batch), known_to_be_there(batch)[..., :steps]
     destination, xy = goals_of(batch, "walking on")[0], agents["future"][:, :, :steps]
     before = torch.cat((agents["history"][:, :, -1:], xy[:, :, :-1]), 2)
-    arrives = passes(before, xy, destination.unsqueeze(2))
+    arrives = passes_goal(before, xy, destination.unsqueeze(2))
     had = torch.cat((torch.zeros_like(arrives[..., :1]), arrives[..., :-1]), 2).cummax(2).values
     walked = there & ~had & _controlled(before[:, :, 0], destination).unsqueeze(2)
     return Unrolled(xy, walked, there)

@@ -8,7 +8,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from pedzoo.core.batch import scene_batch
-from pedzoo.core.geometry import limit_speed, passes
+from pedzoo.core.geometry import limit_speed, passes_goal
 from pedzoo.core.types import AHEAD_SECONDS, OBS_LEN, STEP_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planning.guidance import Guidance
@@ -46,7 +46,7 @@ def recorded(real: Excerpts, before: int = 0) -> CrowdWalk:
     moves = real.walks.unsqueeze(2) & (frame > real.taken.unsqueeze(2)) & real.there
     moves &= frame >= OBS_LEN
     before_it = real.xy.roll(1, 2)
-    arrived = (passes(before_it, real.xy, real.exit.unsqueeze(2)) & moves).cummax(2).values
+    arrived = (passes_goal(before_it, real.xy, real.exit.unsqueeze(2)) & moves).cummax(2).values
     return CrowdWalk(real.xy, real.there, moves & ~arrived & (frame >= OBS_LEN + before))
 
 
@@ -102,7 +102,7 @@ def walked_on(policy: Policy, real: Excerpts, planner: Planner, key: Tensor, bef
                 here + STEP_SECONDS * command,
                 torch.where(plays.unsqueeze(2), real.xy[:, :, frame + 1], here.detach()),
             )
-        arrives = mine & passes(here.detach(), place.detach(), real.goal)
+        arrives = mine & passes_goal(here.detach(), place.detach(), real.goal)
         gone = gone | arrives
         path.append(place)
         there.append(mine | plays)

@@ -16,7 +16,7 @@ from torchrl.envs.utils import make_composite_from_td
 
 from pedzoo.core.bodies import HOLONOMIC, Fleet, RobotBody, speed_and_turn
 from pedzoo.core.errors import as_integer, unknown
-from pedzoo.core.geometry import direction_of, nearest_part, unrotate
+from pedzoo.core.geometry import closest_fraction, direction_of, unrotate
 from pedzoo.core.registry import ROBOTS
 from pedzoo.core.spec import build
 from pedzoo.sim.crowdnav.settings import CROWDNAV, CROWDNAV_PP, RADIUS, TIME_STEP, Setting
@@ -124,7 +124,7 @@ class CrowdNavEnv(EnvBase):
         velocity = self._driven(cast("Tensor", tensordict["robots", "action"]))
         people, moves = self._people()
         away, apart = people - self._robot[:, None], (moves - velocity[:, None]) * TIME_STEP
-        gap = (away + nearest_part(away, apart)[..., None] * apart).norm(dim=-1).amin(1)
+        gap = (away + closest_fraction(away, apart)[..., None] * apart).norm(dim=-1).amin(1)
         gap = gap - RADIUS - self.fleet.radius
         later = self.crowds.ahead(self._crowd, self._clock, self.setting.foresight)
         apart = (later - self._robot[:, None, None]).norm(dim=-1) - RADIUS - self.fleet.radius
