@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pedzoo.models.zoo.loading import list_models
     from pedzoo.policies.load import list_policies, list_scenarios, load
     from pedzoo.sim.make import make_env
-    from pedzoo.sim.robot_parts.make import make_robot_env
+    from pedzoo.sim.robots.env import make_robot_env
     from pedzoo.viz.episodes import plot, rollout
 
 __version__ = "0.1.0"
@@ -40,7 +40,7 @@ _HOME = {
     "list_scenarios": "pedzoo.policies.load",
     "load": "pedzoo.policies.load",
     "make_env": "pedzoo.sim.make",
-    "make_robot_env": "pedzoo.sim.robot_parts.make",
+    "make_robot_env": "pedzoo.sim.robots.env",
     "measure": "pedzoo.metrics.closed_loop",
     "plot": "pedzoo.viz.episodes",
     "rollout": "pedzoo.viz.episodes",

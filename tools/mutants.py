@@ -38,7 +38,7 @@ MODULES: dict[str, tuple[str, str]] = {
         "--ignore=tests/metrics/test_two_sample.py",
     ),
     "rewards": (
-        "pedzoo/sim/robot_rewards/*.py pedzoo/train/rl/rewards.py",
+        "pedzoo/sim/robots/rewards.py pedzoo/train/rl/rewards.py",
         "tests/sim/test_robot_env.py tests/train/test_ppo.py -k rewards+reward_adds+negative",
     ),
     "losses": (

@@ -27,7 +27,7 @@ LEAST_RADIUS = 0.01
 class RobotBody:
     """A robot is a disc with a drive and limits.
 
-    A robot by name is a subclass in a file of `pedzoo.sim.robots`, or ``file.py:Class``, with other defaults.
+    A robot by name is a subclass in `pedzoo.sim.robots.bodies`, or ``file.py:Class``, with other defaults.
 
     Attributes:
         drive: ``holonomic``: an action is (forward, left), m/s, in the robot's frame. ``unicycle``: (speed,

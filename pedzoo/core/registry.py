@@ -1,7 +1,8 @@
 """Finds drop-ins by walking their folder: a new model or dataset is one file, without a list to edit.
 
 A file ``constant_velocity.py`` holds a class ``ConstantVelocity`` (the file's name without underscores, any
-capitals). Names and one-line descriptions are read without imports, so that ``--help`` never waits for
+capitals). Where drop-ins are short, all classes of one file may be drop-ins instead, ``BlindCorner`` as
+``blind_corner``. Names and one-line descriptions are read without imports, so that ``--help`` never waits for
 torch. From an installed wheel, write ``path/to/file.py:Class`` wherever a name is accepted, or publish an
 entry point in the group ``pedzoo.plugins`` named ``<kind>.<name>``.
 """
@@ -11,6 +12,7 @@ import importlib
 import importlib.util
 import inspect
 import os
+import re
 import sys
 from collections.abc import Callable
 from fnmatch import fnmatch
@@ -43,8 +45,9 @@ class Registry:
 
         Args:
             kind: The word for one of them in messages.
-            package: ``pedzoo.*``, or ``tools.*``, which only a checkout has.
-            more: Other packages, whose files are served, too; those of ``tools.*`` in a checkout alone.
+            package: ``pedzoo.*``, or ``tools.*``, which only a checkout has; or a module, whose public
+                classes are served.
+            more: Other packages and modules, served, too; those of ``tools.*`` in a checkout alone.
         """
         self.kind = kind
         self.package = package
@@ -54,12 +57,15 @@ class Registry:
     def names(self) -> list[str]:
         """Return all names in alphabetical order, without importing any of them."""
         files = {path.stem for package in self._packages for path in folder_of(package).glob("[!_]*.py")}
-        return sorted(files | set(self._plugins()))
+        files -= {package.rpartition(".")[2] for package in self._packages}  # modules of several drop-ins
+        return sorted(files | set(self._in_modules()) | set(self._plugins()))
 
     def describe(self, name: str) -> str:
         """Return the first line of the drop-in's docstring, without importing it."""
-        package = self.package_of(name)
-        return (ast.get_docstring(_parsed(package, name)) or "").partition("\n")[0] if package else "plugin"
+        package, (_, node) = self.package_of(name), self._in_modules().get(name, (None, None))
+        if package:
+            node = _parsed(package, name)
+        return (ast.get_docstring(node) or "").partition("\n")[0] if node else "plugin"
 
     def described(self, pattern: str) -> list[dict[str, str]]:
         """Return ``name`` and ``about``, the description, of all whose name matches ``pattern``."""
@@ -83,6 +89,8 @@ class Registry:
         else:
             package, wanted = self.package_of(name), name.replace("_", "")
             tree = _parsed(package, name) if package else None
+            if name in self._in_modules():
+                tree = ast.Module([self._in_modules()[name][1]], [])
         body = tree.body if tree else []
         classes = (one for one in body if isinstance(one, ast.ClassDef))
         for part in (body, *(one.body for one in classes if one.name.lower() == wanted.lower())):
@@ -111,6 +119,9 @@ class Registry:
             return _in_file(name, "class", inspect.isclass)
         if (plugins := self._plugins()).get(name):
             return plugins[name].load()
+        if name in self._in_modules():
+            module, node = self._in_modules()[name]
+            return getattr(import_of_checkout(module), node.name)
         package = self.package_of(name)
         if package is None:
             raise unknown(self.kind, name, self.names())
@@ -127,6 +138,13 @@ class Registry:
             return None
         return next((one for one in self._packages if file_of_code(folder_of(one) / f"{name}.py")), None)
 
+    def _in_modules(self) -> dict[str, tuple[str, ast.ClassDef]]:
+        return {
+            name_of_class(node.name): (module, node)
+            for module in self._packages
+            for node in _public_classes(module)
+        }
+
     def _plugins(self) -> dict[str, Any]:
         prefix = f"{self.kind}."
         return {
@@ -134,6 +152,19 @@ class Registry:
             for point in _entry_points()
             if point.name.startswith(prefix)
         }
+
+
+def name_of_class(name: str) -> str:
+    """Return the name of a drop-in by that of its class: ``blind_corner`` of ``BlindCorner``."""
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
+
+
+@cache
+def _public_classes(module: str) -> list[ast.ClassDef]:
+    """Return the public classes that a module defines; none of a package."""
+    path = folder_of(module).with_suffix(".py")
+    body = ast.parse(path.read_text()).body if path.is_file() else []
+    return [node for node in body if isinstance(node, ast.ClassDef) and not node.name.startswith("_")]
 
 
 class FunctionRegistry(Registry):
@@ -291,9 +322,9 @@ SCENARIOS = Registry("scenario", "pedzoo.sim.scenarios", "pedzoo.sim.scenarios.e
 POLICIES = Registry("policy", "pedzoo.policies.rule_based")
 SUITES = Registry("suite", "pedzoo.eval.suites", "tools.paper.suites")
 PHYSICS = Registry("physics", "pedzoo.sim.physics")
-ROBOTS = Registry("robot", "pedzoo.sim.robots")
-SENSORS = Registry("sensor", "pedzoo.sim.sensors")
-ROBOT_REWARDS = Registry("robot reward", "pedzoo.sim.robot_rewards")
+ROBOTS = Registry("robot", "pedzoo.sim.robots.bodies")
+SENSORS = Registry("sensor", "pedzoo.sim.robots.sensors")
+ROBOT_REWARDS = Registry("robot reward", "pedzoo.sim.robots.rewards")
 ROBOT_POLICIES = Registry("robot policy", "pedzoo.policies.robots")
 METRICS = FunctionRegistry("metric", "pedzoo.metrics")
 

@@ -17,7 +17,7 @@ from pedzoo.policies.policy import Policy
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import CLEARANCE, make_scenario, usual_physics
 from pedzoo.sim.rollout import Rollout, joined
-from pedzoo.sim.scenario_parts.scenario import PreparedScenario, Scenario
+from pedzoo.sim.scenario import PreparedScenario, Scenario
 from pedzoo.sim.warm_start import WarmStart
 
 

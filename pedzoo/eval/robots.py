@@ -19,11 +19,10 @@ from pedzoo.metrics.robots import robot_metrics
 from pedzoo.policies.load import load_robot_policy
 from pedzoo.policies.robot_policy import RobotPolicy
 from pedzoo.sim.make import physics_class
-from pedzoo.sim.robot_parts.env import RobotEnv
-from pedzoo.sim.robot_parts.make import SENSES, clearance_of, make_robot_env
-from pedzoo.sim.robot_parts.rollout import RobotRollout, joined_robots
-from pedzoo.sim.robot_parts.scenes import RobotScenes, with_robots
-from pedzoo.sim.scenario_parts.scenario import PreparedScenario
+from pedzoo.sim.robots.env import SENSES, RobotEnv, clearance_of, make_robot_env
+from pedzoo.sim.robots.rollout import RobotRollout, joined_robots
+from pedzoo.sim.robots.scenes import RobotScenes, with_robots
+from pedzoo.sim.scenario import PreparedScenario
 
 
 def robot_rollout(

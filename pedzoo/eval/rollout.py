@@ -23,9 +23,9 @@ from pedzoo.policies.teams import Teams
 from pedzoo.sim.arrival import planned
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env, physics_class, usual_physics
-from pedzoo.sim.robot_parts.rollout import RobotRollout
+from pedzoo.sim.robots.rollout import RobotRollout
 from pedzoo.sim.rollout import Rollout, joined, rollout_of
-from pedzoo.sim.scenario_parts.scenario import PreparedScenario, Scenario
+from pedzoo.sim.scenario import PreparedScenario, Scenario
 from pedzoo.sim.state import State
 
 Progress = Callable[[str, int, int], None]

@@ -14,7 +14,7 @@ from pedzoo.policies.load import load_policy
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import CLEARANCE, make_scenario, prepare_scenario
 from pedzoo.sim.rollout import Rollout
-from pedzoo.sim.scenario_parts.scenario import PreparedScenario
+from pedzoo.sim.scenario import PreparedScenario
 
 QUICK = 10
 """A quick run has one in so many episodes."""

@@ -29,7 +29,7 @@ from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.metrics import arrival, contacts, smoothness
 from pedzoo.metrics import robot_functions as of_robots
 from pedzoo.metrics.ratios import Ratio, finite, mean, of_sums, ratio, share
-from pedzoo.sim.robot_parts.rollout import RobotRollout
+from pedzoo.sim.robots.rollout import RobotRollout
 from pedzoo.sim.rollout import Rollout
 
 LEGEND: Mapping[str, str] = {

@@ -10,7 +10,7 @@ from torch import Tensor
 from pedzoo.core.errors import UserError
 from pedzoo.core.randomness import Draws
 from pedzoo.core.types import GOAL_RADIUS
-from pedzoo.sim.scenario_parts.scenario import PreparedScenario
+from pedzoo.sim.scenario import PreparedScenario
 from pedzoo.sim.step_result import MotionInput
 
 LEAST_TIME_LIMIT = 20.0

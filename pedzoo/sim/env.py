@@ -29,7 +29,7 @@ from pedzoo.sim.observation import action_spec, done_spec, observation_spec, obs
 from pedzoo.sim.physics_parts.base import Physics
 from pedzoo.sim.physics_parts.camera import check_size
 from pedzoo.sim.physics_parts.state_picture import picture_of
-from pedzoo.sim.scenario_parts.scenario import WARM_SECONDS, PreparedScenario, Scenario
+from pedzoo.sim.scenario import WARM_SECONDS, PreparedScenario, Scenario
 from pedzoo.sim.state import TRACE_PER_STEP, State
 from pedzoo.sim.step_result import Events
 from pedzoo.sim.warm_start import WarmStart

@@ -20,7 +20,7 @@ from pedzoo.sim.arrival import deadline, later_goals, planned
 from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.sim.physics_parts.base import Physics
 from pedzoo.sim.replay.script import SceneStarts
-from pedzoo.sim.scenario_parts.scenario import LEAST_WAY, Layout, PreparedScenario, filled
+from pedzoo.sim.scenario import MIN_INITIAL_PATH, Layout, PreparedScenario, filled
 from pedzoo.sim.state import PAST_LEN, State
 
 TRIES = 8
@@ -116,9 +116,14 @@ class Episodes:
         )
 
     def _apart(self, state: State, guidance: Guidance) -> tuple[State, Guidance]:
-        """Return the state and its guidance, with another goal where one is nearer than `LEAST_WAY`."""
+        """Return the state and its guidance, with goals nearer than `MIN_INITIAL_PATH` redrawn."""
         for _ in range(TRIES):
-            near = state.mask & (state.stands <= 0) & (state.goal_id >= 0) & (guidance.distance < LEAST_WAY)
+            near = (
+                state.mask
+                & (state.stands <= 0)
+                & (state.goal_id >= 0)
+                & (guidance.distance < MIN_INITIAL_PATH)
+            )
             near = near & (state.next_goal >= 0)
             if not near.any():
                 break
@@ -219,8 +224,7 @@ def _check_numbers(layout: Layout, name: str) -> None:
     """Check that a scenario's layout is one, and that present agents have a place and a speed."""
     if not isinstance(layout, Layout):
         raise UserError(
-            f"{name}.layout returned {type(layout).__name__}: expected a "
-            "pedzoo.sim.scenario_parts.scenario.Layout"
+            f"{name}.layout returned {type(layout).__name__}: expected a pedzoo.sim.scenario.Layout"
         )
     for field in ("start", "pref_speed"):
         if not getattr(layout, field)[layout.mask].isfinite().all():

@@ -25,7 +25,7 @@ from pedzoo.sim.arrival import check_deadline, deadline, planned
 from pedzoo.sim.dynamics import driven
 from pedzoo.sim.physics_parts.base import Physics
 from pedzoo.sim.physics_parts.compiled_step import step_compiled, step_compiles
-from pedzoo.sim.scenario_parts.scenario import PreparedScenario, Scenario
+from pedzoo.sim.scenario import PreparedScenario, Scenario
 from pedzoo.sim.state import State
 from pedzoo.sim.step_result import CLOCK_ROUNDING, CONTACT_COST, Events
 from pedzoo.sim.waiting import WaitingUpdate, at_places, waiting_update

@@ -11,8 +11,8 @@ from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.physics_parts.base import Physics
-from pedzoo.sim.scenario_parts.in_yaml import scenario_spec
-from pedzoo.sim.scenario_parts.scenario import PreparedScenario, Scenario
+from pedzoo.sim.scenario import PreparedScenario, Scenario
+from pedzoo.sim.scenarios._yaml import scenario_spec
 from pedzoo.sim.warm_start import WarmStart
 
 CLEARANCE = 0.25

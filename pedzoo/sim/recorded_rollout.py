@@ -18,7 +18,7 @@ from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.sim.physics_parts.base import Physics
 from pedzoo.sim.replay.script import Script
 from pedzoo.sim.rollout import Rollout, rollout_of
-from pedzoo.sim.scenario_parts.scenario import PreparedScenario, Scenario
+from pedzoo.sim.scenario import PreparedScenario, Scenario
 from pedzoo.sim.state import TRACE_PER_STEP, State
 
 _AT_ONCE = 64

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from pedzoo.core.randomness import Draws
 from pedzoo.core.types import STEP_SECONDS, TRACE_SECONDS
-from pedzoo.sim.scenario_parts.scenario import Scenario
+from pedzoo.sim.scenario import Scenario
 from pedzoo.sim.state import State
 
 OVER_TIME = (

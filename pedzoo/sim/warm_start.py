@@ -18,7 +18,7 @@ from pedzoo.policies.orca.velocity import orca_velocity
 from pedzoo.sim import kernel
 from pedzoo.sim.observation import dense
 from pedzoo.sim.physics_parts.base import Physics
-from pedzoo.sim.scenario_parts.scenario import Layout
+from pedzoo.sim.scenario import Layout
 from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
 
 WarmStart = Literal["orca", "static", "recorded"]

@@ -18,8 +18,8 @@ from pedzoo.sim.physics_parts.camera import ROBOT_BODY, ROBOT_FRONT, Camera, fre
 from pedzoo.sim.physics_parts.floor_marks import draw_goal, draw_way
 from pedzoo.sim.physics_parts.stance import Stance
 from pedzoo.sim.physics_parts.top_view import draw_disc, draw_floor, draw_person
-from pedzoo.sim.robot_parts.env import RobotEnv
-from pedzoo.sim.robot_parts.rollout import RobotRollout
+from pedzoo.sim.robots.env import RobotEnv
+from pedzoo.sim.robots.rollout import RobotRollout
 from pedzoo.viz.video import Image, ShownEpisode, check_video_path, labelled, write_video
 
 FINER = 2

@@ -15,7 +15,7 @@ from pedzoo.core.paths import config_names
 from pedzoo.core.registry import SCENARIOS
 from pedzoo.core.size_limits import load_yaml, read_mapping
 from pedzoo.core.spec import Spec, SpecText, build, make, parse, with_settings
-from pedzoo.sim.scenario_parts.scenario import Scenario
+from pedzoo.sim.scenario import Scenario
 
 
 @pytest.fixture(autouse=True)

@@ -27,7 +27,7 @@ ROBOT = '''
     from pedzoo.core.batch import ROBOT, agents_of
     from pedzoo.core.geometry import heading_of
     from pedzoo.policies.policy import Policy
-    from pedzoo.sim.scenarios.encounters.circle import Circle
+    from pedzoo.sim.scenarios.encounters import Circle
     from pedzoo.core.bodies import UNICYCLE
 
 

@@ -22,9 +22,9 @@ from pedzoo.models.zoo.loading import untrained
 from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.load import load_policy
 from pedzoo.sim.make import make_env, prepare_scenario
-from pedzoo.sim.robot_parts.make import make_robot_env
-from pedzoo.sim.robot_parts.scenes import with_robots
-from pedzoo.sim.scenario_parts.scenario import Scenario
+from pedzoo.sim.robots.env import make_robot_env
+from pedzoo.sim.robots.scenes import with_robots
+from pedzoo.sim.scenario import Scenario
 from pedzoo.sim.scenarios.goals import Goals
 
 

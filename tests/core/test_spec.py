@@ -15,7 +15,7 @@ from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.policy import Policy
 from pedzoo.policies.rule_based.orca import Orca
-from pedzoo.sim.scenario_parts.scenario import Scenario
+from pedzoo.sim.scenario import Scenario
 
 
 def test_parts() -> None:

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 import pedzoo
-from pedzoo.sim.gym.ids import IDS
+from pedzoo.sim.gym import IDS
 
 PAGE = (Path(__file__).parents[2] / "docs" / "robots.md").read_text()
 *CALLS, OWN = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)

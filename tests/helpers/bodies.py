@@ -12,7 +12,7 @@ from pedzoo.core.randomness import Draws
 from pedzoo.maps.grid import OccupancyGrid, free_points
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
-from pedzoo.sim.scenario_parts.scenario import Layout, PreparedScenario, Scenario
+from pedzoo.sim.scenario import Layout, PreparedScenario, Scenario
 from pedzoo.sim.scenarios.goals import Goals
 from pedzoo.sim.state import State
 

@@ -12,7 +12,7 @@ from pedzoo.core.batch import scene_batch
 from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
 from pedzoo.sim.make import prepare_scenario
-from pedzoo.sim.scenario_parts.scenario import PreparedScenario
+from pedzoo.sim.scenario import PreparedScenario
 
 
 @lru_cache(maxsize=24)

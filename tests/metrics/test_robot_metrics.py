@@ -15,7 +15,7 @@ from pedzoo.core.bodies import Fleet, RobotBody
 from pedzoo.metrics import robot_functions as of_robots
 from pedzoo.metrics.ratios import summarised
 from pedzoo.metrics.robots import LEGEND, robot_metrics
-from pedzoo.sim.robot_parts.rollout import RobotRollout, joined_robots
+from pedzoo.sim.robots.rollout import RobotRollout, joined_robots
 from pedzoo.sim.rollout import Rollout
 
 

@@ -17,7 +17,7 @@ from pedzoo.eval.rollout import rollout
 from pedzoo.maps.formats import write_ros
 from pedzoo.maps.plans import rectangles, room, wall
 from pedzoo.sim.make import make_env
-from pedzoo.sim.scenario_parts.in_yaml import KEYS
+from pedzoo.sim.scenarios._yaml import KEYS
 from pedzoo.sim.scenarios.custom import SWAP, Custom
 
 ANNA = {"from": [1.0, 2.0], "to": [7.0, 2.0]}
@@ -58,7 +58,7 @@ def test_people_begin_where_the_file_says_on_their_way_to_their_goals(tmp_path: 
     assert slower.reset()["agents", "pref_speed"].flatten().tolist() == pytest.approx([1.0, 0.8])
 
 
-def test_everybody_arrives_through_the_door_of_the_map_beside_the_file(tmp_path: Path, rooms: str) -> None:
+def test_people_pass_the_door_of_a_map_beside_the_file(tmp_path: Path, rooms: str) -> None:
     """Nobody has come through a wall: who has no free floor behind them stands at first."""
     file = write(tmp_path / "mine.yaml", people=[ANNA, BEN], map=rooms)
     assert bool((make_env(file).reset()["agents", "velocity"] == 0).all())
@@ -131,7 +131,7 @@ def test_the_keys_are_the_settings_of_the_scenario() -> None:
 
 HALF = """
 import torch
-from pedzoo.sim.scenario_parts.scenario import Layout, Scenario
+from pedzoo.sim.scenario import Layout, Scenario
 
 
 class NoLayout(Scenario):

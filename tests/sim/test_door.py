@@ -10,8 +10,8 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.randomness import Draws
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.sim.make import make_env, make_scenario
-from pedzoo.sim.scenario_parts.ranges import Drawn
-from pedzoo.sim.scenario_parts.scenario import WARM_SECONDS, Layout
+from pedzoo.sim.scenario import WARM_SECONDS, Layout
+from pedzoo.sim.scenarios._base import Uniform
 from pedzoo.sim.scenarios.door import ABREAST, SPACING, Door
 
 SCENES = 200
@@ -42,6 +42,21 @@ def test_the_scenes_of_the_paper_stay_what_they_are() -> None:
     lateral = side * 0.6 + 0.1 * draws.normal("jitter", 2).clamp(-3, 3)
     assert torch.equal(plain.pref_speed, speed)
     assert torch.equal(plain.start, torch.stack((side * (2.5 + WARM_SECONDS * speed), lateral), dim=-1))
+
+
+def test_speeds_may_differ_at_the_door() -> None:
+    speed = layout("speed_ratio=0.5,speed_std=0,people=4")[1].pref_speed
+    assert torch.allclose(speed[0], torch.tensor([1.3, 0.65, 1.3, 0.65]))
+
+
+def test_walls_are_as_thick_and_doors_as_wide_as_named() -> None:
+    grid = make_env("door:width=0.9,thickness=0.1,people=1").bank.grids[0]
+    x, y, _ = grid.origin
+    column = round(-x / grid.resolution)
+    opening = (~grid.occupied("wall")[:, column]).sum() * grid.resolution
+    wall = grid.occupied("wall")[round((-y + 1.5) / grid.resolution)]
+    middle = wall[column - 10 : column + 10].sum() * grid.resolution
+    assert (opening, middle) == pytest.approx((0.9, 0.1))
 
 
 def test_each_side_draws_how_far_away_it_is() -> None:
@@ -144,6 +159,14 @@ def test_people_who_walk_together() -> None:
         ("sync=0.4,from_right=0", r"sync 0\.4: expected at least 0 s, and people from both sides"),
         ("from_right=3", "from_right 3 of 2 people: expected 0 to 2"),
         ("abreast=4", "abreast 4: expected 1 to 3"),
+        ("width=0.83", r"width 0\.83 is no multiple of the resolution 0\.05: the nearest are 0\.8 and 0\.85"),
+        ("width=[0.85,0.83]", r"width 0\.83 is no multiple"),
+        ("thickness=0", r"thickness 0\.0"),
+        ("people=0", "people 0: expected 1 to 10,000"),
+        ("people=100000000", "people 100000000: expected 1 to 10,000"),
+        ("speed=.nan", "speed nan, speed_std 0.2: expected at least 0.3 and 0"),
+        ("speed=0.1", r"speed 0\.1"),
+        ("speed_ratio=0", r"speed_ratio 0\.0"),
     ],
 )
 def test_doors_that_cannot_be(settings: str, message: str) -> None:
@@ -153,8 +176,8 @@ def test_doors_that_cannot_be(settings: str, message: str) -> None:
 
 def test_a_number_is_a_range_of_one() -> None:
     draws = Draws.for_episodes(1, torch.arange(50))
-    assert torch.equal(Drawn("x", "y", 0.3).of(draws, 2), torch.full((50, 2), 0.3))
-    many = Drawn("x", "y", (-1.0, 2.0)).of(draws, 20)
+    assert torch.equal(Uniform("x", "y", 0.3).draw(draws, 2), torch.full((50, 2), 0.3))
+    many = Uniform("x", "y", (-1.0, 2.0)).draw(draws, 20)
     assert -1 < float(many.min()) < -0.99 and 1.99 < float(many.max()) < 2
     with pytest.raises(UserError, match="expected a number or"):
-        Drawn("x", "y", float("nan"))
+        Uniform("x", "y", float("nan"))

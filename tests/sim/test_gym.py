@@ -19,7 +19,7 @@ from torchrl.envs.utils import check_env_specs
 
 import pedzoo.sim.gym
 from pedzoo.core.errors import UserError, install_command
-from pedzoo.sim.gym.ids import IDS
+from pedzoo.sim.gym import IDS
 from pedzoo.sim.gym.parallel import parallel_env
 
 CROSSING = "pedzoo/Crossing-v0"
@@ -218,7 +218,7 @@ def test_a_person_who_is_met_is_a_collision() -> None:
     assert info["SPL"] == info["STL"] == 0
 
 
-def test_recorded_people_do_not_react_and_crowdnavs_are_as_wide_as_there() -> None:
+def test_recorded_people_do_not_react() -> None:
     """Whatever the robot does, the others walk as they were recorded; it is in the place of one of them."""
     paths = []
     for action in ([0.0, 0.0], [1.0, 0.3]):

@@ -26,7 +26,7 @@ from pedzoo.policies.rule_based.go_to_goal import GoToGoal
 from pedzoo.sim import kernel
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env, prepare_scenario
-from pedzoo.sim.scenario_parts.scenario import Layout, PreparedScenario
+from pedzoo.sim.scenario import Layout, PreparedScenario
 from pedzoo.sim.scenarios.door import BEFORE, Door
 
 SCENES = ("door", "goals:people=[2,4],goals=2,pool=6")

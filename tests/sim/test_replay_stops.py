@@ -17,7 +17,7 @@ from pedzoo.maps.formats import write_ros
 from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
 from pedzoo.policies.learned.holding import holding_places
 from pedzoo.sim.replay.stops import Stops, stops_of
-from pedzoo.sim.robot_parts.make import make_robot_env
+from pedzoo.sim.robots.env import make_robot_env
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.scenarios.replay import PreparedReplay, Replay
 

@@ -61,7 +61,7 @@ def test_a_mirrored_scene_is_seen_mirrored() -> None:
     assert (expected < 4).sum() > 9 and (off[expected < 4] < 0.1).float().mean() > 0.85
 
 
-def test_people_are_seen_where_they_are_and_the_floor_below_the_horizon() -> None:
+def test_cameras_see_people_in_place_and_floor_below_the_horizon() -> None:
     """The robot looks along y; one person is 3 m ahead, another one 2 m to the left of that one."""
     position = torch.tensor([[[0.0, 3.0], [-2.0, 3.0], [0.0, 0.0]]])
     people = Bodies(

@@ -26,7 +26,7 @@ from pedzoo.models.zoo.loading import baselines, list_models, load, save_weights
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.load import load_policy
 from pedzoo.sim.make import make_env, make_scenario
-from pedzoo.sim.scenario_parts.scenario import LEAST_WAY
+from pedzoo.sim.scenario import MIN_INITIAL_PATH
 from pedzoo.sim.scenarios.goals import Goals
 
 EVERY_SCENARIO = pytest.mark.parametrize("name", SCENARIOS.names())
@@ -96,7 +96,7 @@ def test_no_person_starts_on_a_goal(name: str) -> None:
     env.reset()
     if env.prepared.script is None:
         walks = env.state.mask & ~env.state.holds
-        assert float(env.state.remaining_path[walks].min()) >= LEAST_WAY > 2 * GOAL_RADIUS
+        assert float(env.state.remaining_path[walks].min()) >= MIN_INITIAL_PATH > 2 * GOAL_RADIUS
 
 
 @pytest.mark.parametrize("warm_start", ["orca", "static"])
@@ -106,7 +106,7 @@ def test_goals_at_the_start_make_way_for_others(scenario: str, warm_start: Liter
     env = make_env(scenario, num_envs=300, seed=2, warm_start=warm_start)
     env.reset()
     state = env.state
-    assert float(state.remaining_path.min()) >= LEAST_WAY
+    assert float(state.remaining_path.min()) >= MIN_INITIAL_PATH
     assert bool((state.drawn > 0).any()) == (warm_start == "orca")
     assert (state.reached == 0).all()
     for episode in (0, *state.drawn.any(1).nonzero()[:3, 0].tolist()):
@@ -125,7 +125,7 @@ def test_a_scenario_without_other_goals_keeps_its_first_ones(tmp_path: Path) -> 
     )
     env = make_env(f"{tmp_path}/mine.py:One:people=3,pool=4", num_envs=200)
     env.reset()
-    assert (env.state.goal_id >= 0).all() and float(env.state.remaining_path.min()) < LEAST_WAY
+    assert (env.state.goal_id >= 0).all() and float(env.state.remaining_path.min()) < MIN_INITIAL_PATH
 
 
 @EVERY_SCENARIO
@@ -191,40 +191,6 @@ def test_a_turned_and_mirrored_scene_is_walked_alike(name: str) -> None:
         turned["agents", key] = turn_to_scene(now["agents", key], pose)
     expected = turn_to_scene(policy(now)["agents", "action"], pose)
     assert torch.allclose(policy(turned)["agents", "action"], expected, atol=1e-3)
-
-
-def test_door_widths_are_as_they_are_named() -> None:
-    env = make_env("door:width=0.9,thickness=0.1,people=1")
-    grid = env.bank.grids[0]
-    x, y, _ = grid.origin
-    column = round(-x / grid.resolution)
-    opening = (~grid.occupied("wall")[:, column]).sum() * grid.resolution
-    assert opening == pytest.approx(0.9)
-    wall = grid.occupied("wall")[round((-y + 1.5) / grid.resolution)]
-    middle = wall[column - 10 : column + 10].sum() * grid.resolution
-    assert middle == pytest.approx(0.1)
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ("width=0.83", r"width 0\.83 is no multiple of the resolution 0\.05: the nearest are 0\.8 and 0\.85"),
-        ("thickness=0", r"thickness 0\.0"),
-        ("people=0", "people 0: expected 1 to 10,000"),
-        ("people=100000000", "people 100000000: expected 1 to 10,000"),
-        ("speed=.nan", "speed nan, speed_std 0.2: expected at least 0.3 and 0"),
-        ("speed=0.1", r"speed 0\.1"),
-        ("speed_ratio=0", r"speed_ratio 0\.0"),
-    ],
-)
-def test_doors_that_cannot_be(settings: str, message: str) -> None:
-    with pytest.raises(UserError, match=message):
-        make_env(f"door:{settings}")
-
-
-def test_speeds_may_differ_at_the_door() -> None:
-    speed = make_env("door:speed_ratio=0.5,speed_std=0,people=4").reset()["agents", "pref_speed"]
-    assert torch.allclose(speed[0, :, 0], torch.tensor([1.3, 0.65, 1.3, 0.65]))
 
 
 def test_goals_are_new_ones_some_way_off() -> None:

@@ -23,7 +23,7 @@ import torch
 
 from pedzoo.core.batch import ROBOT
 from pedzoo.sim.make import make_scenario
-from pedzoo.sim.scenario_parts.scenario import PreparedScenario, Scenario
+from pedzoo.sim.scenario import PreparedScenario, Scenario
 from pedzoo.core.bodies import HOLONOMIC, UNICYCLE
 
 

@@ -13,7 +13,7 @@ from pedzoo.core.randomness import Draws
 from pedzoo.eval.comparison import row
 from pedzoo.eval.rollout import rollout
 from pedzoo.sim.make import make_env, make_scenario
-from pedzoo.sim.scenario_parts.scenario import Layout
+from pedzoo.sim.scenario import Layout
 from pedzoo.sim.scenarios.standing import Standing
 
 STANDS = "standing:people=3,at=0,seconds=2.1,speed_std=0,jitter=0"
@@ -104,12 +104,6 @@ def test_who_stands_is_a_constant_to_autograd() -> None:
     (slope,) = torch.autograd.grad(now["agents", "reward"].sum() + apart, gain)
     assert slope.isfinite().all() and slope[:, :2].norm(dim=-1).gt(0).all()
     assert slope[:, 2].eq(0).all()
-
-
-def test_batches_do_not_matter() -> None:
-    whole = make_env("standing", num_envs=9).reset()["agents", "history"]
-    alone = make_env("standing", num_envs=1, first_episode=7).reset()["agents", "history"]
-    assert torch.equal(whole[7], alone[0])
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.sim import kernel
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_physics
-from pedzoo.sim.robot_parts.env import RobotEnv
+from pedzoo.sim.robots.env import RobotEnv
 from pedzoo.sim.state import State
 from pedzoo.sim.step_result import Events
 

@@ -137,7 +137,7 @@ def test_people_who_come_go_to_the_end_of_the_line_of_that_moment() -> None:
     assert float(env.state.position[0, 2, 0]) < -0.8
 
 
-def test_drift_is_the_greatest_distance_from_the_place_until_there_is_another_goal() -> None:
+def test_drift_is_the_greatest_distance_while_waiting() -> None:
     """Of two who wait one drifts 0.3 m and back, then sets out; a third one walks."""
     path = torch.zeros(1, 3, 9, 2)
     path[0, 0, :, 0] = torch.tensor([0.0, 0.1, 0.3, 0.2, 0.1, 0.1, 1.0, 2.0, 3.0])
@@ -207,7 +207,7 @@ def test_scenes_end_even_if_no_person_moves(scenario: str) -> None:
     assert now["truncated"].all() and steps > 40
 
 
-@pytest.mark.parametrize("scenario", ["queue", "waiting", "groups", "two_way:people=10"])
+@pytest.mark.parametrize("scenario", ["queue", "waiting", "groups", "two_way:people=10", "standing"])
 def test_a_scene_is_the_same_alone_and_among_others(scenario: str) -> None:
     both = [walked(make_env(scenario, num_envs=n, first_episode=f), 12)[-1] for n, f in ((4, 0), (1, 2))]
     for key in ("history", "goal", "group", "controlled"):

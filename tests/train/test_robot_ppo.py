@@ -28,12 +28,9 @@ from pedzoo.policies.local_planner import ObservedPeople, Robot
 from pedzoo.policies.robot_policy import bodies_of
 from pedzoo.policies.robot_weights import load_planner
 from pedzoo.policies.robots.attention import Attention, as_action, as_decision, frame_of
-from pedzoo.sim.crowdnav.cases import cases
-from pedzoo.sim.crowdnav.rules import COLLISION, SUCCESS, TIMEOUT
-from pedzoo.sim.crowdnav.settings import CROWDNAV, CROWDNAV_PP
-from pedzoo.sim.robot_parts.make import make_robot_env
-from pedzoo.train.robots.crowdnav_crowds import Crowds
-from pedzoo.train.robots.crowdnav_env import CrowdNavEnv
+from pedzoo.sim.crowdnav import COLLISION, CROWDNAV, CROWDNAV_PP, SUCCESS, TIMEOUT, cases
+from pedzoo.sim.robots.env import make_robot_env
+from pedzoo.train.robots.crowdnav import CrowdNavEnv, Crowds
 from pedzoo.train.robots.experience import act, walked_once
 from pedzoo.train.robots.ppo import RobotPPO
 from pedzoo.train.robots.teacher import taught, teacher_of
@@ -196,7 +193,7 @@ def test_standing_where_a_person_will_be_costs_intrusion() -> None:
     """A person comes up to a robot that stands at (0, -4): bodies of 0.3 m overlap within 0.6 m."""
     env = CrowdNavEnv(1, CROWDNAV_PP, people=1, crowds=1, reward={"intrusion": 4.0})
     check_env_specs(env)
-    steps = torch.arange(env.crowds.steps + 1)
+    steps = torch.arange(env.crowds.place.shape[1])
     place = torch.stack((torch.zeros(len(steps)), -2.0 - 0.19 * steps.clamp_max(8)), -1)
     ends = torch.tensor([[0.0, -4.0]])
     env.crowds = Crowds(place.view(1, -1, 1, 2), torch.zeros(1, len(steps), 1, 2), ends, -ends)
@@ -209,7 +206,7 @@ def test_standing_where_a_person_will_be_costs_intrusion() -> None:
     assert costs == pytest.approx([0, 0, 0, -1.0])
 
 
-def test_people_of_crowdnav_pp_are_replaced_and_seen_within_five_metres() -> None:
+def test_crowdnav_pp_replaces_people_and_shows_the_near_ones() -> None:
     env = CrowdNavEnv(8, CROWDNAV_PP, crowds=8, first=1425)
     seen = cast("Any", env.reset()["robots", "observation"])
     gap = seen["people"][..., :2].norm(dim=-1) - 0.6
@@ -400,7 +397,7 @@ def test_what_cannot_be_is_refused(options: dict[str, Any], said: str) -> None:
         RobotPPO(Attention(width=16), **given)
 
 
-def test_people_who_are_misspelt_are_refused_in_one_line_before_a_run_is_begun(
+def test_misspelt_people_are_refused_before_a_run_begins(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)

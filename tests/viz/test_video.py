@@ -17,8 +17,8 @@ from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.eval.robots import robot_rollout
 from pedzoo.eval.rollout import rollout
 from pedzoo.sim.physics_parts.camera import person_color
-from pedzoo.sim.robot_parts.env import RobotEnv
-from pedzoo.sim.robot_parts.rollout import RobotRollout
+from pedzoo.sim.robots.env import RobotEnv
+from pedzoo.sim.robots.rollout import RobotRollout
 from pedzoo.viz.robots import film_robots, robot_frames
 from pedzoo.viz.video import GAP, HEADER, Image, film, read_video, write_video
 

@@ -27,7 +27,7 @@ from pedzoo.policies.controller.controller import Controller
 from pedzoo.sim.physics_parts.bodies import Bodies
 from pedzoo.sim.physics_parts.camera import person_color
 from pedzoo.sim.physics_parts.stance import SHOULDERS
-from pedzoo.sim.robot_parts.rollout import RobotRollout
+from pedzoo.sim.robots.rollout import RobotRollout
 from pedzoo.viz.plan_sheet import draw
 from pedzoo.viz.video import film
 from tools.pages.canvas import COLORS, ROBOT_COLOR, Canvas, headings, pale, save_gif

@@ -33,7 +33,7 @@ from pedzoo.maps.walls.outlines import outlines
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
 from pedzoo.sim.physics_parts.camera import person_color
-from pedzoo.sim.scenario_parts.encounter import Encounter
+from pedzoo.sim.scenarios._lanes import Encounter
 from pedzoo.viz.plots import draw_floor_plan
 
 WINDOW = (14.6, 10.8)

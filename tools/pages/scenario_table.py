@@ -39,7 +39,7 @@ from pedzoo.eval.results import markdown_table
 from pedzoo.eval.rollout import rollout
 from pedzoo.metrics.arrival import arrived_in_time, deadlocked
 from pedzoo.metrics.statistics import wilson
-from pedzoo.sim.scenario_parts.encounter import Encounter
+from pedzoo.sim.scenarios._lanes import Encounter
 from pedzoo.sim.scenarios.replay import Replay
 from pedzoo.viz.trajectories import draw_episode
 

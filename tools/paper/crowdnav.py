@@ -13,9 +13,7 @@ from pedzoo.eval.results import ResultTable
 from pedzoo.eval.work_units import fingerprint
 from pedzoo.metrics.ratios import Ratio, mean, of_sums, ratio, share, summarised
 from pedzoo.policies.robot_weights import load_planner
-from pedzoo.sim.crowdnav.cases import cases
-from pedzoo.sim.crowdnav.rules import COLLISION, FAILED, SUCCESS, TIMEOUT
-from pedzoo.sim.crowdnav.settings import TIME_STEP
+from pedzoo.sim.crowdnav import COLLISION, FAILED, SUCCESS, TIME_STEP, TIMEOUT, cases
 from tools.paper.base import Jobs
 from tools.paper.crowdnav_published import PUBLISHED
 from tools.paper.crowdnav_runs import CaseResults, run

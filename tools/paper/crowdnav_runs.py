@@ -8,9 +8,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.policies.local_planner import LocalPlanner, ObservedPeople, Robot
-from pedzoo.sim.crowdnav.cases import Cases
-from pedzoo.sim.crowdnav.rules import GOES_ON, begin, step
-from pedzoo.sim.crowdnav.settings import Setting
+from pedzoo.sim.crowdnav import GOES_ON, Setting, State, step
 
 DISCOUNT = 0.9
 """Of rewards per second at 1 m/s: CrowdNav's."""
@@ -20,7 +18,7 @@ class CaseResults(NamedTuple):
     """How B cases went.
 
     Attributes:
-        outcome: How they ended (B,) long, one of `pedzoo.sim.crowdnav.rules`.
+        outcome: How they ended (B,) long, one of `pedzoo.sim.crowdnav`.
         seconds: When they did (B,).
         steps: How many steps they had (B,).
         path: Metres that the robot went (B,).
@@ -43,7 +41,7 @@ class CaseResults(NamedTuple):
 
 
 @torch.no_grad()
-def run(policy: LocalPlanner, setting: Setting, cases: Cases) -> CaseResults:
+def run(policy: LocalPlanner, setting: Setting, cases: State) -> CaseResults:
     """Return how cases go with a policy; they stay as they were.
 
     Args:
@@ -54,7 +52,7 @@ def run(policy: LocalPlanner, setting: Setting, cases: Cases) -> CaseResults:
     Raises:
         ValueError: The policy's answer is not of the shape (B, 2).
     """
-    state = begin(setting, cases)
+    state = cases.copy()
     scenes = len(cases.goal)
     outcome, seconds = torch.full((scenes,), GOES_ON), torch.zeros(scenes).double()
     sums = {name: torch.zeros_like(seconds) for name in CaseResults._fields[2:]}

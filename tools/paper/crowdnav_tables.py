@@ -7,8 +7,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from pedzoo.eval.results import ResultTable
-from pedzoo.sim.crowdnav.cases import TEST
-from pedzoo.sim.crowdnav.settings import CROWDNAV, CROWDNAV_PP, Setting
+from pedzoo.sim.crowdnav import CROWDNAV, CROWDNAV_PP, TEST, Setting
 from tools.paper.base import interval_text
 from tools.paper.crowdnav_published import ORCA_LOG, ORCA_PP, PUBLISHED, SOCIAL_FORCE_LOG, Log, Published
 

@@ -4,7 +4,7 @@ from typing import ClassVar
 
 from pedzoo.core.registry import SCENARIOS
 from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite
-from pedzoo.sim.scenario_parts.encounter import Encounter
+from pedzoo.sim.scenarios._lanes import Encounter
 
 EPISODES = 20
 

@@ -12,7 +12,7 @@ from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, ShareDone, Suit
 from pedzoo.eval.suites.replay import digest_of
 from pedzoo.metrics.robots import LEGEND
 from pedzoo.policies.load import load_policy, load_robot_policy
-from pedzoo.sim.robot_parts.rollout import joined_robots
+from pedzoo.sim.robots.rollout import joined_robots
 
 EPISODES = 50
 

@@ -1,20 +1,55 @@
-"""The batched environment in NumPy: what the single, the vector and the parallel environment share."""
+"""The batched environment in NumPy, which the single, the vector and the parallel environment share."""
 
 from __future__ import annotations
 
+import os
+import sys
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 import torch
+from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Composite
+from torchrl.data.tensor_specs import TensorSpec
 
-from pedzoo.core.errors import UserError
-from pedzoo.sim.gym.info import Info, RobotTotals
-from pedzoo.sim.gym.render import MODES, Pictures
-from pedzoo.sim.gym.spaces import Observation, Observations, action_space
-from pedzoo.sim.robot_parts.env import RobotEnv
-from pedzoo.sim.robot_parts.make import make_robot_env
+from pedzoo.core.batch import ROBOT, agents_of
+from pedzoo.core.errors import UserError, installed
+from pedzoo.core.geometry import direction_of
+from pedzoo.core.types import TRACE_SECONDS
+from pedzoo.sim.physics_parts.camera import Camera, check_size, person_color
+from pedzoo.sim.physics_parts.floor_marks import draw_goal
+from pedzoo.sim.physics_parts.state_picture import bodies_seen
+from pedzoo.sim.robots.env import RobotEnv, make_robot_env
+
+MODES = ("rgb_array", "human")
+"""What ``render_mode`` may be, beside None."""
+
+FPS = 5
+"""Pictures a second at which videos run as fast as the world, where robots decide every 0.2 s."""
+
+OWN = ("goal", "radius", "velocity", "heading", "turn_rate", "waypoint", "remaining_path")
+"""Readings of which the vector ``robot`` is made, in this order; those that no sensor gives are left out."""
+
+NAMES = {"people_mask": "mask", "patch": "map"}
+"""What Gymnasium's users call readings; all others keep their names."""
+
+PERSONAL_SPACE = 0.45
+"""Metres between bodies of which people keep free what they can (Hall 1966; SocNavGym)."""
+
+FLAGS = {
+    "SUCCESS": "success",
+    "COLLISION_HUMAN": "person_contact",
+    "COLLISION_ROBOT": "robot_contact",
+    "COLLISION_WALL": "wall_contact",
+    "TIMEOUT": "timeout",
+    "FAILED": "failed",
+}
+"""Flags of ``info`` under the names of CrowdNav and SocNavGym, and what `Outcome` calls them."""
+
+Observation = dict[str, NDArray[Any]]
 
 
 class Step(NamedTuple):
@@ -25,14 +60,128 @@ class Step(NamedTuple):
         reward: Of the robots; 0 after a reset.
         terminated: They arrived, or touched something that ends their episode.
         truncated: Their time is up, or an action was no number.
-        info: See `pedzoo.sim.gym.info`.
+        info: `FLAGS`, and what `Totals` adds up.
     """
 
     observation: Observation
     reward: NDArray[np.float64]
     terminated: NDArray[np.bool_]
     truncated: NDArray[np.bool_]
-    info: Info
+    info: dict[str, NDArray[Any]]
+
+
+class Observations:
+    """Turns the readings of sensors into the Dict observation, and says what space it is in.
+
+    Attributes:
+        space: Of one robot.
+        columns: Where each reading is in ``robot``.
+    """
+
+    def __init__(self, spec: Composite) -> None:
+        """Take what ``robots/observation`` is like, (B, R, ...)."""
+        readings = {str(name): cast("TensorSpec", spec[name]) for name in spec.keys()}
+        self.columns: dict[str, slice] = {}
+        self._others = {name: NAMES.get(name, name) for name in readings if name not in OWN}
+        bounds, entries, width = [_bounds(readings[name]) for name in OWN if name in readings], {}, 0
+        for name, (low, _) in zip((name for name in OWN if name in readings), bounds, strict=True):
+            self.columns[name] = slice(width, width + low.size)
+            width += low.size
+        if bounds:
+            low, high = (np.concatenate(side) for side in zip(*bounds, strict=True))
+            entries["robot"] = spaces.Box(low, high, dtype=np.float32)
+        self.space = spaces.Dict(
+            entries | {called: _space(readings[name]) for name, called in self._others.items()}
+        )
+
+    def __call__(self, seen: TensorDictBase) -> Observation:
+        """Return the observations (B, R, ...) of a batch; the arrays are the caller's own."""
+        result: Observation = {}
+        if self.columns:
+            parts = [cast("Tensor", seen[name]).flatten(2) for name in self.columns]
+            result["robot"] = torch.cat(parts, -1).cpu().numpy()
+        for name, called in self._others.items():
+            value = cast("Tensor", seen[name]).cpu().numpy()
+            result[called] = value.astype(self.space[called].dtype, copy=True)
+        return result
+
+
+def _bounds(spec: TensorSpec) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    space = cast("Any", spec).space
+    return space.low[0, 0].cpu().numpy().reshape(-1), space.high[0, 0].cpu().numpy().reshape(-1)
+
+
+def _space(spec: TensorSpec) -> spaces.Space[Any]:
+    shape = tuple(spec.shape[2:])
+    if spec.dtype == torch.bool:
+        return spaces.MultiBinary(shape[0] if len(shape) == 1 else list(shape))
+    low, high = (side.reshape(shape) for side in _bounds(spec))
+    return spaces.Box(low, high, dtype=low.dtype.type)
+
+
+class Totals:
+    """Adds up what robots (B, R) have done since their episodes began, for ``info``."""
+
+    def __init__(self, env: RobotEnv) -> None:
+        """Take the environment, whose next observation is that of a reset."""
+        self._env = env
+        self._zero = torch.zeros(env.batch_size[0], env.robots, device=env.device)
+        self._sums: dict[str, Tensor] = dict.fromkeys(
+            ("shortest", "gap", "seconds", "length", "personal"), self._zero
+        )
+        self._place = self._zero.unsqueeze(-1).expand(-1, -1, 2)
+
+    def begin(self, seen: TensorDictBase, scenes: Tensor) -> None:
+        """Begin anew in some ``scenes`` (B,) bool of which ``seen`` is the first observation."""
+        agents, last, row = agents_of(seen), slice(-self._env.robots, None), scenes.view(-1, 1)
+        here = cast("Tensor", agents["history"])[:, last, -1]
+        new = dict.fromkeys(self._sums, self._zero)
+        new["shortest"] = cast("Tensor", agents["info", "remaining_path"])[:, last]
+        new["gap"] = self._gap(seen, here.unsqueeze(2))
+        self._sums = {name: torch.where(row, new[name], total) for name, total in self._sums.items()}
+        self._place = torch.where(row.unsqueeze(-1), here, self._place)
+
+    def add(self, seen: TensorDictBase) -> None:
+        """Add the decision of which ``seen`` is the observation; robots that had ended do not move."""
+        active = cast("Tensor", seen["robots", "info", "active"])
+        trace = cast("Tensor", agents_of(seen)["info", "trace"])[:, -self._env.robots :]
+        way = torch.cat((self._place.unsqueeze(2), trace), 2)
+        length = torch.linalg.vector_norm(way[:, :, 1:] - way[:, :, :-1], dim=-1).sum(-1)
+        seconds, gap = TRACE_SECONDS * trace.shape[2], self._gap(seen, trace)
+        personal = seconds * (gap < PERSONAL_SPACE)
+        for name, value in {"seconds": seconds, "length": length, "personal": personal}.items():
+            self._sums[name] = self._sums[name] + torch.where(active, value, 0.0)
+        self._sums["gap"] = torch.where(active, gap, self._sums["gap"])
+        self._place = trace[:, :, -1]
+
+    def info(self, seen: TensorDictBase) -> dict[str, NDArray[Any]]:
+        """Return what ``info`` says (B, R)."""
+        flags, sums = cast("TensorDictBase", seen["robots", "info"]), self._sums
+        result = {name: cast("Tensor", flags[key]) for name, key in FLAGS.items()}
+        success, shortest, seconds = result["SUCCESS"], sums["shortest"], sums["seconds"]
+        fastest = shortest / self._env.fleet.top_speed
+        result |= {
+            "COLLISION": result["COLLISION_HUMAN"] | result["COLLISION_ROBOT"] | result["COLLISION_WALL"],
+            "is_success": success,
+            "TIME_TO_REACH_GOAL": seconds,
+            "PATH_LENGTH": sums["length"],
+            "SPL": success * shortest / sums["length"].maximum(shortest).clamp_min(1e-6),
+            "STL": success * fastest / seconds.maximum(fastest).clamp_min(1e-6),
+            "MINIMUM_DISTANCE_TO_HUMAN": sums["gap"],
+            "PERSONAL_SPACE_COMPLIANCE": 1 - sums["personal"] / seconds.clamp_min(TRACE_SECONDS),
+        }
+        return {name: value.cpu().numpy().copy() for name, value in result.items()}
+
+    def _gap(self, seen: TensorDictBase, mine: Tensor) -> Tensor:
+        """Return how near people's bodies came (B, R) on robots' ways (B, R, S, 2), metres."""
+        agents = agents_of(seen)
+        radius = cast("Tensor", agents["radius"])[..., 0]
+        person = agents["mask"] & (agents["kind"] != ROBOT)
+        theirs = cast("Tensor", agents["info", "trace"])[:, :, -mine.shape[2] :]
+        apart = torch.linalg.vector_norm(mine.unsqueeze(2) - theirs.unsqueeze(1), dim=-1)
+        bodies = radius[:, -self._env.robots :].unsqueeze(2) + radius.unsqueeze(1)
+        gap = apart - bodies.unsqueeze(-1)
+        return gap.masked_fill(~person[:, None, :, None], torch.inf).amin((2, 3))
 
 
 class Batched:
@@ -41,7 +190,7 @@ class Batched:
     Attributes:
         env: The environment of TorchRL.
         observations: What robots observe, and its space.
-        actions: The space of every robot's actions.
+        actions: The space of every robot's actions; the bounds are its limits.
     """
 
     def __init__(
@@ -61,10 +210,19 @@ class Batched:
             raise UserError(f"render_mode {render_mode!r}: expected one of {', '.join(MODES)}, or None")
         self.env: RobotEnv = make_robot_env(scenario, **settings)
         self.observations = Observations(cast("Any", self.env.observation_spec["robots", "observation"]))
-        self.actions = [action_space(body) for body in self.env.scenes.bodies]
+        limits = [np.array(body.limits, dtype=np.float32).T for body in self.env.scenes.bodies]
+        self.actions = [spaces.Box(low, high, dtype=np.float32) for low, high in limits]
         self._seed, self._begun = seed, False
-        self._totals = RobotTotals(self.env)
+        self._totals = Totals(self.env)
         self._pictures = Pictures(self.env, render_mode, size)
+
+    def check_one_robot(self) -> None:
+        """Check that there is one robot in a scene. Raises UserError: there are several."""
+        if self.env.robots > 1:
+            raise UserError(
+                f"{self.env.robots} robots: Gymnasium's environments have one; several of them have "
+                "pedzoo.sim.gym.parallel.parallel_env(...)"
+            )
 
     def reset(
         self,
@@ -77,28 +235,23 @@ class Batched:
         The first time all scenes begin. A seed that is not given is that of the settings then, or one by
         ``chance``.
         """
-        everything = np.ones(self.env.batch_size[0], dtype=bool)
         begun, self._begun = self._begun, True
-        which = everything if scenes is None or not begun else scenes
-        if seed is None:
-            if begun:
-                return self.restart(which)
+        which = scenes if begun and scenes is not None else np.ones(self.env.batch_size[0], dtype=bool)
+        if seed is None and not begun:
             seed = int(chance.integers(2**31)) if self._seed is None else self._seed
+        if seed is None:
+            return self.restart(which)
         if not begun:
             self.env.set_seed(0 if isinstance(seed, list) else seed)
         if isinstance(seed, list) or begun:
             self.env.choose_scenes(torch.from_numpy(which), seed)
-        return (
-            self._begun_with(self.env.reset(), torch.from_numpy(which))
-            if which.all()
-            else self.restart(which)
-        )
+        return self._first(self.env.reset(), torch.from_numpy(which)) if which.all() else self.restart(which)
 
     def restart(self, scenes: NDArray[np.bool_]) -> Step:
         """Begin the next episodes of some scenes (B,) bool."""
         which = torch.from_numpy(scenes).to(self.env.device)
-        asked = TensorDict({"_reset": which.unsqueeze(-1)}, self.env.batch_size, device=self.env.device)
-        return self._begun_with(self.env.reset(asked), which)
+        flags = TensorDict({"_reset": which.unsqueeze(-1)}, self.env.batch_size, device=self.env.device)
+        return self._first(self.env.reset(flags), which)
 
     def step(self, action: ArrayLike) -> Step:
         """Take a decision of all robots (B, R, 2), or (B, 2) of one in each scene.
@@ -107,20 +260,18 @@ class Batched:
             UserError: The action has another shape.
         """
         given = torch.as_tensor(np.asarray(action, dtype=np.float32), device=self.env.device)
-        shape = (*self.env.batch_size, self.env.robots, 2)
-        scenes, robots = shape[:2]
+        scenes, robots = self.env.batch_size[0], self.env.robots
         # one scene, or one robot, needs no dimension of its own
-        alike = {shape, *([shape[1:]] if scenes == 1 else []), *([(scenes, 2)] if robots == 1 else [])}
-        if scenes == robots == 1:
-            alike.add((2,))
-        if tuple(given.shape) not in alike:
-            raise UserError(f"action of shape {tuple(given.shape)}: expected {shape[1:]} per scene")
-        decided = TensorDict({"action": given.view(shape)}, shape[:2], device=self.env.device)
-        asked = TensorDict({"robots": decided}, self.env.batch_size, device=self.env.device)
-        seen = cast("TensorDictBase", self.env.step(asked)["next"])
+        shapes = {(scenes, robots, 2), *([(robots, 2)] if scenes == 1 else [])}
+        shapes |= {(scenes, 2), *([(2,)] if scenes == 1 else [])} if robots == 1 else set()
+        if tuple(given.shape) not in shapes:
+            raise UserError(f"action of shape {tuple(given.shape)}: expected {(robots, 2)} per scene")
+        group = TensorDict({"action": given.view(scenes, robots, 2)}, (scenes, robots))
+        actions = TensorDict({"robots": group}, self.env.batch_size, device=self.env.device)
+        seen = cast("TensorDictBase", self.env.step(actions)["next"])
         self._totals.add(seen)
         self._pictures.show()
-        return self._said(seen)
+        return self._step_of(seen)
 
     def picture(self) -> list[NDArray[np.uint8]] | None:
         """Return a picture (H, W, 3) of every scene; None where they are shown in a window, or not at all."""
@@ -131,19 +282,16 @@ class Batched:
         self._pictures.close()
         self.env.physics.close()
 
-    def _begun_with(self, seen: TensorDictBase, which: torch.Tensor) -> Step:
+    def _first(self, seen: TensorDictBase, which: Tensor) -> Step:
         self._totals.begin(seen, which.to(self.env.device))
         self._pictures.begin()
-        return self._said(seen)
+        return self._step_of(seen)
 
-    def _said(self, seen: TensorDictBase) -> Step:
+    def _step_of(self, seen: TensorDictBase) -> Step:
         robots = cast("TensorDictBase", seen["robots"])
-        reward = robots.get("reward", None)
-        terminated, truncated = (
-            cast("torch.Tensor", robots[name])[..., 0].cpu().numpy().copy()
-            for name in ("terminated", "truncated")
-        )
-        shape = (self.env.batch_size[0], self.env.robots)
+        reward, shape = robots.get("reward", None), (self.env.batch_size[0], self.env.robots)
+        ends = (cast("Tensor", robots[name])[..., 0] for name in ("terminated", "truncated"))
+        terminated, truncated = (flags.cpu().numpy().copy() for flags in ends)
         return Step(
             self.observations(cast("TensorDictBase", robots["observation"])),
             np.zeros(shape) if reward is None else reward[..., 0].double().cpu().numpy(),
@@ -151,3 +299,92 @@ class Batched:
             truncated,
             self._totals.info(seen),
         )
+
+
+class Pictures:
+    """Pictures of the scenes from the top with robots' headings and goals, or the first one in a window."""
+
+    def __init__(self, env: RobotEnv, mode: str | None, size: tuple[int, int]) -> None:
+        """Take the environment; ``size`` is width and height in pixels.
+
+        Raises:
+            UserError: There is no such size, or no display to show a window on.
+        """
+        check_size(size)
+        self._env, self._mode, self._size = env, mode, size
+        self._cameras: dict[int, Camera] = {}
+        self._window: Any = _window() if mode == "human" else None
+
+    def begin(self) -> None:
+        """Look anew where scenes begin: the camera then stands still until their end."""
+        self._cameras.clear()
+        self.show()
+
+    def show(self) -> None:
+        """Draw into the window, if there is one."""
+        if self._window is not None:
+            self._window.clear()
+            self._window.set_axis_off()
+            self._window.imshow(self._of(0))
+            self._window.figure.canvas.draw_idle()
+            self._window.figure.canvas.flush_events()
+
+    def taken(self) -> list[NDArray[np.uint8]] | None:
+        """Return a picture (H, W, 3) RGB of every scene, in the mode ``rgb_array``."""
+        scenes = self._env.batch_size[0]
+        return [self._of(scene) for scene in range(scenes)] if self._mode == "rgb_array" else None
+
+    def close(self) -> None:
+        """Close the window."""
+        if self._window is not None:
+            import matplotlib.pyplot as plt
+
+            plt.close(self._window.figure)
+            self._window = None
+
+    def _of(self, scene: int) -> NDArray[np.uint8]:
+        import cv2
+
+        env, state, size = self._env, self._env.state, self._size
+        bodies = bodies_seen(state)
+        if scene not in self._cameras:
+            there = state.mask[scene]
+            seen = torch.cat((state.position[scene][there], state.goal_point[scene][there]))
+            camera = Camera().around(seen, size) if int(state.map_id[scene]) < 0 else None
+            self._cameras[scene] = env.physics.framed(bodies, scene, size, camera)
+        camera = self._cameras[scene]
+        image = np.ascontiguousarray(env.physics.image(bodies, scene, size, camera))
+        for slot in range(state.mask.shape[1] - env.robots, state.mask.shape[1]):
+            if state.mask[scene, slot]:
+                here, radius = state.position[scene, slot], state.radius[scene, slot]
+                front = here + radius * direction_of(state.heading[scene, slot])
+                points = torch.stack((here, front)).detach().cpu().double().numpy()
+                here, front = np.round(camera.floor_pixels(points, size)).astype(int).tolist()
+                wide = max(3, round(float(radius) * size[0] / (camera.width or 1.0)))
+                cv2.circle(image, here, wide, (0, 0, 0), 2, cv2.LINE_AA)
+                cv2.line(image, here, front, (0, 0, 0), 2, cv2.LINE_AA)
+                draw_goal(image, state.goal_point[scene, slot], camera, size, person_color(slot), 2)
+        return image
+
+
+def modes_here() -> list[str]:
+    """Return the modes of this machine: a window needs a display."""
+    shown = sys.platform in ("darwin", "win32") or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
+    backend = os.environ.get("MPLBACKEND", "").lower()
+    drawn = backend not in ("agg", "cairo", "pdf", "pgf", "ps", "svg", "template")
+    return [*MODES] if shown and drawn and installed("matplotlib") else [*MODES[:1]]
+
+
+def _window() -> Any:
+    import matplotlib.pyplot as plt
+    from matplotlib.backends.registry import BackendFilter, backend_registry
+
+    backend = plt.get_backend()
+    windows = [name.lower() for name in backend_registry.list_builtin(BackendFilter.INTERACTIVE)]
+    if backend.lower() not in windows:
+        raise UserError(
+            f"render_mode 'human' needs a display, and matplotlib has none here (its backend is {backend}): "
+            "use render_mode='rgb_array', or set DISPLAY"
+        )
+    plt.ion()
+    return plt.figure("pedzoo").add_axes((0, 0, 1, 1))

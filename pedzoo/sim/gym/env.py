@@ -5,17 +5,11 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 import gymnasium
-import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pedzoo.core.errors import UserError, as_integer
 from pedzoo.core.spec import Spec
-from pedzoo.sim.gym.batched import Batched, Step
-from pedzoo.sim.gym.render import MODES, modes_here
-from pedzoo.sim.gym.spaces import Observation
-
-FPS = 5
-"""Pictures a second at which videos run as fast as the world, where robots decide every 0.2 s."""
+from pedzoo.sim.gym.batched import FPS, MODES, Batched, Observation, Step, modes_here
 
 
 class OneScene:
@@ -57,15 +51,11 @@ class OneScene:
         self.set_spaces()
 
     def set_spaces(self) -> None:
-        """Say what robots observe and do.
-
-        Raises:
-            UserError: There are too many robots.
-        """
+        """Say what robots observe and do. Raises UserError: there are too many robots."""
         raise NotImplementedError
 
-    def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture (H, W, 3) from the top in the mode ``rgb_array``; windows draw by themselves."""
+    def render(self) -> NDArray[Any] | None:
+        """Return a picture (H, W, 3) uint8 from the top in the mode ``rgb_array``; else None."""
         pictures = self.batched.picture()
         return pictures[0] if pictures else None
 
@@ -75,7 +65,7 @@ class OneScene:
 
 
 class RobotGymEnv(OneScene, gymnasium.Env[Any, Any]):
-    """One scene with one robot; `pedzoo.sim.gym.ids` names some.
+    """One scene with one robot; `pedzoo.sim.gym.IDS` names some.
 
     Observations are a Dict. ``robot`` holds what the robot knows of itself, see `Observations.columns`; all
     is in its own frame, x ahead and y to the left. ``people`` (N, 5) are x, y, vx, vy, radius of the nearest
@@ -87,7 +77,7 @@ class RobotGymEnv(OneScene, gymnasium.Env[Any, Any]):
 
     def set_spaces(self) -> None:
         """See `OneScene.set_spaces`."""
-        check_one_robot(self.batched)
+        self.batched.check_one_robot()
         self.observation_space = self.batched.observations.space
         self.action_space = self.batched.actions[0]
 
@@ -97,33 +87,20 @@ class RobotGymEnv(OneScene, gymnasium.Env[Any, Any]):
         """Begin the first scene of a seed, or else the next one; there are no options."""
         seed = None if seed is None else as_integer("seed", seed)
         super().reset(seed=seed)
-        observation, *_, info = _first(self.batched.reset(seed, self.np_random))
+        observation, *_, info = robot_of(self.batched.reset(seed, self.np_random))
         return observation, info
 
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Take a decision; an action that is no number truncates the episode, as ``info["FAILED"]`` says."""
-        return _first(self.batched.step(action))
+        return robot_of(self.batched.step(action))
 
 
-def check_one_robot(batched: Batched) -> None:
-    """Check that there is one robot in a scene.
-
-    Raises:
-        UserError: There are several.
-    """
-    if batched.env.robots > 1:
-        raise UserError(
-            f"{batched.env.robots} robots: Gymnasium's environments have one; several of them have "
-            "pedzoo.sim.gym.parallel.parallel_env(...)"
-        )
-
-
-def _first(step: Step) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-    """Return what came of a decision for the first robot of the first scene."""
+def robot_of(step: Step, robot: int = 0) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    """Return what came of a decision for one robot of the first scene."""
     return (
-        {name: value[0, 0] for name, value in step.observation.items()},
-        float(step.reward[0, 0]),
-        bool(step.terminated[0, 0]),
-        bool(step.truncated[0, 0]),
-        {name: value[0, 0].item() for name, value in step.info.items()},
+        {name: value[0, robot] for name, value in step.observation.items()},
+        float(step.reward[0, robot]),
+        bool(step.terminated[0, robot]),
+        bool(step.truncated[0, robot]),
+        {name: value[0, robot].item() for name, value in step.info.items()},
     )

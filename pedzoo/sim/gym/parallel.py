@@ -6,18 +6,17 @@ from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pettingzoo import ParallelEnv
 
 from pedzoo.core.spec import Spec
-from pedzoo.sim.gym.batched import Step
-from pedzoo.sim.gym.env import FPS, OneScene
-from pedzoo.sim.gym.render import MODES
+from pedzoo.sim.gym.batched import FPS, MODES, Step
+from pedzoo.sim.gym.env import OneScene, robot_of
 
 Dicts = dict[str, Any]
 
 CROWD = "goals:map=apartment.7,people=4"
-"""The scenario where nothing else is said."""
+"""The default scenario."""
 
 
 class RobotParallelEnv(OneScene, ParallelEnv[str, Any, Any]):
@@ -56,33 +55,23 @@ class RobotParallelEnv(OneScene, ParallelEnv[str, Any, Any]):
     def reset(self, seed: int | None = None, options: Dicts | None = None) -> tuple[Dicts, Dicts]:
         """Begin the first scene of a seed, or else the next one; there are no options."""
         self.agents = self.possible_agents[:]
-        said = self._of_agents(self.batched.reset(seed, self._chance))
-        return said[0], said[-1]
+        observation, *_, info = self._by_agent(self.batched.reset(seed, self._chance))
+        return observation, info
 
     def step(self, actions: dict[str, ArrayLike]) -> tuple[Dicts, Dicts, Dicts, Dicts, Dicts]:
         """Take the decisions of all agents; one without an action stands."""
         nothing = np.zeros(2, dtype=np.float32)
         given = [np.asarray(actions.get(agent, nothing), np.float32) for agent in self.possible_agents]
-        said = self._of_agents(self.batched.step(np.stack(given)))
-        self.agents = [agent for agent in self.agents if not (said[2][agent] or said[3][agent])]
-        return said
+        result = self._by_agent(self.batched.step(np.stack(given)))
+        _, _, terminated, truncated, _ = result
+        self.agents = [agent for agent in self.agents if not (terminated[agent] or truncated[agent])]
+        return result
 
-    def _of_agents(self, step: Step) -> tuple[Dicts, Dicts, Dicts, Dicts, Dicts]:
-        mine = {agent: self.possible_agents.index(agent) for agent in self.agents}
-
-        def split(values: dict[str, NDArray[Any]]) -> Dicts:
-            return {agent: {name: value[0, i] for name, value in values.items()} for agent, i in mine.items()}
-
-        info = {
-            agent: {name: value.item() for name, value in said.items()}
-            for agent, said in split(step.info).items()
-        }
-        reward = {agent: float(step.reward[0, i]) for agent, i in mine.items()}
-        terminated, truncated = (
-            {agent: bool(value[0, i]) for agent, i in mine.items()}
-            for value in (step.terminated, step.truncated)
-        )
-        return split(step.observation), reward, terminated, truncated, info
+    def _by_agent(self, step: Step) -> tuple[Dicts, Dicts, Dicts, Dicts, Dicts]:
+        """Return observations, rewards, both kinds of ends, and infos by agent."""
+        robots = {agent: robot_of(step, self.possible_agents.index(agent)) for agent in self.agents}
+        one, two, three, four, five = ({agent: part[i] for agent, part in robots.items()} for i in range(5))
+        return one, two, three, four, five
 
 
 def parallel_env(scenario: str | Spec = CROWD, **settings: Any) -> RobotParallelEnv:

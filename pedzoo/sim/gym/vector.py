@@ -12,10 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pedzoo.core.errors import UserError, as_integer, at_least_one, unknown
 from pedzoo.core.spec import Spec
-from pedzoo.sim.gym.batched import Batched, Step
-from pedzoo.sim.gym.env import FPS, check_one_robot
-from pedzoo.sim.gym.render import MODES, modes_here
-from pedzoo.sim.gym.spaces import Observation
+from pedzoo.sim.gym.batched import FPS, MODES, Batched, Observation, Step, modes_here
 
 Infos = dict[str, Any]
 
@@ -68,7 +65,7 @@ class RobotVectorEnv(VectorEnv[Observation, ArrayLike, NDArray[Any]]):
             raise unknown("autoreset_mode", str(autoreset_mode), modes)
         num_envs = at_least_one("num_envs", num_envs)
         self.batched = Batched(scenario, render_mode, seed, render_size, settings | {"num_envs": num_envs})
-        check_one_robot(self.batched)
+        self.batched.check_one_robot()
         self.num_envs, self.render_mode, self.autoreset_mode = num_envs, render_mode, mode
         self.metadata = self.metadata | {"autoreset_mode": mode, "render_modes": modes_here()}
         self._over: NDArray[np.bool_] = np.zeros(num_envs, dtype=bool)
@@ -91,37 +88,26 @@ class RobotVectorEnv(VectorEnv[Observation, ArrayLike, NDArray[Any]]):
         Raises:
             UserError: Not one seed nor B of them, or a mask of another shape, of other values or of no scene.
         """
-        seeds = None
-        if isinstance(seed, list | tuple) or (isinstance(seed, np.ndarray) and seed.ndim):
-            seeds = list(seed)
-            if len(seeds) != self.num_envs:
-                raise UserError(
-                    f"seed of {len(seeds)} numbers: expected one, or {self.num_envs}, one of each"
-                )
-            seed = None
-        seed = None if seed is None else as_integer("seed", seed)
-        super().reset(seed=seed)
-        if seeds is not None:
-            seeds = [self._any() if one is None else as_integer("seed", one) for one in seeds]
+        several = isinstance(seed, list | tuple) or (isinstance(seed, np.ndarray) and seed.ndim > 0)
+        given: Any = seed if several else ()
+        if several and len(given) != self.num_envs:
+            raise UserError(f"seed of {len(given)} numbers: expected one, or {self.num_envs}, one of each")
+        one = None if seed is None or several else as_integer("seed", seed)
+        super().reset(seed=one)
+        chance = self.np_random
+        seeds = [int(chance.integers(2**31)) if it is None else as_integer("seed", it) for it in given]
         which = self._mask(options)
-        step = self.batched.reset(seeds or seed, self.np_random, which)
+        step = self.batched.reset(seeds or one, chance, which)
         new = _observation(step)
         self._seen = _merged(new, self._seen, which) if self._seen else new
         self._over = self._over & ~which
         return self._seen, _infos(step, which)
 
-    def _any(self) -> int:
-        return int(self.np_random.integers(2**31))
-
     def _mask(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
         """Return which scenes (B,) begin; see `reset`."""
         mask = (options or {}).get("reset_mask", np.ones(self.num_envs, dtype=bool))
-        if (
-            not isinstance(mask, np.ndarray)
-            or mask.dtype.kind != "b"
-            or mask.shape != (self.num_envs,)
-            or not mask.any()
-        ):
+        shaped = isinstance(mask, np.ndarray) and mask.dtype == bool and mask.shape == (self.num_envs,)
+        if not shaped or not mask.any():
             raise UserError(
                 f"reset_mask {mask!r:.100}: expected an array ({self.num_envs},) bool, not all false"
             )
@@ -144,28 +130,30 @@ class RobotVectorEnv(VectorEnv[Observation, ArrayLike, NDArray[Any]]):
                 )
             actions = np.where(begins.reshape(-1, 1), 0.0, np.asarray(actions))
         step = self.batched.step(actions)
-        observation, infos = _observation(step), _infos(step)
+        self._seen, infos = _observation(step), _infos(step)
         terminated, truncated = step.terminated[:, 0], step.truncated[:, 0]
         if begins.any():
-            new = self.batched.restart(begins)
-            observation = _merged(_observation(new), observation, begins)
-            infos = _merged(_infos(new), infos, begins)
+            infos = self._anew(begins, infos)
             step.reward[begins], terminated[begins], truncated[begins] = 0.0, False, False
         over = terminated | truncated
         if mode is not AutoresetMode.SAME_STEP:
             self._over = over
         elif over.any():
-            new = self.batched.restart(over)
-            last, finished = observation, infos
-            observation, infos = _merged(_observation(new), last, over), _merged(_infos(new), finished, over)
+            last, finished = self._seen, infos
+            infos = self._anew(over, finished)
             finals = np.full(self.num_envs, None, dtype=object)
             for scene in over.nonzero()[0]:
                 finals[scene] = {name: value[scene] for name, value in last.items()}
             flags = {name: over & value for name, value in finished.items() if name.startswith("_")}
             infos |= {"final_obs": finals, "_final_obs": over}
             infos |= {"final_info": finished | flags, "_final_info": over.copy()}
-        self._seen = observation
-        return observation, step.reward[:, 0], terminated, truncated, infos
+        return self._seen, step.reward[:, 0], terminated, truncated, infos
+
+    def _anew(self, scenes: NDArray[np.bool_], infos: Infos) -> Infos:
+        """Begin some scenes (B,) bool anew, and return infos with those of their first observation."""
+        new = self.batched.restart(scenes)
+        self._seen = _merged(_observation(new), self._seen, scenes)
+        return _merged(_infos(new), infos, scenes)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Return a picture (H, W, 3) of every scene in the mode ``rgb_array``."""

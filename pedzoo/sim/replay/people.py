@@ -17,7 +17,7 @@ from pedzoo.data.tracks import Tracks
 from pedzoo.maps.planning.planner import Planner
 from pedzoo.sim.replay.companions import companies
 from pedzoo.sim.replay.stops import STANDS, Stops, stops_of
-from pedzoo.sim.scenario_parts.scenario import SLOWEST
+from pedzoo.sim.scenario import SLOWEST
 
 USUAL = 1.3
 """m/s: what people like where no person is seen to walk freely."""

@@ -1,4 +1,1 @@
-"""Bodies of robots by name: one file each, found by the registry.
-
-Their policies are in `pedzoo.policies.robots`, their shared parts in `pedzoo.sim.robot_parts`.
-"""
+"""Robots among people: bodies, sensors, rewards, scenes with robots, and the environment."""

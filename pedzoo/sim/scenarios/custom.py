@@ -21,7 +21,7 @@ from pedzoo.maps.planning.graph import format_point
 from pedzoo.maps.planning.planner import Planner
 from pedzoo.maps.plans import load_plan
 from pedzoo.sim.replay.script import SceneStarts
-from pedzoo.sim.scenario_parts.scenario import SLOWEST, WARM_SECONDS, Layout, PreparedScenario, Scenario
+from pedzoo.sim.scenario import SLOWEST, WARM_SECONDS, Layout, PreparedScenario, Scenario
 from pedzoo.sim.state import PAST_LEN
 
 SWAP = [{"from": [-3.0, 0.0], "to": [3.0, 0.0]}, {"from": [3.0, 0.0], "to": [-3.0, 0.0]}]

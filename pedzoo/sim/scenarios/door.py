@@ -3,26 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import ClassVar
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from pedzoo.core.errors import UserError
 from pedzoo.core.randomness import Draws
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.plans import rectangles, room, wall
-from pedzoo.sim.scenario_parts.ranges import Drawn, Range
-from pedzoo.sim.scenario_parts.scenario import (
-    SLOWEST,
-    WARM_SECONDS,
-    Layout,
-    PreparedScenario,
-    Scenario,
-    door_at_origin,
-)
-from pedzoo.sim.scenario_parts.variants import Numbers, Variant, Variants
+from pedzoo.sim.scenario import SLOWEST, WARM_SECONDS, Layout, PreparedScenario, Scenario, door_at_origin
+from pedzoo.sim.scenarios._base import Numbers, Range, Uniform, Variant, Variants, fastest_ahead
 
 BEFORE = 2.5
 """Metres from the wall at which the first ones are when the warm start ends, unless ``away`` is given."""
@@ -42,11 +32,44 @@ SPACING = 0.9
 ABREAST = 0.75
 """Metres between people side by side (pairs of Zanlungo et al. 2014, 10.1103/PhysRevE.89.012811)."""
 
-MOST_ABREAST = 3
+MAX_ABREAST = 3
 """People who walk together."""
 
 BORDER = 2
 """Cells of the outer walls' thickness."""
+
+
+@dataclass(frozen=True)
+class DoorSettings:
+    """Settings of people who come to a door.
+
+    Attributes:
+        jitter: Standard deviation of the starts about their lateral distance from the door's axis, metres.
+        people: All together, also those who stand; at first two, one from each side; more queue up behind.
+        speed: Mean preferred speed, m/s.
+        speed_std: Its standard deviation.
+        speed_ratio: Speed of those from the right, divided by that of those from the left.
+        resolution: Of the floor plan, metres per cell.
+        away: Metres from the middle of the wall of the first person of a side when the warm start ends, if
+            not held up; ``[least,most]``: each side draws one.
+        sync: Most seconds between the first persons of the two sides at the door if each walked alone,
+            uniformly distributed. People who would be there too early start farther away than ``away``.
+            None: ``away`` and their speeds decide.
+        from_right: How many of the people come from the right; None: every other one.
+        abreast: How many of a side walk together, side by side and equally fast, 1 to 3; an incomplete row is
+            centred.
+    """
+
+    jitter: float = 0.1
+    people: int = 2
+    speed: float = 1.3
+    speed_std: float = 0.2
+    speed_ratio: float = 1.0
+    resolution: float = 0.05
+    away: Range = BEFORE
+    sync: float | None = None
+    from_right: int | None = None
+    abreast: int = 1
 
 
 class Door(Scenario):
@@ -55,12 +78,7 @@ class Door(Scenario):
     The wall stands at x = 0 and the door in it is centred at y = 0. Without jitter two people of equal
     speed are mirror images of each other in the door's centre. Agents are numbered from the door: the first
     from the left, the first from the right, the second from the left, ...
-
-    Attributes:
-        name: The scenario's name in messages and floor plans.
     """
-
-    name: ClassVar[str] = "door"
 
     meet = 0.0
 
@@ -69,16 +87,7 @@ class Door(Scenario):
         width: Numbers = 0.85,
         thickness: Numbers = 0.15,
         offset: Numbers = 0.6,
-        jitter: float = 0.1,
-        people: int = 2,
-        speed: float = 1.3,
-        speed_std: float = 0.2,
-        speed_ratio: float = 1.0,
-        resolution: float = 0.05,
-        away: Range = BEFORE,
-        sync: float | None = None,
-        from_right: int | None = None,
-        abreast: int = 1,
+        common: DoorSettings = DoorSettings(),
     ) -> None:
         """Set the scene.
 
@@ -87,43 +96,27 @@ class Door(Scenario):
             thickness: Of the wall, metres; a list: one per scene.
             offset: Lateral distance of starts and goals from the door's axis, metres; 0 is head-on; a list:
                 one per scene.
-            jitter: Standard deviation of the starts about it, metres.
-            people: Two, one from each side; more queue up behind them.
-            speed: Mean preferred speed, m/s.
-            speed_std: Its standard deviation.
-            speed_ratio: Speed of those from the right, divided by that of those from the left.
-            resolution: Of the floor plan, metres per cell.
-            away: Metres from the middle of the wall of the first person of a side when the warm start ends,
-                if not held up; ``[least,most]``: each side draws one.
-            sync: Most seconds between the first persons of the two sides at the door if each walked alone,
-                evenly distributed. People who would be there too early start farther away than ``away``.
-                None: ``away`` and their speeds decide.
-            from_right: How many of the people come from the right; None: every other one.
-            abreast: How many of a side walk together, side by side and equally fast, 1 to 3; an incomplete
-                row is centred.
+            common: Of those who come to the door.
 
         Raises:
             UserError: A setting that gives no scene.
         """
-        super().__init__(people, speed, speed_std)
-        if speed_ratio <= 0 or jitter < 0:
-            raise UserError(
-                f"{self.name}: speed_ratio {speed_ratio}, jitter {jitter}: expected above 0, at least 0"
-            )
+        people, jitter, ratio, sync = common.people, common.jitter, common.speed_ratio, common.sync
+        super().__init__(people, common.speed, common.speed_std)
+        self.check(ratio > 0 and jitter >= 0, f"speed_ratio {ratio}, jitter {jitter}", "above 0, at least 0")
         fine = "resolution=0.01 takes whole centimetres"
         self.variants = Variants(self.name, width=width, thickness=thickness, offset=offset)
-        self.variants.check_lengths(resolution, "width", "thickness", instead=fine)
-        self.jitter, self.speed_ratio, self.resolution = jitter, speed_ratio, resolution
-        self.away, self.sync = Drawn(self.name, "away", away, least=NEAREST), sync
-        self._seat(self.people, self.people // 2 if from_right is None else from_right, abreast)
+        self.variants.check_lengths(common.resolution, "width", "thickness", instead=fine)
+        self.jitter, self.speed_ratio, self.resolution, self.sync = jitter, ratio, common.resolution, sync
+        self.away = Uniform(self.name, "away", common.away, least=NEAREST)
+        abreast, right = common.abreast, self.people // 2 if common.from_right is None else common.from_right
+        self._seat(self.people, right, abreast)
         queue = (int(self._row.max()) + 1) * SPACING
         aside = max(map(abs, self.variants.values["offset"])) + 3 * jitter
         self.half_length = self.away.most + queue + WARM_SECONDS * self.fastest + 1.5
         if sync is not None:
-            if not sync >= 0 or not 0 < int(self._right.sum()) < people:
-                raise UserError(
-                    f"{self.name}: sync {sync}: expected at least 0 s, and people from both sides"
-                )
+            both = sync >= 0 and 0 < int(self._right.sum()) < people
+            self.check(both, f"sync {sync}", "at least 0 s, and people from both sides")
             # faster people wait for slower ones
             alone = math.hypot(self.away.most + PUSH, aside) / self.slowest + sync
             self.half_length = self.fastest * (WARM_SECONDS + alone) + queue + 1.5
@@ -131,12 +124,8 @@ class Door(Scenario):
 
     def _seat(self, people: int, from_right: int, abreast: int) -> None:
         """Give each person a side, a row, and the people beside them."""
-        if not 0 <= from_right <= people:
-            raise UserError(
-                f"{self.name}: from_right {from_right} of {people} people: expected 0 to {people}"
-            )
-        if not 1 <= abreast <= MOST_ABREAST:
-            raise UserError(f"{self.name}: abreast {abreast}: expected 1 to {MOST_ABREAST}")
+        self.check(0 <= from_right <= people, f"from_right {from_right} of {people} people", f"0 to {people}")
+        self.check(1 <= abreast <= MAX_ABREAST, f"abreast {abreast}", f"1 to {MAX_ABREAST}")
         sides = (people - from_right, from_right)
         seats = sorted((number, side) for side, count in enumerate(sides) for number in range(count))
         number, self._right = torch.tensor(seats).unbind(1)
@@ -162,16 +151,16 @@ class Door(Scenario):
         return [self._plan(variant) for variant in self.variants]
 
     def _plan(self, variant: Variant) -> OccupancyGrid:
+        def cells(length: float) -> float:  # whole ones
+            return math.ceil(length / self.resolution) * self.resolution
+
         width, thickness = variant["width"], variant["thickness"]
-        # whole cells from the door's sides and from the wall to the ends of the rooms
-        x = thickness / 2 + self._whole_cells(self.half_length - thickness / 2)
-        y = width / 2 + self._whole_cells(self.half_width - width / 2)
+        # from the door's sides, and from the wall, to the ends of the rooms
+        x = thickness / 2 + cells(self.half_length - thickness / 2)
+        y = width / 2 + cells(self.half_width - width / 2)
         walls = room((-x, -y), (x, y), BORDER * self.resolution)
         walls += wall((0.0, -y), (0.0, y), thickness, doors=[(y, width)])
         return rectangles(walls, self.resolution, name=self.variants.name(variant))
-
-    def _whole_cells(self, length: float) -> float:
-        return math.ceil(length / self.resolution) * self.resolution
 
     def prepare(self, clearance: float) -> PreparedScenario:
         """Find the ways through the door; tables: the floor plans (V,) and goals (V, 2) of variants."""
@@ -187,32 +176,31 @@ class Door(Scenario):
 
     def gate(self, draws: Draws) -> Tensor:
         """Return the door in the middle, (B, 5)."""
-        return door_at_origin(self.variants.of("width", draws))
+        return door_at_origin(self.variants.value("width", draws))
 
     def layout(self, prepared: PreparedScenario, draws: Draws) -> Layout:
         """Return people on both sides, as far away as they walk before the episode begins."""
         device, agents = draws.key.device, len(self._row)
         right, row, leader = (table.to(device) for table in (self._right, self._row, self._leader))
-        variant = self.variants.drawn(draws)
+        variant = self.variants.draw(draws)
         side = 2 * right - 1  # -1 comes from the left, 1 from the right
         speed = self.speeds(draws)[:, leader]
         speed = torch.where(side > 0, speed * self.speed_ratio, speed)
-        # people behind faster ones start no nearer to them than `SPACING`
-        pace = speed.new_zeros(len(speed), int(row.max()) + 1, 2)
-        pace[:, row, right] = speed
-        pace = pace.cummax(1).values[:, row, right]
-        away = self.away.of(draws, 2)[:, right] + WARM_SECONDS * pace + SPACING * row + PUSH * (row.max() > 0)
-        offset = self.variants.of("offset", draws).unsqueeze(1)
+        pace = fastest_ahead(speed, row, right)
+        away = (
+            self.away.draw(draws, 2)[:, right] + WARM_SECONDS * pace + SPACING * row + PUSH * (row.max() > 0)
+        )
+        offset = self.variants.value("offset", draws).unsqueeze(1)
         lateral = side * (offset + self._left_of_row.to(device))
         lateral = lateral + self.jitter * draws.normal("jitter", agents)[:, leader].clamp(-3, 3)
         if self.sync is not None:
-            away = away + self._later(draws, away, lateral, speed)[:, right]
+            away = away + self._later(draws, away, lateral, speed, self.sync)[:, right]
         start = torch.stack((side * away, lateral), dim=-1)
         map_id, goals = (table.to(device)[variant] for table in prepared.tables)
         mask = torch.ones_like(away, dtype=torch.bool)
         return Layout(map_id, start, mask, speed, goals[:, right])
 
-    def _later(self, draws: Draws, away: Tensor, lateral: Tensor, speed: Tensor) -> Tensor:
+    def _later(self, draws: Draws, away: Tensor, lateral: Tensor, speed: Tensor, sync: float) -> Tensor:
         """Return how many metres farther back each side starts (B, 2), so that both come to the door in time.
 
         Args:
@@ -220,11 +208,12 @@ class Door(Scenario):
             away: Distances of starts from the wall (B, A), metres.
             lateral: Their distances from the door's axis (B, A), metres.
             speed: Preferred speeds (B, A), m/s.
+            sync: Most seconds between the two sides.
         """
         first = [int((self._right == side).nonzero()[0]) for side in (0, 1)]
         away, lateral, speed = away[:, first], lateral[:, first], speed[:, first]
         left, right = (torch.hypot(away, lateral) / speed).unbind(1)  # seconds until they are at the door
-        later = (self.sync or 0.0) * (2 * draws.uniform("sync") - 1)
+        later = sync * (2 * draws.uniform("sync") - 1)
         left = left.maximum(right - later)
         seconds = torch.stack((left, left + later), dim=1)
         return ((seconds * speed).square() - lateral.square()).sqrt() - away

@@ -15,13 +15,13 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, spread_points
 from pedzoo.maps.planning.planner import Planner
 from pedzoo.maps.plans import load_plan
-from pedzoo.sim.scenario_parts.scenario import LEAST_WAY, Layout, PreparedScenario, Scenario
+from pedzoo.sim.scenario import MIN_INITIAL_PATH, Layout, PreparedScenario, Scenario
 
 SPACING = 0.8
 """Metres between any two starts."""
 
-NEAREST = 2 * LEAST_WAY
-"""Least way to the next goal, metres: so it is `LEAST_WAY` even from as far before the last one."""
+NEAREST = 2 * MIN_INITIAL_PATH
+"""Least way to the next goal, metres: so it is `MIN_INITIAL_PATH` even from as far before the last one."""
 
 
 MORE = 4

@@ -10,10 +10,8 @@ from torch import Tensor
 
 from pedzoo.core.randomness import Draws
 from pedzoo.maps.plans import Point, Rectangle, check_lengths, room, wall
-from pedzoo.sim.scenario_parts.encounter import BEHIND, CELL, WALL, whole_cells
-from pedzoo.sim.scenario_parts.hall import Hall
-from pedzoo.sim.scenario_parts.scenario import WARM_SECONDS, Layout, PreparedScenario, door_at_origin
-from pedzoo.sim.scenario_parts.variants import Numbers
+from pedzoo.sim.scenario import WARM_SECONDS, Layout, PreparedScenario, door_at_origin
+from pedzoo.sim.scenarios._base import BEHIND, CELL, WALL, Hall, Numbers, whole_cells
 
 HALF_WIDTH = 3.0
 """Metres from the middle of the hall to its walls."""
@@ -34,6 +32,7 @@ BEYOND = 5.0
 """Metres of the goals behind the middle."""
 
 SIZES = (2, 4)
+"""The smallest and the largest group."""
 
 
 class GroupPlaces(NamedTuple):
@@ -103,10 +102,10 @@ class Groups(Hall):
 
     def gate(self, draws: Draws) -> Tensor | None:
         """Return the door, where all halls have one."""
-        return door_at_origin(self._widths(draws)) if min(self.doors) > 0 else None
-
-    def _widths(self, draws: Draws) -> Tensor:
-        return torch.tensor(self.doors, device=draws.key.device)[draws.integers("door", len(self.doors))]
+        if min(self.doors) <= 0:
+            return None
+        widths = torch.tensor(self.doors, device=draws.key.device)
+        return door_at_origin(widths[draws.integers("door", len(self.doors))])
 
     def seats(self, draws: Draws) -> GroupPlaces:
         """Return people's groups, whose sizes are drawn, and their places in them."""
@@ -139,12 +138,11 @@ class Groups(Hall):
         shift = (draws.uniform("across", self.people).gather(1, unit) * (free + 1)).long()
         across = shift + 2 * place
         x = torch.where(side == 0, -away, away)
-        group = torch.where(size > 1, unit, -1)
         return Layout(
             map_id=map_id[number],
             start=torch.stack((x, ABREAST / 2 * (across - OUTMOST)), -1),
             mask=torch.ones_like(unit, dtype=torch.bool),
             pref_speed=speeds.gather(1, unit),
             goal=goals[number.unsqueeze(1), side * (2 * OUTMOST + 1) + across],
-            group=group,
+            group=torch.where(size > 1, unit, -1),
         )

@@ -7,10 +7,8 @@ from torch import Tensor
 
 from pedzoo.core.randomness import Draws
 from pedzoo.maps.plans import Point, Rectangle, room
-from pedzoo.sim.scenario_parts.encounter import BEHIND, WALL, whole_cells
-from pedzoo.sim.scenario_parts.hall import Hall
-from pedzoo.sim.scenario_parts.ranges import Drawn, Range
-from pedzoo.sim.scenario_parts.scenario import WARM_SECONDS, Layout, PreparedScenario
+from pedzoo.sim.scenario import WARM_SECONDS, Layout, PreparedScenario
+from pedzoo.sim.scenarios._base import BEHIND, WALL, Hall, Range, Uniform, whole_cells
 
 SPACING = 0.8
 """Metres between places in the line."""
@@ -60,7 +58,7 @@ class Queue(Hall):
         super().__init__(people, speed, speed_std)
         self.check(0 <= coming < people, f"coming {coming} of {people} people", f"0 to {people - 1}")
         self.in_line, self.later = people - coming, people + 1
-        self.seconds = Drawn(self.name, "seconds", seconds, least=0.1)
+        self.seconds = Uniform(self.name, "seconds", seconds, least=0.1)
 
     def walls(self) -> list[list[Rectangle]]:
         """Return the room and the counter."""
@@ -84,7 +82,7 @@ class Queue(Hall):
     def pauses(self, draws: Draws, number: Tensor) -> Tensor:
         """Return how long people are served at the counter; at other places they wait to be called."""
         place = torch.arange(self.people, device=number.device) - number
-        served = torch.where(place == 0, self.seconds.of(draws, self.people), 0.0)
+        served = torch.where(place == 0, self.seconds.draw(draws, self.people), 0.0)
         return torch.where(place > 0, torch.inf, served)
 
     def layout(self, prepared: PreparedScenario, draws: Draws) -> Layout:

@@ -24,7 +24,7 @@ from pedzoo.sim.replay.people import RecordedPeople, SpeedOf, people_of, top_spe
 from pedzoo.sim.replay.script import Script, ScriptScenes
 from pedzoo.sim.replay.slots import pieces, slots, table
 from pedzoo.sim.rollout import Rollout, joined
-from pedzoo.sim.scenario_parts.scenario import Layout, PreparedScenario, Scenario
+from pedzoo.sim.scenario import Layout, PreparedScenario, Scenario
 
 Simulated = Literal["all", "one", "around"]
 

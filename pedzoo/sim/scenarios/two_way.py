@@ -8,10 +8,9 @@ import torch
 
 from pedzoo.core.randomness import Draws
 from pedzoo.maps.plans import Point, Rectangle, check_lengths, room
-from pedzoo.sim.scenario_parts.encounter import BEHIND, CELL, WALL, whole_cells
-from pedzoo.sim.scenario_parts.hall import Hall
-from pedzoo.sim.scenario_parts.lanes import APART, FREE
-from pedzoo.sim.scenario_parts.scenario import WARM_SECONDS, Layout, PreparedScenario
+from pedzoo.sim.scenario import WARM_SECONDS, Layout, PreparedScenario
+from pedzoo.sim.scenarios._base import BEHIND, CELL, WALL, Hall, whole_cells
+from pedzoo.sim.scenarios._lanes import APART, FREE
 
 FRONT = 0.5
 """Metres from the middle to the first of a stream when the episode begins."""

@@ -7,10 +7,8 @@ from torch import Tensor
 
 from pedzoo.core.randomness import Draws
 from pedzoo.maps.plans import Point, Rectangle, room
-from pedzoo.sim.scenario_parts.encounter import WALL
-from pedzoo.sim.scenario_parts.hall import Hall
-from pedzoo.sim.scenario_parts.ranges import Drawn, Range
-from pedzoo.sim.scenario_parts.scenario import Layout, PreparedScenario
+from pedzoo.sim.scenario import Layout, PreparedScenario
+from pedzoo.sim.scenarios._base import WALL, Hall, Range, Uniform
 
 HALF = (10.0, 4.0)
 """Metres from the middle of the hall to its walls."""
@@ -76,7 +74,7 @@ class Waiting(Hall):
         )
         self.check(0 <= stay <= 1, f"stay {stay}", "a share from 0 to 1")
         self.waiting, self.stay = waiting, stay
-        self.seconds = Drawn(self.name, "seconds", seconds, least=0.1)
+        self.seconds = Uniform(self.name, "seconds", seconds, least=0.1)
 
     def walls(self) -> list[list[Rectangle]]:
         """Return the hall's."""
@@ -110,7 +108,7 @@ class Waiting(Hall):
         enter[..., 0] += (2 * side - 1) * ENTER * draws.uniform("enter", agents - waiting)
         leave = (1 - side) * LANES + draws.integers("leave", LANES, agents - waiting)
         stays = draws.uniform("stay", waiting) < self.stay
-        hold = torch.where(stays, torch.inf, self.seconds.of(draws, waiting))
+        hold = torch.where(stays, torch.inf, self.seconds.draw(draws, waiting))
         speed = self.speeds(draws)
         return Layout(
             map_id=map_id.expand(len(speed)),

@@ -24,7 +24,7 @@ from pedzoo.sim.dynamics import STRIDE
 from pedzoo.sim.observation import observed, state_of
 from pedzoo.sim.physics.torch import Torch
 from pedzoo.sim.replay.people import top_speed_of
-from pedzoo.sim.scenario_parts.scenario import SLOWEST
+from pedzoo.sim.scenario import SLOWEST
 from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
 from pedzoo.sim.step_result import Motion, MotionInput
 

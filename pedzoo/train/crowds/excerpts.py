@@ -12,7 +12,7 @@ from pedzoo.core.types import GOAL_RADIUS, OBS_LEN, STEP_SECONDS
 from pedzoo.data.tracks import Tracks
 from pedzoo.maps.planning.planner import Planner
 from pedzoo.sim.replay.people import LONGEST, people_of
-from pedzoo.sim.scenario_parts.scenario import SLOWEST
+from pedzoo.sim.scenario import SLOWEST
 
 
 class RecordedCrowd(NamedTuple):

@@ -13,7 +13,7 @@ from torchrl.objectives.value import GAE
 from pedzoo.core.batch import agents_of, maps_of
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.sim.make import make_env
-from pedzoo.sim.scenario_parts.scenario import PreparedScenario
+from pedzoo.sim.scenario import PreparedScenario
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)  # TorchRL 0.14 subclasses what it deprecates

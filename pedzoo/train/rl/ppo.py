@@ -16,7 +16,7 @@ from pedzoo.core.errors import UserError, at_least_zero
 from pedzoo.models.base import Forecaster
 from pedzoo.policies.learned.walker import Noise, Walker
 from pedzoo.sim.make import make_scenario, prepare_scenario
-from pedzoo.sim.scenario_parts.scenario import PreparedScenario
+from pedzoo.sim.scenario import PreparedScenario
 from pedzoo.train.modules.module import ForecastModule
 from pedzoo.train.rl.actor import Spread, actor
 from pedzoo.train.rl.critic import Critic

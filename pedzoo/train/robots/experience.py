@@ -13,8 +13,8 @@ from torchrl.objectives.value import GAE
 
 from pedzoo.policies.robot_policy import bodies_of
 from pedzoo.policies.robots.attention import as_action, frame_of
-from pedzoo.sim.robot_parts.env import RobotEnv
-from pedzoo.train.robots.crowdnav_env import CrowdNavEnv
+from pedzoo.sim.robots.env import RobotEnv
+from pedzoo.train.robots.crowdnav import CrowdNavEnv
 
 _KEPT: list[Any] = [("robots", "observation"), ("robots", "body")]
 

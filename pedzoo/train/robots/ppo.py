@@ -17,11 +17,10 @@ from pedzoo.core.errors import UserError, at_least_zero
 from pedzoo.core.spec import parse
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.robots.attention import Attention
-from pedzoo.sim.robot_parts.env import RobotEnv
-from pedzoo.sim.robot_parts.make import make_robot_env
+from pedzoo.sim.robots.env import RobotEnv, make_robot_env
 from pedzoo.train.rl.objective import advantages, clipped
 from pedzoo.train.robots.actor_critic import Mean, Value, actor
-from pedzoo.train.robots.crowdnav_env import SETTINGS, CrowdNavEnv
+from pedzoo.train.robots.crowdnav import SETTINGS, CrowdNavEnv
 from pedzoo.train.robots.experience import Gatherer, outcome_shares, walked_once, with_advantages
 from pedzoo.train.robots.teacher import CONSTANT_VELOCITY, teacher_of
 
@@ -83,11 +82,11 @@ class RobotPPO(L.LightningModule):
             policy: The network.
             scenarios: With settings, as of `pedzoo.make_robot_env`, or ``crowdnav:people=5`` or
                 ``crowdnav_pp``, whose people and decisions are CrowdNav's; see
-                `pedzoo.train.robots.crowdnav_env.CrowdNavEnv`.
+                `pedzoo.train.robots.crowdnav.CrowdNavEnv`.
             people: A policy or a mixed crowd, in scenarios that are not CrowdNav's.
             robot: A body with settings.
             decision_dt: Seconds between two decisions.
-            reward: Weights by name; see `pedzoo.sim.robot_parts.reward.USUAL`.
+            reward: Weights by name; see `pedzoo.sim.robots.reward.DEFAULT_WEIGHTS`.
             envs: B, scenes of every scenario.
             steps: T, decisions in each of them for one update.
             updates: In an epoch.

@@ -15,7 +15,7 @@ from pedzoo.metrics.closed_loop import ClosedLoopScore
 from pedzoo.models.base import Forecaster
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.sim.make import make_env, make_scenario, physics_class
-from pedzoo.sim.scenario_parts.scenario import PreparedScenario, Scenario
+from pedzoo.sim.scenario import PreparedScenario, Scenario
 from pedzoo.train.modules.module import ForecastModule
 from pedzoo.train.validation.rollout_media import log_rollout_media
 from pedzoo.train.validation.validation_scenario import ValidationScenario, isolated, share, walking_copy

@@ -12,7 +12,7 @@ from pedzoo.models.base import Forecaster
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.sim.make import make_env, physics_class
 from pedzoo.sim.rollout import joined
-from pedzoo.sim.scenario_parts.scenario import PreparedScenario, Scenario
+from pedzoo.sim.scenario import PreparedScenario, Scenario
 
 
 class ValidationScenario:

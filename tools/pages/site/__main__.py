@@ -24,12 +24,12 @@ COPIED = (
 API = {
     "pedzoo": "pedzoo: models.zoo.loading.load models.zoo.loading.list_models policies.load.list_policies "
     "eval.rollout.rollout metrics.closed_loop.measure eval.evaluate.evaluate sim.make.make_env "
-    "sim.robot_parts.make.make_robot_env",
+    "sim.robots.env.make_robot_env",
     "policies": "Controllers and policies: policies.controller.controller.Controller policies.policy.Policy "
     "policies.load.load_policy policies.learned.walker.Walker policies.teams.Teams "
     "policies.robot_policy.RobotPolicy",
-    "sim": "Simulation: sim.scenario_parts.scenario sim.env.PedestrianEnv sim.rollout.Rollout sim.kernel "
-    "sim.robot_parts.rollout.RobotRollout sim.robot_parts.sensor sim.robot_parts.reward",
+    "sim": "Simulation: sim.scenario sim.env.PedestrianEnv sim.rollout.Rollout sim.kernel "
+    "sim.robots.rollout.RobotRollout sim.robots.sensor sim.robots.reward",
     "models": "Models and data: core.batch models.base.Forecaster models.architectures.sgan.SGAN "
     "data.datamodule.TrajectoryDataModule data.recordings data.tracks.Tracks",
     "maps": "Maps: maps.named_plans maps.grid.OccupancyGrid maps.from_rectangles "

@@ -22,8 +22,8 @@ from pedzoo.core.size_limits import load_yaml
 from pedzoo.core.spec import Spec, build, groups_by_setting, setting_groups, setting_types
 from pedzoo.core.types import BODY_RADIUS, TOP_SPEED_RATIO
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.sim.scenario_parts.in_yaml import scenario_spec
-from pedzoo.sim.scenario_parts.scenario import WARM_SECONDS, Layout, PreparedScenario, Scenario, filled
+from pedzoo.sim.scenario import WARM_SECONDS, Layout, PreparedScenario, Scenario, filled
+from pedzoo.sim.scenarios._yaml import scenario_spec
 
 
 class RobotScenes(Scenario):
@@ -59,11 +59,11 @@ class RobotScenes(Scenario):
         self.inner, self.bodies, self.robots = inner, list(bodies), len(bodies)
         self.fleet, self.robot_goals, self.present = Fleet.of(self.bodies), robot_goals, present
         self.body_radius = body_radius
-        self.people, self.speed, self.speed_std = inner.people, inner.speed, inner.speed_std
-        self.goals, self.later, self.finished = inner.goals, inner.later, inner.finished
-        self.unknown = inner.unknown
-        self.waits = inner.waits
-        self.wheels = inner.wheels or any(_needs_limits(body) for body in self.bodies)
+        for name in ("people", "speed", "speed_std", "goals", "later", "finished", "unknown", "waits"):
+            setattr(self, name, getattr(inner, name))
+        self.wheels = inner.wheels or any(
+            body.drive != "holonomic" or math.isfinite(body.acceleration) for body in self.bodies
+        )
         self.smallest_radius = min(
             inner.smallest_radius or body_radius, *(body.radius for body in self.bodies)
         )
@@ -113,37 +113,28 @@ class RobotScenes(Scenario):
         """Return people as the scenario has them, and robots in the last places."""
         layout, fleet = prepared.tables.layout(draws), self.fleet.to(draws.key.device)
         people, scenes = prepared.people - self.robots, len(draws.key)
-
-        def joined(values: Tensor, robots: Tensor) -> Tensor:
-            theirs = robots.to(values).expand(scenes, self.robots)
-            return torch.cat((values[:, :people], theirs), 1)
-
-        usual = torch.full_like(layout.pref_speed, self.body_radius)
-        endless = torch.full_like(usual, torch.inf)
-        whole = torch.zeros_like(layout.goal)
-        top_speed = filled(layout.top_speed, TOP_SPEED_RATIO * layout.pref_speed)
         # a scene of fewer people leaves out the last ones, which are robots here
         mask = layout.mask if people == 0 or prepared.script else layout.mask.roll(-self.robots, 1)
-        layout = layout._replace(
-            start=self._in_time(prepared, layout),
-            mask=joined(mask, torch.tensor(True)),
-            pref_speed=joined(layout.pref_speed, fleet.top_speed),
-            top_speed=joined(top_speed, fleet.top_speed),
-            radius=joined(filled(layout.radius, usual), fleet.radius),
-            kind=joined(filled(layout.kind, whole), torch.tensor(ROBOT)),
-            group=joined(filled(layout.group, whole - 1), torch.tensor(-1)),
-        )
+        top_speed = filled(layout.top_speed, TOP_SPEED_RATIO * layout.pref_speed)
+        start = self._in_time(prepared, layout)
+        layout = layout._replace(start=start, mask=mask, top_speed=top_speed)
+        usual: dict[str, float] = {"radius": self.body_radius, "kind": 0, "group": -1}  # of people
+        robots = {"mask": True, "pref_speed": fleet.top_speed, "top_speed": fleet.top_speed}
+        robots |= {"radius": fleet.radius, "kind": ROBOT, "group": -1}
+        if self.wheels:
+            usual |= {"drive": HOLONOMIC, "acceleration": math.inf, "turn_acceleration": math.inf, "track": 1}
+            wheels = ("drive", "acceleration", "turn_acceleration", "track")
+            robots |= {name: getattr(fleet, name) for name in wheels}
+        for name, theirs in robots.items():
+            like = layout.goal if name in ("kind", "group", "drive") else layout.pref_speed
+            values = getattr(layout, name)
+            values = torch.full_like(like, usual[name]) if values is None else values
+            theirs = torch.as_tensor(theirs, device=values.device).to(values).expand(scenes, self.robots)
+            layout = layout._replace(**{name: torch.cat((values[:, :people], theirs), 1)})
         if layout.history is not None and prepared.script is None:  # robots stand in the warm start
-            standing = layout.start.unsqueeze(2).expand_as(layout.history)
+            standing = start.unsqueeze(2).expand_as(layout.history)
             layout = layout._replace(history=torch.cat((layout.history[:, :people], standing[:, people:]), 1))
-        if not self.wheels:
-            return layout
-        return layout._replace(
-            drive=joined(filled(layout.drive, whole + HOLONOMIC), fleet.drive),
-            acceleration=joined(filled(layout.acceleration, endless), fleet.acceleration),
-            turn_acceleration=joined(filled(layout.turn_acceleration, endless), fleet.turn_acceleration),
-            track=joined(filled(layout.track, torch.ones_like(usual)), fleet.track),
-        )
+        return layout
 
     def _in_time(self, prepared: PreparedScenario, layout: Layout) -> Tensor:
         """Return starts (B, A, 2); robots stand in the warm start, and are in time to meet people.
@@ -231,7 +222,3 @@ def _more(people: Any, robots: int) -> Any:
 def _counts(value: object) -> bool:
     values = value if isinstance(value, list) else [value]
     return all(isinstance(one, int) for one in values)
-
-
-def _needs_limits(body: RobotBody) -> bool:
-    return body.drive != "holonomic" or math.isfinite(body.acceleration)

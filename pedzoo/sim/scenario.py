@@ -13,6 +13,7 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError, as_integer
 from pedzoo.core.randomness import Draws
+from pedzoo.core.registry import name_of_class
 from pedzoo.core.size_limits import MOST_PEOPLE
 from pedzoo.core.types import STEP_SECONDS, TOP_SPEED_RATIO
 from pedzoo.maps.bank import MapBank
@@ -25,8 +26,8 @@ if TYPE_CHECKING:
 SLOWEST = 0.3
 """Least preferred speed, m/s."""
 
-LEAST_WAY = 1.0
-"""Least way to the first goal where an episode begins, metres: a nearer agent gets its next goal instead."""
+MIN_INITIAL_PATH = 1.0
+"""Minimum path length to the first goal, metres; nearer goals are redrawn."""
 
 WARM_SECONDS = 7 * STEP_SECONDS
 """Duration of the warm start: with the start itself it fills the 8 observed steps."""
@@ -102,6 +103,7 @@ class Scenario(ABC):
     What takes time or files is in what `prepare` returns. All randomness comes from draws.
 
     Attributes:
+        name: In messages and floor plans.
         people: A, the largest number of people in a scene; where there is a script, that says it.
         goals: Goals that each agent has to reach.
         patience: Seconds that agents have for their first goal at least, where that is more than usual.
@@ -144,6 +146,7 @@ class Scenario(ABC):
         Raises:
             UserError: No people or too many, or a speed that is too slow or not finite.
         """
+        self.name = name_of_class(type(self).__name__)
         people = as_integer("people", people)
         if not 1 <= people <= MOST_PEOPLE:
             # thousands of digits are neither a float nor a text
@@ -154,6 +157,11 @@ class Scenario(ABC):
                 f"speed {speed}, speed_std {speed_std}: expected at least {SLOWEST} and 0 (metres per second)"
             )
         self.people, self.speed, self.speed_std = people, speed, speed_std
+
+    def check(self, valid: bool, given: str, expected: str) -> None:
+        """Raise the error of settings ``given`` that are not as ``expected``, unless they are valid."""
+        if not valid:
+            raise UserError(f"{self.name}: {given}: expected {expected}")
 
     @property
     def fastest(self) -> float:
@@ -178,7 +186,7 @@ class Scenario(ABC):
     ) -> Tensor:
         """Return the next goals (P,) long of people who have just reached one; -1 for none.
 
-        Also asked for people who would begin an episode nearer than `LEAST_WAY` to their first goal.
+        Also asked for people who would begin an episode nearer than `MIN_INITIAL_PATH` to their first goal.
 
         Args:
             prepared: The result of `prepare`.

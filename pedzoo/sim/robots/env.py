@@ -1,9 +1,9 @@
-"""Robots among people as a TorchRL environment: a policy moves the robots, people walk inside."""
+"""Robots among people as a TorchRL environment, by name: a policy moves the robots, people walk inside."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, cast
+from collections.abc import Mapping, Sequence
+from typing import Any, cast, get_args
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -13,29 +13,37 @@ from torchrl.envs.utils import ExplorationType, make_composite_from_td, set_expl
 
 from pedzoo.core.adapters import tensordict_of
 from pedzoo.core.batch import actions_of, agents_of
-from pedzoo.core.errors import UserError
-from pedzoo.core.types import TRACE_SECONDS
+from pedzoo.core.bodies import RobotBody
+from pedzoo.core.errors import UserError, known_arguments, unknown
+from pedzoo.core.registry import ROBOTS, SENSORS
+from pedzoo.core.spec import Spec, build
+from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.policies.learned.walker import Walker
+from pedzoo.policies.load import crowd_of
 from pedzoo.policies.policy import Policy
 from pedzoo.policies.teams import Crowd, Teams
 from pedzoo.sim import kernel
 from pedzoo.sim import observation as specs
 from pedzoo.sim.env import PedestrianEnv
+from pedzoo.sim.make import CLEARANCE, make_physics
 from pedzoo.sim.observation import observed
 from pedzoo.sim.physics_parts.base import Physics
-from pedzoo.sim.robot_parts.outcome import EndsAt, Outcome, check_ends_at, outcome_of
-from pedzoo.sim.robot_parts.readings import Readings
-from pedzoo.sim.robot_parts.reward import WeightedSum
-from pedzoo.sim.robot_parts.scenes import RobotScenes
-from pedzoo.sim.robot_parts.sensor import Sensor
-from pedzoo.sim.robot_parts.view import RobotView
-from pedzoo.sim.scenario_parts.scenario import PreparedScenario
+from pedzoo.sim.robots.reward import EndsAt, Outcome, WeightedSum, outcome_of
+from pedzoo.sim.robots.scenes import RobotScenes, with_robots
+from pedzoo.sim.robots.sensor import Readings, RobotView, Sensor
+from pedzoo.sim.scenario import PreparedScenario
 from pedzoo.sim.state import State
 from pedzoo.sim.step_result import Events
 
+SENSES = ("goal", "odometry", "people")
+"""Default sensors."""
+
+GAP = 0.1
+"""Metres that ways keep from walls beyond the radius of the widest robot, at least."""
+
 INFO = ("success", "person_contact", "robot_contact", "wall_contact", "timeout", "failed")
-"""What ``robots/info`` says of a decision, beside ``active``; see `Outcome`."""
+"""Keys of ``robots/info`` beside ``active``; see `Outcome`."""
 
 
 class RobotEnv(PedestrianEnv):
@@ -87,7 +95,8 @@ class RobotEnv(PedestrianEnv):
         Raises:
             UserError: A setting is out of range, or the intervals of people and robots do not fit.
         """
-        check_ends_at(ends_at)
+        if ends_at not in get_args(EndsAt):
+            raise unknown("ends_at", ends_at, get_args(EndsAt))
         if time_limit is not None and not time_limit > 0:
             raise UserError(f"time_limit {time_limit}: expected seconds above 0")
         scenes = prepared.scenario
@@ -114,7 +123,9 @@ class RobotEnv(PedestrianEnv):
         points = round(self.decision_dt / TRACE_SECONDS)
         full = specs.observation_spec(scenes, agents, points, self.bank)
         info = Composite({name: specs.flag(*shape) for name in ("active", *INFO)}, shape=shape)
-        seen = Composite(self._readings.spec(shape), shape=shape)
+        seen = Composite(
+            {name: one.spec(*shape) for name, one in self._readings.entries.items()}, shape=shape
+        )
         self._body = TensorDict(self.fleet._asdict(), (self.robots,), device=self.device).expand(shape)
         body = make_composite_from_td(self._body)
         full["robots"] = Composite(observation=seen, body=body, info=info, shape=shape)
@@ -243,3 +254,66 @@ class _Commanded(Policy):
         """Write the commands as actions."""
         tensordict["agents", "action"] = agents_of(tensordict)["command"]
         return tensordict
+
+
+@known_arguments(PedestrianEnv.__init__, RobotEnv.__init__)
+def make_robot_env(
+    scenario: str | Spec | PreparedScenario,
+    robot: str | Spec | RobotBody | Sequence[str | RobotBody] = "disc",
+    people: str | Policy | Walker | Crowd = "orca",
+    num_envs: int = 1,
+    sensors: str | Sensor | Sequence[str | Sensor] = SENSES,
+    reward: Mapping[str, float] | WeightedSum | None = None,
+    physics: str = "compiled",
+    clearance: float | None = None,
+    robot_goals: int = 1,
+    present: bool = True,
+    **settings: Any,
+) -> RobotEnv:
+    """Return an environment in which a policy moves robots among people who are walked inside.
+
+    Args:
+        scenario: Its name with settings, ``goals:map=plan.yaml,people=6``: so many people beside the robots.
+            Or prepared scenes with robots, which environments may share: ``robot``, ``robot_goals``,
+            ``present`` and ``clearance`` are theirs then.
+        robot: Its name with settings, ``diff_drive:radius=0.35``, ``file.py:Class``, or a body; a list for
+            several robots.
+        people: The policy of the people, or its name, a mixed crowd, see
+            `pedzoo.policies.load.load_policy`.
+        num_envs: B, scenes that are run at once.
+        sensors: Names with settings, ``lidar:beams=64``, ``file.py:Class``, or sensors: one, or a list.
+        reward: Weights of terms by name, ``{"progress": 1, "collision": 5}``; None for
+            `pedzoo.sim.robots.reward.DEFAULT_WEIGHTS`.
+        physics: As in `pedzoo.make_env`.
+        clearance: Metres that planned ways keep from walls; None: 0.25, or more for wide robots.
+        robot_goals: Goals that each robot has to reach.
+        present: Without it the robots are missing: the same people, in the same scenes.
+        settings: More of `RobotEnv` and `PedestrianEnv`: ``seed``, ``decision_dt``, ``ends_at``,
+            ``time_limit``, ``device``, ...
+
+    Raises:
+        UserError: An unknown name or setting, or a scene that cannot be.
+    """
+    body_radius = settings.setdefault("body_radius", BODY_RADIUS)
+    if isinstance(scenario, PreparedScenario):
+        prepared = scenario
+    else:
+        given = [robot] if isinstance(robot, str | Spec | RobotBody) else list(robot)
+        bodies = [one if isinstance(one, RobotBody) else build(ROBOTS, one, RobotBody) for one in given]
+        made = with_robots(scenario, bodies, robot_goals, present, body_radius)
+        prepared = made.prepare(clearance_of(bodies) if clearance is None else clearance)
+    senses = [sensors] if isinstance(sensors, str | Sensor) else sensors
+    return RobotEnv(
+        prepared,
+        make_physics(physics, prepared.bank, body_radius),
+        crowd_of(people) if isinstance(people, str) else people,
+        [one if isinstance(one, Sensor) else build(SENSORS, one, Sensor) for one in senses],
+        reward if isinstance(reward, WeightedSum) else WeightedSum(reward),
+        num_envs,
+        **settings,
+    )
+
+
+def clearance_of(bodies: Sequence[RobotBody]) -> float:
+    """Return the metres that planned ways keep from walls, so that all robots fit."""
+    return max(CLEARANCE, *(body.radius + GAP for body in bodies))

@@ -1,1 +1,0 @@
-"""CrowdNav's simulation of a robot among people who cross a circle, all test cases at once."""

@@ -1,1 +1,0 @@
-"""Terms of a robot's reward by name: one file each, found by the registry."""

@@ -1,0 +1,324 @@
+"""The table of sensors: every public class here is a sensor by its name."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from pedzoo.core.batch import other_agents
+from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import direction_of
+from pedzoo.sim.physics_parts.camera import Lens
+from pedzoo.sim.physics_parts.state_picture import bodies_seen
+from pedzoo.sim.robots.sensor import Reading, RobotView, Sensor, check_view
+
+NOT_SEEN = 15.0
+"""Metres: position of masked people in the observation of CrowdNav++."""
+
+
+class Goal(Sensor):
+    """The goal, the way to it, and the robot's own body, in its own frame.
+
+    ``goal`` (B, R, 2) and ``waypoint`` (B, R, 2) in metres, and ``remaining_path`` (B, R, 1), metres. The
+    waypoint is the planner's short-term goal: a point ahead on the way around walls, in sight.
+    """
+
+    readings: Mapping[str, Reading] = {
+        "goal": Reading((2,)),
+        "waypoint": Reading((2,)),
+        "remaining_path": Reading((1,), low=0.0),
+    }
+
+    def read(self, view: RobotView) -> dict[str, Tensor]:
+        """See `Sensor.read`."""
+        return {
+            "goal": view.own_places(view.robot(view.state.goal_point)),
+            "waypoint": view.own_places(view.robot(view.guidance.goal)),
+            "remaining_path": view.robot(view.state.remaining_path).unsqueeze(-1),
+        }
+
+
+class Odometry(Sensor):
+    """What a robot knows of its own motion.
+
+    ``velocity`` (B, R, 2), m/s, in the robot's frame; ``turn_rate``, ``radius`` and ``heading`` (B, R, 1).
+    Turning rates are in rad/s, radii in metres, headings in radians from the x axis of the world.
+    """
+
+    readings: Mapping[str, Reading] = {
+        "velocity": Reading((2,)),
+        "turn_rate": Reading((1,)),
+        "radius": Reading((1,), low=0.0),
+        "heading": Reading((1,)),
+    }
+
+    def read(self, view: RobotView) -> dict[str, Tensor]:
+        """See `Sensor.read`."""
+        state = view.state
+        numbers = {"turn_rate": state.turn_rate, "radius": state.radius, "heading": state.heading}
+        return {
+            "velocity": view.own(view.robot(state.velocity)),
+            **{name: view.robot(value).unsqueeze(-1) for name, value in numbers.items()},
+        }
+
+
+@dataclass(eq=False)
+class Lidar(Sensor):
+    """A planar lidar: how far it is to walls and bodies all around a robot.
+
+    ``lidar`` (B, R, N): metres from the robot's centre, at most ``reach``; counterclockwise. Beams are spread
+    evenly over the field of view. With 360 degrees the first one points ahead; with less it points to the
+    right end of the field, the last one to the left end.
+
+    Attributes:
+        beams: N.
+        reach: Metres.
+        field_of_view: Degrees.
+    """
+
+    beams: int = 64
+    reach: float = 5.0
+    field_of_view: float = 360.0
+
+    def __post_init__(self) -> None:
+        """See `Sensor.__post_init__`."""
+        super().__post_init__()
+        check_view("lidar: beams", self.beams, self.reach, self.field_of_view)
+        angle = math.radians(self.field_of_view)
+        if self.field_of_view == 360:
+            self._angles = torch.arange(self.beams) * (angle / self.beams)
+        else:
+            self._angles = torch.linspace(-angle / 2, angle / 2, self.beams)
+
+    @property
+    def readings(self) -> Mapping[str, Reading]:
+        """See `Sensor.readings`."""
+        return {"lidar": Reading((self.beams,), low=0.0, high=self.reach)}
+
+    def read(self, view: RobotView) -> dict[str, Tensor]:
+        """See `Sensor.read`."""
+        angle = view.heading.unsqueeze(-1) + self._angles.to(view.heading.device)
+        return {"lidar": view.rays(direction_of(angle), self.reach)}
+
+
+@dataclass(eq=False)
+class Camera(Sensor):
+    """A colour camera with depth on a robot.
+
+    ``rgb`` (B, R, H, W, 3) uint8, and ``depth`` (B, R, H, W), metres along the optical axis. It stands above
+    the robot's centre and looks ahead, level; a robot does not see itself. Walls and people are seen as
+    `bullet` has them, the only backend with such pictures.
+
+    Attributes:
+        width: W, pixels.
+        height: H, pixels.
+        field_of_view: From left to right, degrees.
+        eye_height: Metres above the floor.
+        reach: Greatest depth, metres: where nothing is nearer.
+        noise: Of depths, see `Sensor`; metres.
+    """
+
+    width: int = 64
+    height: int = 48
+    field_of_view: float = 70.0
+    eye_height: float = 0.5
+    reach: float = 10.0
+
+    def __post_init__(self) -> None:
+        """See `Sensor.__post_init__`."""
+        super().__post_init__()
+        width, height, angle, reach = self.width, self.height, self.field_of_view, self.reach
+        if min(width, height) < 1 or not 0 < angle < 180 or not (self.eye_height > 0 and reach > 0):
+            raise UserError(
+                f"sensor camera: width {width}, height {height}, field_of_view {angle}, eye_height "
+                f"{self.eye_height}, reach {reach}: expected pixels, degrees below 180, and metres above 0"
+            )
+        self.lens = Lens(width, height, math.radians(angle), self.eye_height, reach)
+
+    @property
+    def readings(self) -> Mapping[str, Reading]:
+        """See `Sensor.readings`."""
+        size = self.lens.height, self.lens.width
+        return {
+            "rgb": Reading((*size, 3), torch.uint8, low=0, high=255),
+            "depth": Reading(size, low=0.0, high=self.lens.reach),
+        }
+
+    def read(self, view: RobotView) -> dict[str, Tensor]:
+        """See `Sensor.read`."""
+        pictures = view.physics.onboard(bodies_seen(view.state), view.heading, self.lens)
+        rgb, depth = (torch.from_numpy(values).to(view.heading.device) for values in pictures)
+        return {"rgb": rgb, "depth": depth}
+
+
+@dataclass(eq=False)
+class Patch(Sensor):
+    """A square of floor around a robot, seen from above: walls, and bodies.
+
+    ``patch`` (B, R, 2, N, N): 1 where the centre of a cell is in a wall (layer 0) or in a body (layer 1). The
+    robot is in the middle and faces up: rows go from ahead to behind, columns from left to right. Its own
+    body is not drawn.
+
+    Attributes:
+        cells: N.
+        side: Length of the square's side, metres.
+    """
+
+    cells: int = 32
+    side: float = 6.4
+
+    def __post_init__(self) -> None:
+        """See `Sensor.__post_init__`."""
+        super().__post_init__()
+        cells, side = self.cells, self.side
+        if cells < 1 or not side > 0:
+            raise UserError(
+                f"sensor patch: cells {cells}, side {side}: expected at least 1, and metres above 0"
+            )
+        across = (torch.arange(cells) + 0.5) * (side / cells) - side / 2
+        self._centres = torch.stack(torch.meshgrid(-across, -across, indexing="ij"), dim=-1)
+
+    @property
+    def readings(self) -> Mapping[str, Reading]:
+        """See `Sensor.readings`."""
+        return {"patch": Reading((2, self.cells, self.cells), low=0.0, high=1.0)}
+
+    def read(self, view: RobotView) -> dict[str, Tensor]:
+        """See `Sensor.read`."""
+        state, robots = view.state, view.robots
+        scenes, agents = state.mask.shape
+        own = self._centres.to(state.past).expand(scenes, robots, self.cells, self.cells, 2)
+        points = (view.world(own) + view.position[:, :, None, None]).flatten(2, 3)
+        gap, _ = view.physics.bank.closest_wall(points, state.map_id, state.pose)
+        away = torch.cdist(points.flatten(1, 2), state.position).view(scenes, robots, -1, agents)
+        there = other_agents(state.mask, robots).unsqueeze(2)
+        bodies = ((away < state.radius[:, None, None]) & there).any(-1)
+        layers = torch.stack((gap <= 0, bodies), dim=2).to(points.dtype)
+        return {"patch": layers.unflatten(3, (self.cells, self.cells))}
+
+
+@dataclass(eq=False)
+class People(Sensor):
+    """The people and other robots around a robot, as a set: nearest first.
+
+    ``people`` (B, R, N, 5): x, y, vx, vy in the robot's frame, and radius; ``people_mask`` (B, R, N) bool.
+    Metres and m/s; velocities are those over the ground. Rows beyond the agents in view are 0 and masked.
+
+    Attributes:
+        most: N, the nearest ones.
+        reach: Metres between centres.
+        field_of_view: Degrees, half of it to either side.
+        line_of_sight: Agents behind walls are not seen.
+    """
+
+    most: int = 10
+    reach: float = 10.0
+    field_of_view: float = 360.0
+    line_of_sight: bool = False
+
+    def __post_init__(self) -> None:
+        """See `Sensor.__post_init__`."""
+        super().__post_init__()
+        check_view("people: most", self.most, self.reach, self.field_of_view)
+        self.half_angle = math.radians(self.field_of_view / 2)
+
+    @property
+    def readings(self) -> Mapping[str, Reading]:
+        """See `Sensor.readings`."""
+        return {"people": Reading((self.most, 5)), "people_mask": Reading((self.most,), torch.bool)}
+
+    def read(self, view: RobotView) -> dict[str, Tensor]:
+        """See `Sensor.read`."""
+        state, robots = view.state, view.robots
+        scenes, agents = state.mask.shape
+        shape = (scenes, robots, agents, 2)
+        place = view.own_places(state.position.unsqueeze(1).expand(shape))
+        distance = torch.linalg.vector_norm(place, dim=-1)
+        seen = other_agents(state.mask, robots) & (distance <= self.reach)
+        if self.half_angle < math.pi:
+            seen = seen & (torch.atan2(place[..., 1], place[..., 0]).abs() <= self.half_angle)
+        if self.line_of_sight:
+            direction = view.world(place) / distance.clamp_min(1e-6).unsqueeze(-1)
+            free = view.rays(direction, min(self.reach, view.physics.bank.max_distance), people=False)
+            seen = seen & (free >= (distance - state.radius.unsqueeze(1)).clamp_max(free.max()))
+        count = min(self.most, agents)
+        nearest = torch.where(seen, distance, torch.inf).topk(count, largest=False).indices
+        velocity = view.own(state.velocity.unsqueeze(1).expand(shape))
+        rows = torch.cat((place, velocity, state.radius[:, None, :, None].expand(*shape[:3], 1)), -1)
+        mask = seen.gather(2, nearest)
+        rows = rows.gather(2, nearest.unsqueeze(-1).expand(*nearest.shape, 5)) * mask.unsqueeze(-1)
+        missing = self.most - count
+        return {
+            "people": torch.nn.functional.pad(rows, (0, 0, 0, missing)),
+            "people_mask": torch.nn.functional.pad(mask, (0, missing)),
+        }
+
+
+class AttnGraph(People):
+    """The observation of CrowdNav++ (Liu et al., "Intention Aware Robot Crowd Navigation", ICRA 2023).
+
+    A dictionary in the frame of the world. ``robot_node`` (B, R, 1, 7) is x, y, radius, goal x, goal y, top
+    speed and heading of the robot. ``temporal_edges`` (B, R, 1, 2) is its velocity. ``spatial_edges`` (B, R,
+    N, 2 (P + 1)) says for people, nearest first, where they are from the robot's place, and where they will
+    be in P steps if they go on as they do; all 15 in other rows. ``visible_masks`` (B, R, N) says which rows
+    are people, and ``detected_human_num`` (B, R, 1) how many, at least 1.
+    """
+
+    def __init__(
+        self,
+        most: int = 20,
+        reach: float = 5.0,
+        field_of_view: float = 360.0,
+        predicted: int = 5,
+        seconds: float = 0.25,
+    ) -> None:
+        """Say which people are seen, and how far they are predicted.
+
+        Args:
+            most: N.
+            reach: See `People`.
+            field_of_view: See `People`.
+            predicted: P, steps ahead; 0 for where people are alone, as in DS-RNN.
+            seconds: Of one of them.
+
+        Raises:
+            UserError: A value is out of range.
+        """
+        super().__init__(most, reach, field_of_view)
+        if predicted < 0 or not seconds > 0:
+            raise UserError(
+                f"sensor attn_graph: predicted {predicted}, seconds {seconds}: expected at least 0, above 0"
+            )
+        self.predicted, self.seconds = predicted, seconds
+
+    @property
+    def readings(self) -> Mapping[str, Reading]:
+        """See `Sensor.readings`."""
+        return {
+            "robot_node": Reading((1, 7)),
+            "temporal_edges": Reading((1, 2)),
+            "spatial_edges": Reading((self.most, 2 * (self.predicted + 1))),
+            "visible_masks": Reading((self.most,), torch.bool),
+            "detected_human_num": Reading((1,), low=1.0, high=float(self.most)),
+        }
+
+    def read(self, view: RobotView) -> dict[str, Tensor]:
+        """See `Sensor.read`."""
+        seen, state = super().read(view), view.state
+        rows, mask = seen["people"], seen["people_mask"]
+        place, velocity = view.world(rows[..., 0:2]), view.world(rows[..., 2:4])
+        ahead = self.seconds * torch.arange(self.predicted + 1, device=rows.device)
+        edges = place.unsqueeze(3) + velocity.unsqueeze(3) * ahead.view(-1, 1)
+        own = (state.radius, state.goal_point, state.top_speed, state.heading)
+        own = [view.robot(value if value.dim() == 3 else value.unsqueeze(2)) for value in own]
+        return {
+            "robot_node": torch.cat((view.position, *own), -1).unsqueeze(2),
+            "temporal_edges": view.robot(state.velocity).unsqueeze(2),
+            "spatial_edges": torch.where(mask.unsqueeze(-1), edges.flatten(3), NOT_SEEN),
+            "visible_masks": mask,
+            "detected_human_num": mask.sum(-1, keepdim=True).clamp_min(1).to(rows.dtype),
+        }

@@ -1,1 +1,0 @@
-"""Parts of scenarios: layouts, lanes, ranges."""

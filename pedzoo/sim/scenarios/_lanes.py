@@ -1,0 +1,339 @@
+"""Encounters: people come in lanes from several sides and meet at one place at the same time.
+
+The situations are those of Francis et al., "Principles and Guidelines for Evaluating Social Robot Navigation
+Algorithms" (2023, arXiv 2306.16740), Fig. 7 and Table 3, with people in the robot's part, too.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import ClassVar, NamedTuple
+
+import torch
+from torch import Tensor
+
+from pedzoo.core.randomness import Draws
+from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.plans import Point, Rectangle, rectangles
+from pedzoo.sim.scenario import SLOWEST, WARM_SECONDS, Layout, PreparedScenario, Scenario
+from pedzoo.sim.scenarios._base import CELL, Numbers, Variant, Variants, fastest_ahead
+
+MEET = 2.5
+"""Seconds after the warm start at which those in front meet if they are in time and nothing holds them up."""
+
+SPACING = 0.9
+"""Metres between people one behind the other."""
+
+ABREAST = 0.8
+"""Metres between lanes."""
+
+BEYOND = 4.0
+"""Metres of the goals behind the place of the encounter."""
+
+APART = 0.5
+"""Minimum distance of people in different lanes at the start, metres."""
+
+FREE = 0.3
+"""Minimum distance of starts to walls, metres."""
+
+ASIDE = 0.45
+"""Distance of the outermost lanes to walls, metres."""
+
+MAX_JITTER = (ABREAST - APART) / 2
+"""Metres: with more of it people of neighbouring lanes could be nearer than `APART` at the start."""
+
+MAX_DELAY = 10.0
+"""Seconds."""
+
+
+class Lane(NamedTuple):
+    """People one behind the other.
+
+    Attributes:
+        people: How many.
+        heading: Unit vector in which they walk.
+        middle: Where they meet others, metres.
+        goals: Their goals after that, metres; all take the first, but for a share of strays.
+        before: Metres that they all start farther back.
+        side: Lanes of one side start aside by the same length.
+        aside: Metres that they start to the left or to the right of the lane, at most.
+        delay: Seconds that the first of them comes late, at most.
+    """
+
+    people: int
+    heading: Point
+    middle: Point
+    goals: tuple[Point, ...]
+    before: float = 0.0
+    side: int = 0
+    aside: float = 0.0
+    delay: float = 0.0
+
+
+class Places(NamedTuple):
+    """The place of each person in a lane, on each of V variants of a scene; (V, A) each.
+
+    Attributes:
+        row: How many are ahead in the lane, long.
+        lane: Number of the lane, long.
+        leader: The person beside them: the first of their side and row, long.
+        side: See `Lane`; like the others here, long or float.
+        heading: See `Lane` (V, A, 2).
+        middle: See `Lane` (V, A, 2).
+        before: Metres that they start farther back, with those of their row.
+        aside: See `Lane`.
+        delay: See `Lane`.
+    """
+
+    row: Tensor
+    lane: Tensor
+    leader: Tensor
+    side: Tensor
+    heading: Tensor
+    middle: Tensor
+    before: Tensor
+    aside: Tensor
+    delay: Tensor
+
+    @classmethod
+    def of(cls, variants: Sequence[Sequence[Lane]]) -> Places:
+        """Return each person's place: first those in front, lane by lane, then those behind them."""
+        tables = []
+        for lanes in variants:
+            slots = sorted((row, number) for number, lane in enumerate(lanes) for row in range(lane.people))
+            row, lane = torch.tensor(slots).unbind(1)
+            table = {
+                name: torch.tensor([getattr(one, name) for one in lanes])[lane] for name in cls._fields[3:]
+            }
+            side = table["side"]
+            beside = (row == row.unsqueeze(1)) & (side == side.unsqueeze(1))
+            table["before"] = table["before"] + SPACING * row
+            tables.append(cls(row, lane, beside.int().argmax(1), **table))
+        return cls(*(torch.stack(table) for table in zip(*tables, strict=True)))
+
+    def of_scenes(self, variant: Tensor) -> Places:
+        """Return the places of B scenes (B, ...), each on the variant (B,) long of its own."""
+        return Places(*(table.to(variant.device)[variant] for table in self))
+
+
+def abreast(
+    people: int, heading: Point, most: int, beyond: float = BEYOND, right: float = 0.0, before: float = 0.0
+) -> list[Lane]:
+    """Return people on their way past the origin in lanes side by side.
+
+    Args:
+        people: How many, shared out evenly.
+        heading: Unit vector in which they walk.
+        most: Lanes, at most.
+        beyond: Metres of the goals behind the origin.
+        right: Metres that the middle of the lanes keeps to the right of it.
+        before: Metres that they all start farther back.
+    """
+    lanes = []
+    for number, mine in enumerate(shares(people, min(most, people))):
+        left = (number - (min(most, people) - 1) / 2) * ABREAST - right
+        middle = (-heading[1] * left, heading[0] * left)
+        goal = (middle[0] + beyond * heading[0], middle[1] + beyond * heading[1])
+        lanes.append(Lane(mine, heading, middle, (goal,), before))
+    return lanes
+
+
+def shares(people: int, parts: int) -> list[int]:
+    """Return how many people each of some parts has if they are shared out evenly."""
+    return [people // parts + (number < people % parts) for number in range(parts)]
+
+
+def beside(lanes: Sequence[Lane], width: float) -> float:
+    """Return the room beside lanes in a corridor around the origin, metres, without `FREE`."""
+    across = [lane.heading[0] * lane.middle[1] - lane.heading[1] * lane.middle[0] for lane in lanes]
+    return width / 2 - FREE - max((abs(value) for value in across), default=0.0)
+
+
+def lanes_in(width: float) -> int:
+    """Return how many lanes fit between two walls, at least one."""
+    return max(1, 1 + math.floor((width - 2 * ASIDE) / ABREAST + 1e-6))
+
+
+def block(people: int) -> int:
+    """Return how many lanes a group in the open has that is as broad as deep, five at most."""
+    return min(5, math.ceil(math.sqrt(people)))
+
+
+@dataclass(frozen=True)
+class EncounterSettings:
+    """Settings of all encounters.
+
+    Attributes:
+        people: How many; most encounters take 2 to 300.
+        speed: Mean preferred speed, m/s.
+        speed_std: Its standard deviation.
+        jitter: Greatest distance of starts from their places in x and in y, metres, uniformly distributed.
+        aside: Greatest shift of all starts of one side to the left or right of their lanes, metres, uniformly
+            distributed; less where walls or others are near. Goals stay.
+        delay: Greatest delay of the first of a lane, seconds, uniformly distributed.
+    """
+
+    people: int = 2
+    speed: float = 1.3
+    speed_std: float = 0.2
+    jitter: float = 0.1
+    aside: float = 0.5
+    delay: float = 0.5
+
+
+class Encounter(Scenario):
+    """People in lanes who meet; subclasses say which lanes, and on what floor plans.
+
+    People start as far from the meeting point as they walk until then, so that slow and fast ones meet.
+    People behind faster ones start at least `SPACING` from them. Scenes differ in the floor plan where there
+    are several, in speeds, and in ``jitter``, ``aside`` and ``delay``; with all of these 0 they are the same.
+
+    Attributes:
+        fewest: People, at least.
+        most: People, at most, and in ``more_would`` why not more.
+        variants: Settings of which every scene draws a value.
+        stray: Share of people with another goal of their lane than the first.
+        together: People side by side walk together: equally fast, and equally late.
+    """
+
+    fewest: ClassVar[int] = 2
+    most: ClassVar[int] = 300
+    more_would: ClassVar[str] = "more need a floor plan that is hundreds of metres long"
+    stray: float = 0.0
+    meet: float = MEET
+    together: bool = False
+
+    def __init__(self, common: EncounterSettings, meet: float = MEET, **variants: Numbers) -> None:
+        """Check the settings of all encounters.
+
+        Args:
+            common: Their settings.
+            meet: Seconds after the warm start at which those in front meet.
+            variants: Settings of which every scene draws a value.
+
+        Raises:
+            UserError: A setting that gives no scene.
+        """
+        people, jitter, aside, delay = common.people, common.jitter, common.aside, common.delay
+        super().__init__(people, common.speed, common.speed_std)
+        why = f", as {self.more_would}" if people > self.most else ""
+        self.check(
+            self.fewest <= people <= self.most,
+            f"people {people}",
+            f"{self.fewest} to {self.most}{why}; goals:people=N takes any number",
+        )
+        self.variants = Variants(self.name, **variants)
+        self.check(
+            aside >= 0 and 0 <= delay <= MAX_DELAY,
+            f"aside {aside}, delay {delay}",
+            f"at least 0 m, and 0 to {MAX_DELAY:g} s",
+        )
+        self.check(0 <= jitter <= self.max_jitter, f"jitter {jitter}", f"0 to {self.max_jitter:.2f} m")
+        self.jitter, self.aside, self.delay, self.meet = jitter, aside, delay, meet
+
+    @abstractmethod
+    def lanes_on(self, variant: Variant) -> list[Lane]:
+        """Return where people come from.
+
+        Agents are numbered lane by lane: first those in front, then those behind them.
+        """
+
+    def walls_on(self, variant: Variant, reach: float) -> list[Rectangle]:
+        """Return the walls, whose edges are between cells of 0.05 m; none: an open space.
+
+        Args:
+            variant: The settings' values.
+            reach: Metres from its middle at which a lane's last one may start.
+        """
+        return []
+
+    @property
+    def max_jitter(self) -> float:
+        """Greatest jitter with which no people touch at the start, metres."""
+        return MAX_JITTER
+
+    @property
+    def slowest(self) -> float:
+        """The smallest preferred speed that can be drawn, m/s."""
+        return max(SLOWEST, self.speed - 3 * self.speed_std)
+
+    @cached_property
+    def lanes(self) -> list[list[Lane]]:
+        """Where people come from, for every variant."""
+        return [self.lanes_on(variant) for variant in self.variants]
+
+    @cached_property
+    def places(self) -> Places:
+        """Each person's place in a lane, for every variant."""
+        return Places.of(self.lanes)
+
+    def varied(self, side: int, lanes: list[Lane], room: float = math.inf) -> list[Lane]:
+        """Return lanes whose people start aside and come late.
+
+        Args:
+            side: Its number: lanes of one side start aside by the same length.
+            lanes: All lanes of the side.
+            room: Metres to their left and right that are theirs.
+        """
+        aside = min(self.aside, max(0.0, room - self.jitter))
+        return [lane._replace(side=side, aside=aside, delay=self.delay) for lane in lanes]
+
+    def plans(self) -> list[OccupancyGrid]:
+        """Return the floor plans, one for every variant; none where these are open spaces."""
+        result = []
+        for variant, lanes in zip(self.variants, self.lanes, strict=True):
+            if walls := self.walls_on(variant, self._reach(lanes)):
+                result.append(rectangles(walls, CELL, name=self.variants.name(variant)))
+        return result
+
+    def _reach(self, lanes: list[Lane]) -> float:
+        longest = max(lane.before + (lane.people - 1) * SPACING + lane.delay * self.fastest for lane in lanes)
+        return longest + (WARM_SECONDS + self.meet) * self.fastest + self.jitter
+
+    def prepare(self, clearance: float) -> PreparedScenario:
+        """Find the ways to the goals; tables: floor plans (V,) and goals (V, lanes, goals) of variants."""
+        prepared = super().prepare(clearance)
+        bank, names = prepared.bank, map(self.variants.name, self.variants)
+        # variants may share a floor plan
+        map_id = torch.tensor([bank.id_of(name) if bank.grids else -1 for name in names])
+        most = max(len(lane.goals) for lanes in self.lanes for lane in lanes)
+        goals = torch.full((len(self.lanes), max(map(len, self.lanes)), most), -1)
+        for number, row in enumerate(bank.index(map_id).tolist()):
+            lanes = self.lanes[number]
+            points = torch.tensor([point for lane in lanes for point in lane.goals], dtype=torch.float64)
+            ids = prepared.planner.add_goals(row, points).split([len(lane.goals) for lane in lanes])
+            for place, mine in enumerate(ids):
+                goals[number, place, : len(mine)] = mine
+        return replace(prepared, tables=(map_id, goals))
+
+    def layout(self, prepared: PreparedScenario, draws: Draws) -> Layout:
+        """Return all people as far from the middle of their lane as they walk until they meet."""
+        agents, device = self.people, draws.key.device
+        variant = self.variants.draw(draws)
+        mine = self.places.of_scenes(variant)
+        speed = self.speeds(draws)
+        if self.together:
+            speed = speed.gather(1, mine.leader)
+        late = draws.uniform("delay", int(self.places.lane.max()) + 1)
+        late = mine.delay * late.gather(1, mine.side if self.together else mine.lane)
+        away = mine.before + (WARM_SECONDS + self.meet + late) * fastest_ahead(speed, mine.row, mine.lane)
+        sides = draws.uniform("aside", int(self.places.side.max()) + 1)
+        right = mine.aside * (2 * sides.gather(1, mine.side) - 1)
+        off = self.jitter * (2 * draws.uniform("jitter", agents, 2) - 1)
+        along, across = mine.heading, torch.stack((mine.heading[..., 1], -mine.heading[..., 0]), dim=-1)
+        start = mine.middle - away.unsqueeze(-1) * along + right.unsqueeze(-1) * across + off
+        map_id, goals = (table.to(device) for table in prepared.tables)
+        goal = self._goal(draws, goals[variant.unsqueeze(1), mine.lane])
+        return Layout(map_id[variant], start, torch.ones_like(goal, dtype=torch.bool), speed, goal)
+
+    def _goal(self, draws: Draws, goals: Tensor) -> Tensor:
+        """Return people's goals (B, A) long, of those of their lane (B, A, G), -1 where there are fewer."""
+        others = (goals >= 0).sum(2) - 1
+        strays, which = draws.uniform("goal", self.people, 2).unbind(-1)
+        other = 1 + (which * others).long().minimum(others - 1)
+        choice = torch.where((strays < self.stray) & (others > 0), other, 0)
+        return goals.gather(2, choice.unsqueeze(2)).squeeze(2)

@@ -1,1 +1,0 @@
-"""Encounters of Francis et al. 2023: people whose ways cross, one file each, found by its name."""

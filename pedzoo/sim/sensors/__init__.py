@@ -1,1 +1,0 @@
-"""Sensors of robots by name: one file each, found by the registry."""
