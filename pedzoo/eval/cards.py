@@ -80,9 +80,10 @@ def measure(
 ) -> list[Report]:
     """Return the reports for a model's card.
 
-    Errors of forecasts on the windows that the weights did not see (on the validation windows where they left
-    no scene out), by the model's own goal protocol; the same on the embedded recordings, which ship with
-    pedzoo; and the closed loop at the door, from goal to goal and in encounters.
+    Forecast errors are those of the windows that the weights did not see, under the model's own goal
+    protocol. Weights that left no scene out get those of their validation windows. The same follows for the
+    embedded recordings, which ship with pedzoo. The closed loop is that at the door, from goal to goal and in
+    encounters.
 
     Args:
         model: What `pedzoo.load` accepts of saved models.
@@ -158,8 +159,8 @@ def again(
 def compare(before: Report, now: Report) -> list[ComparedNumber]:
     """Return every number of a card's report, ``before``, beside today's.
 
-    Numbers are the same within `RELATIVE` or `ABSOLUTE`. Those of the closed loop need not be on another
-    machine, where a rounded digit sends an episode another way: they are the same inside the card's interval.
+    Numbers are the same within `RELATIVE` or `ABSOLUTE`. Those of the closed loop are also the same inside
+    the card's interval: on another machine a rounded digit sends an episode another way.
     """
     walks = before["command"] == "evaluate"
     today = {_case(row): row for row in now["rows"]}

@@ -138,36 +138,36 @@ class Evaluation:
         resume: str | Path | None = None,
     ) -> None:
         """Say what is to be done; wrong names are refused here. Arguments and errors as of `evaluate`."""
-        asked = options or EvaluationOptions()
-        usable(asked.device)
-        if asked.own and asked.folds:
+        options = options or EvaluationOptions()
+        usable(options.device)
+        if options.own and options.folds:
             raise UserError("--data.files are instead of --data.fold: leave one of them out")
-        if (kept := as_integer("keep_episodes", asked.keep_episodes)) < 0:
+        if (kept := as_integer("keep_episodes", options.keep_episodes)) < 0:
             raise UserError(f"keep_episodes {kept}: expected 0 or more")
-        asked = asked._replace(keep_episodes=kept)
+        options = options._replace(keep_episodes=kept)
         for key in ("episodes", "rollouts"):
-            if (number := getattr(asked, key)) is not None:
-                asked = asked._replace(**{key: at_least_one(key, number)})
-        self.options = asked
+            if (number := getattr(options, key)) is not None:
+                options = options._replace(**{key: at_least_one(key, number)})
+        self.options = options
         self._policies = check_names("policies", policies)
         self._seeds = tuple(dict.fromkeys(as_integer("seeds", seed) for seed in seeds))
         if not self._seeds:
             raise UserError("no seeds: expected at least one")
         self._deterministic = deterministic
         self._suites = [_suite(name) for name in dict.fromkeys(check_names("suites", suites))]
-        _check_use(asked, self._suites)
-        given = {"device": asked.device, "metrics": asked.metrics, "keep_episodes": asked.keep_episodes}
-        self._columns = (*(name for name in asked.metrics if name in NAMES), *named(asked.metrics))
+        _check_use(options, self._suites)
+        given = {"device": options.device, "metrics": options.metrics, "keep_episodes": options.keep_episodes}
+        self._columns = (*(name for name in options.metrics if name in NAMES), *named(options.metrics))
         for suite, policy in product(self._suites, self._policies):
             suite.check(policy)
         self.units: list[WorkUnit] = []
         for suite in self._suites:
-            for case in _cases(suite, asked):
+            for case in _cases(suite, options):
                 physics_class(case.physics).check()
-                if asked.clearance is not None:
-                    case = case._replace(clearance=asked.clearance)
+                if options.clearance is not None:
+                    case = case._replace(clearance=options.clearance)
                 if suite.warm_start != "recorded":  # people of recordings have the time that they took there
-                    case = case._replace(deadline=asked.deadline)
+                    case = case._replace(deadline=options.deadline)
                 units = suite.units(case, self._policies, self._seeds, deterministic)
                 self.units += [unit._replace(**given) for unit in units]
         self._digests = [digest(unit) if resume else "" for unit in self.units]
@@ -206,18 +206,18 @@ class Evaluation:
         """Return protocol, seeds, notes, summary and rows of all that is done."""
         rows = [dict(row) for number in sorted(self._rows) for row in self._rows[number]]
         plans = {name: plan for row in rows for name, plan in row.pop("plans", {}).items()}
-        asked = self.options
+        options = self.options
         protocol = {
             "suites": [suite.name for suite in self._suites],
-            **{key: value for key, value in asked._asdict().items() if key not in _IF_GIVEN or value},
-            **({"own": asked.own._asdict()} if asked.own else {}),
+            **{key: value for key, value in options._asdict().items() if key not in _IF_GIVEN or value},
+            **({"own": options.own._asdict()} if options.own else {}),
             "deterministic": self._deterministic,
             "warm_start": {suite.name: suite.warm_start for suite in self._suites},
         }
         return {
             "protocol": protocol,
             "seeds": list(self._seeds),
-            "notes": [note for suite in self._suites for note in suite.notes(asked, self._policies)],
+            "notes": [note for suite in self._suites for note in suite.notes(options, self._policies)],
             "summary": summary(rows),
             "rows": rows,
             **({"plans": plans} if plans else {}),

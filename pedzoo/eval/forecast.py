@@ -117,7 +117,7 @@ def forecast_row(
 class BlockSums:
     """Sums of errors over blocks of time, which give 95 % intervals of their means.
 
-    A window begins at every frame and shares nearly all of its frames with the next one: taken as
+    A window begins at every frame and shares nearly all of its frames with the next one. Taken as
     independent, windows would give intervals several times too narrow. A block is as many windows in a row as
     a window has frames, within one recording, so that only neighbouring blocks share frames (the block
     jackknife: Künsch, "The jackknife and the bootstrap for general stationary observations", Annals of

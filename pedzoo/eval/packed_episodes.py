@@ -48,9 +48,9 @@ def packed_episode(rollout: Rollout, episode: int, seed: int = 0) -> dict[str, A
     """Return one episode; point 0 is where it begins.
 
     ``people`` has one entry for every stay of a person in the scene: ``slot``, ``person``, ``robot``,
-    ``radius`` (m), ``first`` point, ``goals`` as [point, x, y] wherever they change, and runs of points
-    [first, last] in ``touch`` and ``wall``. ``xy`` has their positions one after the other, ``counts`` says
-    how many each has. ``values`` are numbers by which episodes are looked for.
+    ``radius`` (m) and ``first`` point. ``goals`` are [point, x, y] wherever they change; ``touch`` and
+    ``wall`` are runs of points [first, last]. ``xy`` has the positions of all people one after the other,
+    ``counts`` says how many each has. ``values`` are numbers by which episodes are looked for.
     """
     one = rollout.episodes(slice(episode, episode + 1))
     points = min(int(one.length[0]), round(LONGEST / TRACE_SECONDS))

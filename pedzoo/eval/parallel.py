@@ -49,9 +49,9 @@ def finished(
             script, which needs no ``if __name__ == "__main__"`` for it, or in a notebook.
         workers: Processes or Ray actors, at most one for each job. Each takes seconds to start. With one,
             ``processes`` stays in the caller's own.
-        backend: ``processes`` of this machine, or ``ray``: the cluster this process is connected to, else
-            the one that ``RAY_ADDRESS`` names or that runs on this machine, else one that is started for
-            the time. pedzoo and the files that jobs read must be on all its machines.
+        backend: ``processes`` of this machine, or ``ray``, whose machines need pedzoo and the files that jobs
+            read. The cluster is the one that this process is connected to, that ``RAY_ADDRESS`` names or that
+            runs on this machine. Without any, one is started for the time.
         group: Jobs for which it returns the same share something that takes time to prepare. They come one
             after the other, and stay with one worker as long as others have something to do. Without it
             every job stands alone.

@@ -61,7 +61,7 @@ def legend() -> dict[str, str]:
 def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return one row for every policy and table: each case counts the same, however many people it has.
 
-    A metric that a case has no value of (no arrivals, no meetings) has none in the summary either: a mean
+    A metric that a case has no value of (no arrivals, no meetings) has none in the summary either. A mean
     over the other cases could not be compared with those of other policies.
     """
     groups: dict[tuple[str, str], list[dict[str, Any]]] = {}
@@ -90,9 +90,9 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 def mean_interval(values: Sequence[float], intervals: Sequence[Sequence[float]]) -> tuple[float, float]:
     """Return the interval of the mean of independent estimates, each with an interval of its own.
 
-    The method of variance estimates recovery (Zou and Donner, "Construction of confidence limits about effect
-    measures", Statistics in Medicine 27, 2008): the squares of deviations to either side add up. So it
-    stays longer towards the middle where the intervals are Wilson's.
+    The method is that of variance estimates recovery: the squares of deviations to either side add up. So it
+    stays longer towards the middle where the intervals are Wilson's. Source: Zou and Donner, "Construction of
+    confidence limits about effect measures", Statistics in Medicine 27, 2008.
     """
     mean = sum(values) / len(values)
     below, above = (

@@ -58,7 +58,7 @@ def digest(unit: WorkUnit) -> str:
     """Return the cache key of a unit: units whose rows may differ have different ones.
 
     It depends on the unit itself, pedzoo's code, the versions of its dependencies, and the files that the
-    unit names: weights, or a policy, suite, scenario or physics from a file.
+    unit names. These are weights, or a policy, suite, scenario or physics from a file.
     """
     known = {**unit._asdict(), "case": unit.case._asdict()}
     walking = [_model_sum(policy) for who in (unit.walks, unit.case.people) for policy in parts(who)]

@@ -1,7 +1,7 @@
 """Pictures of how people walked: the way so far at some moments around the one at which they meet.
 
-In the manner of Fig. 4 of the paper on iGibson: a star where an agent is, dots where they were at the three
-steps of 0.4 s before, and the walls. Colours are people; all policies are shown at the same times.
+In the manner of Fig. 4 of the paper on iGibson: a star is where an agent is, dots are where they were at the
+three steps of 0.4 s before. Colours are people; all policies are shown at the same times.
 """
 
 from collections.abc import Sequence
@@ -173,7 +173,8 @@ class _Episode:
     def draw(self, axes: Axes, point: int) -> None:
         """Draw the ways until a trace point, or until the end where that is earlier."""
         self._ground(axes)
-        asked, point = point, min(point, self.length)
+        title = f"{point * TRACE_SECONDS:.1f} s"
+        point = min(point, self.length)
         for person, first, stays_until in self.stays:
             if first > point or (first > 0 and stays_until < point):
                 continue  # not there yet, or gone again
@@ -193,7 +194,6 @@ class _Episode:
             axes.plot(*self.path[person, last].numpy(), "*", color=color, markersize=12, zorder=6, **_EDGE)
             if last == point:
                 self._mark_goal(axes, self.goal[person, point], color)
-        title = f"{asked * TRACE_SECONDS:.1f} s"
         if point == self.length:
             ended = "failed" if bool(self.rollout.failed[self.number]) else "ended"
             title += f" ({ended} at {self.length * TRACE_SECONDS:.1f} s)"

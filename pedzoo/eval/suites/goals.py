@@ -26,8 +26,8 @@ POOL = 12
 class Goals(Suite):
     """Every cell of Table II on drawn floor plans, and again on those that were given.
 
-    The episodes of a cell are spread over its floor plans: as many people walk at once, and what they do on
-    large plans, whose ways take minutes, is waited for once.
+    The episodes of a cell are spread over its floor plans, so that as many people walk at once. What they do
+    on large plans, whose ways take minutes, is waited for once.
     """
 
     accepted_options: ClassVar[tuple[str, ...]] = ("episodes", "maps")

@@ -51,8 +51,8 @@ QUICK_SHARE = 0.1
 class Replay(Suite):
     """Two cases for every fold, and rows of the real crowd in each.
 
-    Weights of the zoo walk on a fold that they have not seen: for a name ``ARCH.FOLD`` those of the fold that
-    is walked, where there are any.
+    Weights of the zoo walk on a fold that they have not seen. For a name ``ARCH.FOLD`` these are the weights
+    of the fold that is walked, where there are any.
 
     Attributes:
         simulated: Some of `SIMULATED`.
