@@ -228,7 +228,7 @@ def report_of(command: str, job: Job) -> Report:
     if command not in _MAKERS:
         raise UserError(f"no way to do {command!r} again: expected {' or '.join(_MAKERS)}")
     form, make = _MAKERS[command]
-    check(job.protocol, form, f"protocol of {command}:")
+    check(job.protocol, form, f"protocol of {command}")
     refuse_code(job.protocol, f"protocol of {command}", f"name it yourself, with pedzoo {command}")
     protocol, rows = make(job)
     content = {"protocol": protocol, "seeds": list(job.seeds), "versions": versions(), "rows": rows}

@@ -128,7 +128,7 @@ def test_what_cannot_be_done_here_is_skipped_and_says_why(
     assert code == 1 and "no way to do 'measure' again: expected forecast or evaluate" in printed
     del measured[0]["protocol"]["goal"], measured[0]["protocol"]["samples"]
     code, printed = again(capsys, card_with([measured[0]]))
-    assert code == 1 and "protocol of forecast: goal is missing" in printed
+    assert code == 1 and "protocol of forecast: Object missing required field `goal`" in printed
 
 
 FORECAST = {"samples": 2, "split": "test"}
@@ -140,16 +140,16 @@ DOOR_ALONE = {"suites": ["door"]}
     [
         (FORECAST, {"split": "all"}, "unknown split 'all'"),
         (FORECAST, {"clock": "tru"}, "unknown clock 'tru': did you mean 'true'"),
-        (FORECAST, {"samples": "many"}, "protocol of forecast: samples is 'many', expected a whole number"),
+        (FORECAST, {"samples": "many"}, "protocol of forecast.samples: Expected `int`, got `str`"),
         (FORECAST, {"fold": "own.py:Mine:a"}, "own.py:Mine:a' is in a file of code, and no other file"),
         (DOOR_ALONE, {"suites": ["own.py:Mine"]}, "protocol of evaluate: 'own.py:Mine' is in a file of code"),
         (DOOR_ALONE, {"people": ["orca", "own.py:Mine"]}, "'own.py:Mine' is in a file"),
         (DOOR_ALONE, {"robot": "own.py:Mine:radius=1"}, "with pedzoo evaluate"),
         (DOOR_ALONE, {"physics": "own.py:Mine"}, "'own.py:Mine' is in a file"),
         (DOOR_ALONE, {"suites": ["suite"]}, "unknown suite 'suite'"),
-        (DOOR_ALONE, {"suites": "door"}, "suites is 'door', expected a list"),
-        (DOOR_ALONE, {"quick": "yes"}, "quick is 'yes', expected true or false"),
-        (DOOR_ALONE, {"episodes": "few"}, "episodes is 'few', expected a whole number"),
+        (DOOR_ALONE, {"suites": "door"}, "protocol of evaluate.suites: Expected `array`, got `str`"),
+        (DOOR_ALONE, {"quick": "yes"}, "protocol of evaluate.quick: Expected `bool`, got `str`"),
+        (DOOR_ALONE, {"episodes": "few"}, "protocol of evaluate.episodes: Expected `int`, got `str`"),
     ],
 )
 def test_a_strange_protocol_is_refused_and_runs_nothing(
