@@ -164,6 +164,8 @@ def test_a_unicycle_robot(folder: Path, physics: str, capsys: pytest.CaptureFixt
 
 def test_a_physics_backend_that_moves_robots_by_its_own_rule(folder: Path) -> None:
     env = carts(folder, 0.6)
+    _, several = rollout("go_to_goal", "door:people=2", physics=f"{folder / 'carts.py'}:Carts", episodes=5)
+    assert several.batch_size[0] == 2, "as many scenes at once as it says"
     now = env.reset()
     begun = env.state
     assert (begun.drive == UNICYCLE).all()
@@ -201,11 +203,6 @@ def test_what_a_backend_owns_touches_others_and_reaches_goals(folder: Path) -> N
     assert int(torch.cat(reached).nonzero()[0]) + 1 in (17, 18)  # 0.3 m before 2 m
 
 
-def test_evaluations_run_as_many_scenes_as_a_backend_says(folder: Path) -> None:
-    _, env = rollout("go_to_goal", "door:people=2", physics=f"{folder / 'carts.py'}:Carts", episodes=5)
-    assert env.batch_size[0] == 2
-
-
 def test_walks_have_the_contacts_of_an_own_backend(folder: Path) -> None:
     own = folder / "carts.py"
     cases = ("torch", False), (f"{own}:Sticky", True), ("compiled", False), (f"{own}:Glue", True)
@@ -215,12 +212,8 @@ def test_walks_have_the_contacts_of_an_own_backend(folder: Path) -> None:
 
 
 def test_a_loss(folder: Path) -> None:
-    trained = module(losses={f"{folder / 'loss.py'}:leftwards": 5.0})
-    trainer = train(trained, 1)
+    trainer = train(module(losses={f"{folder / 'loss.py'}:leftwards": 5.0}), 1)
     assert float(trainer.callback_metrics["train/leftwards"]) > 0
-
-
-def test_a_loss_that_is_none(folder: Path) -> None:
     with pytest.raises(UserError, match="did you mean 'leftwards'"):
         module(losses={f"{folder / 'loss.py'}:leftward": 1.0})
     with pytest.raises(UserError, match=r"expected what each decision costs, \(T, B, A\)"):
@@ -243,8 +236,16 @@ def test_a_reward(folder: Path) -> None:
         Reward(terms={f"{folder / 'reward.py'}:scalar": 1.0})(before, after)
 
 
-def test_a_class_that_is_no_physics_is_refused(folder: Path) -> None:
-    with pytest.raises(UserError, match=r"expected a subclass of pedzoo.*\.Physics"):
-        pedzoo.make_env("door", physics=f"{folder / 'robot.py'}:Drives")
-    with pytest.raises(UserError, match="did you mean 'compiled'"):
-        pedzoo.make_env("door", physics="compield")
+@pytest.mark.parametrize(
+    ("physics", "message"),
+    [
+        ("robot.py:Drives", r"expected a subclass of pedzoo.*\.Physics"),
+        ("compield", "did you mean 'compiled'"),
+    ],
+)
+def test_what_is_no_physics_is_refused(
+    physics: str, message: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    with pytest.raises(UserError, match=message):
+        pedzoo.make_env("door", physics=physics)

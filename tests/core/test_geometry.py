@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import pytest
 import torch
 
 from pedzoo.core import geometry
@@ -34,20 +35,16 @@ def test_each_scene_of_a_batch_has_its_own_pose() -> None:
     assert torch.allclose(moved[1], torch.tensor([4.0, -4.0]))
 
 
-def test_round_trips_for_points_of_any_rank() -> None:
+@pytest.mark.parametrize("shape", [(6, 2), (6, 3, 2), (6, 3, 8, 2)])
+def test_round_trips_for_points_of_any_rank(shape: tuple[int, ...]) -> None:
     generator = torch.Generator().manual_seed(0)
     pose = torch.randn(6, 4, generator=generator)
     pose[:, 1] = torch.tensor([1.0, -1.0] * 3)
-    for shape in [(6, 2), (6, 3, 2), (6, 3, 8, 2)]:
-        points = torch.randn(shape, generator=generator)
-        assert torch.allclose(
-            geometry.move_to_map(geometry.move_to_scene(points, pose), pose), points, atol=1e-5
-        )
-        assert torch.allclose(
-            geometry.turn_to_map(geometry.turn_to_scene(points, pose), pose), points, atol=1e-5
-        )
-        lengths = geometry.turn_to_scene(points, pose).norm(dim=-1)
-        assert torch.allclose(lengths, points.norm(dim=-1), atol=1e-5)
+    points = torch.randn(shape, generator=generator)
+    moved, turned = geometry.move_to_scene(points, pose), geometry.turn_to_scene(points, pose)
+    torch.testing.assert_close(geometry.move_to_map(moved, pose), points, atol=1e-5, rtol=0)
+    torch.testing.assert_close(geometry.turn_to_map(turned, pose), points, atol=1e-5, rtol=0)
+    torch.testing.assert_close(turned.norm(dim=-1), points.norm(dim=-1), atol=1e-5, rtol=0)
 
 
 def test_the_identity_changes_nothing_and_gradients_flow() -> None:

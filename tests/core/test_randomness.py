@@ -28,14 +28,10 @@ from pedzoo.sim.scenario import Scenario
 from pedzoo.sim.scenarios.goals import Goals
 
 
-def test_a_scene_draws_the_same_in_every_batch() -> None:
-    everything = Draws.for_episodes(7, torch.arange(100)).normal("start", 5, 2)
+def test_a_scene_and_its_people_draw_the_same_in_every_batch() -> None:
+    draws = Draws.for_episodes(7, torch.arange(100))
     alone = Draws.for_episodes(7, torch.tensor([42])).normal("start", 5, 2)
-    assert torch.equal(everything[42], alone[0])
-
-
-def test_more_people_keep_the_numbers_of_fewer() -> None:
-    draws = Draws.for_episodes(0, torch.arange(3))
+    assert torch.equal(draws.normal("start", 5, 2)[42], alone[0])
     assert torch.equal(draws.uniform("speed", 9)[:, :4], draws.uniform("speed", 4))
     assert torch.equal(draws.uniform("place", 9, 2)[:, :4], draws.uniform("place", 4, 2))
 
@@ -130,9 +126,6 @@ def test_distributions() -> None:
     assert abs(float(n.std()) - 1) < 0.01
     neighbours = torch.stack((u[:-1], u[1:]))
     assert abs(float(torch.corrcoef(neighbours)[0, 1])) < 0.01
-
-
-def test_whole_numbers_cover_their_range() -> None:
     counts = Draws.for_episodes(3, torch.arange(6000)).integers("die", 6).bincount(minlength=6)
     assert len(counts) == 6
     assert int(counts.min()) > 850
