@@ -108,50 +108,81 @@ def parse(parser: ArgumentParser, argv: list[str], classes: Iterable[tuple[str, 
 
 def explain(message: str, known: list[str]) -> str:
     """Return jsonargparse's ``message`` in one line, with the nearest of the ``known`` options."""
-    found: re.Match[str] | None = None
-
-    def has(pattern: str) -> bool:
-        nonlocal found
-        found = re.search(pattern, message)
-        return found is not None
-
-    def place() -> tuple[str, str]:
-        """Return the option that the nested text has come down to, and the class that takes it."""
-        above = message[: found.start()] if found else message
-        owners = re.findall(r"given class_path '([^']*)'", above)
-        return "--" + ".".join(re.findall(r'Parser key "([^"]*)"', above)), owners[-1] if owners else ""
-
-    if has(r"unrecognized arguments: (\S+)") and found:
-        given = found[1].partition("=")[0]
-        path, owner = place()
-        if owner:  # one of a group in it
-            return unknown_option(f"{path}.{given.lstrip('-')}", _options_of(path, owner))
-        return unknown_option(given, known) if given.startswith("-") else f"unexpected argument {given!r}"
-    if has(r"arguments are required: model\b") and "--model" in known:
-        return str(no_model_chosen())
-    if has(r"arguments are required: policies\b"):
-        return "no policies: name them before the options, as in orca go_to_goal --episodes 20"
-    if has(r"Group '([^']*)' does not accept option '([^']*)'") and found:
-        return unknown_option("--" + ".".join(filter(None, found.groups())), known)
-    if has(r"Option '([^']*)' is not accepted") and found:
-        path, owner = place()
-        return unknown_option(_below(path, found[1]), (_options_of(path, owner) if owner else []) or known)
-    if has(r"Expected an? (.+?)\. Got value: (.*)") and found:
-        return _mismatch(place()[0], _plain(found[1]), found[2])
-    if has(r"Expected a dot import path string: (.*)") and found:
-        path, wrong = place()[0], found[1]
-        return f"{path}: no class {wrong!r}; PACKAGE.CLASS names any, and {path}.help CLASS explains one"
-    required = r"the following arguments are required: "
-    if has(rf"given class_path '([^']*)':\s+({required})?(.*)") and found:
-        path, (cls, lacks, rest) = place()[0], found.groups()
-        if lacks:
-            return f"{path} {cls} needs {rest}, too: start from --config NAME ({shipped_configs()})"
-        return f"{path} {cls}: {rest}"
-    if has(r"Subtypes: \[(.*)\]") and found:
-        value = re.search(r"Given value: (.*)", message)
-        expected = " or ".join(_plain(part.strip()) for part in split(found[1]))
-        return _mismatch(place()[0], expected, value[1] if value else "?")
+    for pattern, words in _MESSAGES:
+        if found := re.search(pattern, message):
+            # nested texts come down to an option, and to the class that takes it
+            above = message[: found.start()]
+            path = "--" + ".".join(re.findall(r'Parser key "([^"]*)"', above))
+            owners = re.findall(r"given class_path '([^']*)'", above)
+            options = [_below(path, name) for name in parameters(locate(owners[-1]))] if owners else []
+            if isinstance(words, str):
+                return words.format(*found.groups(), path=path, configs=shipped_configs())
+            if text := words(found, path, options, known):
+                return text
     return message
+
+
+def _unrecognized(found: re.Match[str], path: str, options: list[str], known: list[str]) -> str:
+    given = found[1].partition("=")[0]
+    if options:  # one of a group in a class
+        return unknown_option(_below(path, given.lstrip("-")), options)
+    return unknown_option(given, known) if given.startswith("-") else f"unexpected argument {given!r}"
+
+
+def _no_option(found: re.Match[str], path: str, options: list[str], known: list[str]) -> str:
+    return unknown_option(_below(path, found[1]), options or known)
+
+
+def _no_subtype(found: re.Match[str], path: str, *_: object) -> str:
+    value = re.search(r"Given value: (.*)", found.string)
+    expected = " or ".join(_plain(part.strip()) for part in split(found[1]))
+    return _mismatch(path, expected, value[1] if value else "?")
+
+
+def _mismatch(option: str, expected: str, given: str) -> str:
+    near = get_close_matches(given, re.findall(r"'([^']*)'", expected), n=1)
+    return f"{option}: expected {expected}, not {given!r}" + (f": did you mean {near[0]!r}?" if near else "")
+
+
+def _plain(name: str) -> str:
+    name = re.sub(r"<class '(?:\w+\.)*(\w+)'>", r"\1", name).replace("NoneType", "null")
+    return re.sub(r"(?:typing\.)?Literal\[(.*)\]", r"one of \1", name)
+
+
+def _below(path: str, name: str) -> str:
+    return f"{path}{name}" if path == "--" else f"{path}.{name}"
+
+
+_CLASS = r"given class_path '([^']*)':\s+"
+
+_MESSAGES: tuple[tuple[str, str | Callable[..., str]], ...] = (
+    (r"unrecognized arguments: (\S+)", _unrecognized),
+    (r"arguments are required: model\b", lambda *all: str(no_model_chosen()) if "--model" in all[-1] else ""),
+    (
+        r"arguments are required: policies\b",
+        "no policies: name them before the options, as in orca go_to_goal --episodes 20",
+    ),
+    (
+        r"Group '([^']*)' does not accept option '([^']*)'",
+        lambda found, _, __, known: unknown_option("--" + ".".join(filter(None, found.groups())), known),
+    ),
+    (r"Option '([^']*)' is not accepted", _no_option),
+    (
+        r"Expected an? (.+?)\. Got value: (.*)",
+        lambda found, path, *_: _mismatch(path, _plain(found[1]), found[2]),
+    ),
+    (
+        r"Expected a dot import path string: (.*)",
+        "{path}: no class {0!r}; PACKAGE.CLASS names any, and {path}.help CLASS explains one",
+    ),
+    (
+        rf"{_CLASS}the following arguments are required: (.*)",
+        "{path} {0} needs {1}, too: start from --config NAME ({configs})",
+    ),
+    (rf"{_CLASS}(.*)", "{path} {0}: {1}"),
+    (r"Subtypes: \[(.*)\]", _no_subtype),
+)
+"""What jsonargparse says and what we say: a text, or a function of match, option, options there and all."""
 
 
 def parameters(owner: object) -> list[str]:
@@ -166,24 +197,6 @@ def parameters(owner: object) -> list[str]:
         if all(item.kind != item.VAR_KEYWORD for item in taken):
             break
     return names
-
-
-def _options_of(path: str, owner: str) -> list[str]:
-    return [_below(path, name) for name in parameters(locate(owner))]
-
-
-def _below(path: str, name: str) -> str:
-    return f"{path}{name}" if path == "--" else f"{path}.{name}"
-
-
-def _mismatch(option: str, expected: str, given: str) -> str:
-    near = get_close_matches(given, re.findall(r"'([^']*)'", expected), n=1)
-    return f"{option}: expected {expected}, not {given!r}" + (f": did you mean {near[0]!r}?" if near else "")
-
-
-def _plain(name: str) -> str:
-    name = re.sub(r"<class '(?:\w+\.)*(\w+)'>", r"\1", name).replace("NoneType", "null")
-    return re.sub(r"(?:typing\.)?Literal\[(.*)\]", r"one of \1", name)
 
 
 def known_options(parser: ArgumentParser, classes: Iterable[tuple[str, type]] = ()) -> list[str]:
