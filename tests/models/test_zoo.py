@@ -199,7 +199,7 @@ def test_weights_of_another_architecture_are_refused(model: Forecaster, tmp_path
         load(written(init={"wings": 2}))
 
 
-def test_checkpoints_of_others_are_refused_and_nothing_in_them_runs(tmp_path: Path) -> None:
+def test_checkpoints_of_others_are_refused_and_not_run(tmp_path: Path) -> None:
     path = tmp_path / "other.ckpt"
     for content in ({"state_dict": {}}, [1, 2], torch.zeros(3)):
         torch.save(content, path)
@@ -341,3 +341,16 @@ def test_who_names_the_class_gets_weights_of_it(own: Path, model: Forecaster, tm
         load(f"{own}:Drifting:weights={tmp_path / 'sgan.safetensors'}")
     with pytest.raises(UserError, match=r"unknown setting of .*'weight': did you mean 'weights'"):
         load(f"{own}:Drifting:weight=a.ckpt")
+
+
+def test_half_precision_is_read_as_float32(tmp_path: Path) -> None:
+    model = random_weights(SGAN.of(bottleneck_dim=8)).eval()
+    for half in (False, True):
+        save_weights(model, tmp_path / f"{half}.safetensors", half)
+    assert (tmp_path / "True.safetensors").stat().st_size < 0.7 * (
+        tmp_path / "False.safetensors"
+    ).stat().st_size
+    loaded = load(tmp_path / "True.safetensors").state_dict()
+    for key, value in model.state_dict().items():
+        assert loaded[key].dtype == torch.float32
+        assert torch.allclose(loaded[key], value, rtol=1e-3, atol=1e-6)

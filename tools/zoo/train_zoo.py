@@ -69,7 +69,8 @@ def export(recipes: list[Recipe], root: Path) -> None:
         if values := recipe.finished(root):
             best_first = sorted(values, key=values.__getitem__, reverse=recipe.best is max)
             for name, seed in zip(recipe.names, best_first, strict=False):
-                card = publish(recipe.run(seed, root).best, shipped("checkpoints"), name)
+                half = recipe.config.startswith("anchor_")
+                card = publish(recipe.run(seed, root).best, shipped("checkpoints"), name, half=half)
                 print(
                     f"{card}: seed {seed} of {len(values)}, {recipe.monitor} {values[seed]:.4f}", flush=True
                 )

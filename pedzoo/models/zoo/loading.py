@@ -38,6 +38,9 @@ from pedzoo.models.zoo.store import (
     weights_of,
 )
 
+HALVED = 1000
+"""Numbers: smaller matrices stay as they are in half precision."""
+
 LARGEST = 1e3
 """Of a weight. Those that ship are below 20; steps from layers of ten times as large ones are no numbers."""
 
@@ -205,7 +208,7 @@ def architecture_of(model: Forecaster) -> str:
     return f"{sys.modules[module].__file__}:{type(model).__name__}"
 
 
-def save_weights(model: Forecaster, path: str | Path, **known: dict[str, Any]) -> str:
+def save_weights(model: Forecaster, path: str | Path, half: bool = False, **known: dict[str, Any]) -> str:
     """Write ``model`` to a file, whole or not at all, and return its sha256.
 
     The same model gives the same bytes.
@@ -213,6 +216,7 @@ def save_weights(model: Forecaster, path: str | Path, **known: dict[str, Any]) -
     Args:
         model: The model.
         path: The file, ``.safetensors``.
+        half: Write matrices of more than `HALVED` numbers in half precision; they are read as float32.
         known: What is said of it beside: its ``protocol`` and ``training``.
 
     Raises:
@@ -222,7 +226,11 @@ def save_weights(model: Forecaster, path: str | Path, **known: dict[str, Any]) -
     check(config, Config, "config")
     # one metadata key: with several, their order, and so the sum, would vary
     metadata = {"config": json.dumps(config, sort_keys=True)}
-    data = save({key: value.contiguous().cpu() for key, value in model.state_dict().items()}, metadata)
+    state = {key: value.contiguous().cpu() for key, value in model.state_dict().items()}
+    if half:
+        large = [key for key in state if key.endswith("weight") and state[key].numel() > HALVED]
+        state |= {key: state[key].half() for key in large}
+    data = save(state, metadata)
     write_atomically(Path(path), data)
     return hashlib.sha256(data).hexdigest()
 

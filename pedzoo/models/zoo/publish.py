@@ -81,6 +81,7 @@ def publish(
     folder: str | Path,
     name: str | None = None,
     measured: list[dict[str, Any]] | None = None,
+    half: bool = False,
 ) -> Path:
     """Write ``NAME/weights.safetensors`` and ``NAME/card.yaml`` and return the path of the latter.
 
@@ -92,6 +93,7 @@ def publish(
         name: ``architecture.tag``; None for that of the config and the data (`zoo_name`).
         measured: Reports of evaluations for the card; None keeps those of an existing card of the same
             weights.
+        half: As of `save_weights`, for networks so large that the zoo would not be small.
 
     Raises:
         UserError: The checkpoint is none of ``pedzoo fit``'s or not in its run folder, the model is a class
@@ -112,7 +114,7 @@ def publish(
     said = {key: record.training[key] for key in IN_WEIGHTS}
     if measured is None and (there := card_beside(weights)).is_file():
         read_card(there)  # a damaged card raises here, before the weights change
-    save_weights(model, weights, protocol=protocol, training=said)
+    save_weights(model, weights, half, protocol=protocol, training=said)
     return _write(weights, record, data, measured)
 
 

@@ -262,7 +262,13 @@ def no_model(name: str, others: Iterable[str] = (), kind: str = "model") -> User
     near = get_close_matches(name, [*others, *known], n=1)
     families = [f"{one.partition('.')[0]}." for one in (name, *near)]
     family = next(filter(None, ([one for one in known if one.startswith(stem)] for stem in families)), [])
-    return unknown(kind, name, {*others, *(family or (f"{one.partition('.')[0]}.*" for one in known))})
+    error = unknown(kind, name, {*others, *(family or (f"{one.partition('.')[0]}.*" for one in known))})
+    if is_name(name) and shipped("checkpoints") != Path(__file__).parents[3] / "checkpoints":
+        return UserError(
+            f"{error}; pip brings few of our weights: set {SOURCES} to the folder checkpoints of a checkout "
+            "of pedzoo, or to an address that has them"
+        )
+    return error
 
 
 def of_robots(name: str) -> UserError:
