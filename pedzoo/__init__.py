@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from pedzoo.eval.evaluate import evaluate
     from pedzoo.metrics.closed_loop import measure
     from pedzoo.models.zoo.loading import list_models
-    from pedzoo.policies.load import list_policies, list_scenarios, load
+    from pedzoo.policies.load import controller, list_policies, list_scenarios, load, policy
     from pedzoo.sim.make import make_env
     from pedzoo.sim.robots.env import make_robot_env
     from pedzoo.viz.episodes import plot, rollout
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "controller",
     "evaluate",
     "list_models",
     "list_policies",
@@ -30,10 +31,12 @@ __all__ = [
     "make_robot_env",
     "measure",
     "plot",
+    "policy",
     "rollout",
 ]
 
 _HOME = {
+    "controller": "pedzoo.policies.load",
     "evaluate": "pedzoo.eval.evaluate",
     "list_models": "pedzoo.models.zoo.loading",
     "list_policies": "pedzoo.policies.load",
@@ -43,6 +46,7 @@ _HOME = {
     "make_robot_env": "pedzoo.sim.robots.env",
     "measure": "pedzoo.metrics.closed_loop",
     "plot": "pedzoo.viz.episodes",
+    "policy": "pedzoo.policies.load",
     "rollout": "pedzoo.viz.episodes",
 }
 

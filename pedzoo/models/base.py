@@ -1,12 +1,9 @@
 """The interface of forecasters: a scene batch becomes displacements."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
-from importlib import import_module
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 import torch
 from tensordict import TensorDict
@@ -17,14 +14,6 @@ from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.spec import build_ungrouped, flattened
 from pedzoo.core.types import PRED_LEN, GoalProtocol
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from pedzoo.maps.grid import OccupancyGrid
-    from pedzoo.models.zoo.card import ModelCard
-    from pedzoo.policies.controller.controller import Controller
-    from pedzoo.policies.learned.walker import Walker
 
 Noise = Literal["episode", "step", "scene", "mixed"]
 """How often noise is drawn for people who walk; see `pedzoo.policies.learned.walker.Walker`."""
@@ -50,7 +39,7 @@ class Forecaster(nn.Module):
 
     Attributes:
         name: As it was loaded: ``sgan_goal.zara1``, a file, an architecture.
-        card: Its card, of weights that have one.
+        card: Its `pedzoo.models.zoo.card.ModelCard`, of weights that have one.
         needs: Inputs besides histories: ``goal``, ``map``.
         noise_dim: Width of the noise of one person that `next_steps` takes; 0 where it takes none.
         noise_periods: How often each number of the noise is drawn when it walks, seconds, see
@@ -71,7 +60,7 @@ class Forecaster(nn.Module):
     """
 
     name: str = ""
-    card: ModelCard | None = None
+    card: Any = None
     needs: frozenset[str] = frozenset()
     stochastic: ClassVar[bool] = True
     noise_dim: int = 0
@@ -140,27 +129,6 @@ class Forecaster(nn.Module):
         step = self.next_steps(batch, noise, 1, PRED_LEN)[:, :, 0]
         return step, step
 
-    def policy(self, noise: Noise | None = None, execute_steps: int = 1) -> Walker:
-        """Return the model as a TorchRL policy; arguments as `pedzoo.policies.learned.walker.Walker`."""
-        return _above("pedzoo.policies.learned.walker").Walker(self, noise, execute_steps)
-
-    def controller(
-        self, map: OccupancyGrid | str | Path | None = None, noise: Noise | None = None, **settings: Any
-    ) -> Controller:
-        """Return the model as a controller for the people of any simulator.
-
-        Args:
-            map: The floor plan that they walk on, its name (``apartment.7``) or file; None for open space.
-            noise: As of `policy`.
-            settings: As of `pedzoo.policies.controller.controller.Controller`: ``dt``, ``pref_speed``,
-                ``seed``, ...
-
-        Raises:
-            UserError: There is no such floor plan, or a setting is out of range.
-        """
-        controller = _above("pedzoo.policies.controller.controller").Controller
-        return controller(self.policy(noise), map, **settings)
-
     def prepare(self, batches: Iterable[TensorDict], seed: int = 0) -> None:
         """Take from the training batches what is computed from them and not trained: nothing by default.
 
@@ -179,11 +147,6 @@ class Forecaster(nn.Module):
         density of the positions.
         """
         return None
-
-
-def _above(module: str) -> Any:
-    """Return a module of policies: that package is above models in the order of imports."""
-    return import_module(module)
 
 
 def true_displacements(batch: TensorDict) -> Tensor:

@@ -9,10 +9,13 @@ from pedzoo.core.machine import usable
 from pedzoo.core.registry import MODELS, POLICIES, ROBOT_POLICIES, SCENARIOS, names_code
 from pedzoo.core.spec import Spec, SpecText, build, make, parse, setting_types
 from pedzoo.core.types import GoalProtocol
-from pedzoo.models.base import Forecaster
+from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.models.base import Forecaster, Noise
 from pedzoo.models.zoo.loading import baselines, list_models, untrained
 from pedzoo.models.zoo.loading import load as load_model
 from pedzoo.models.zoo.store import find, is_file, no_model, robots
+from pedzoo.policies.base import NamedPolicy
+from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.crowd_names import is_crowd, is_policy, members, parts
 from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.local_planner import load_local_planner
@@ -33,7 +36,7 @@ def load(
     pretrained: bool = True,
     **settings: Any,
 ) -> Any:
-    """Return any model or policy by its name; both have ``controller(map)``, ``policy()`` and ``name``.
+    """Return any model or policy by its name; see `policy` and `controller` for what walks.
 
     Args:
         name: A model, as of `pedzoo.models.zoo.loading.load`: ``sgan_goal_map.indoor``, a file, an address,
@@ -66,6 +69,38 @@ def load(
     else:
         result = load_model(name, goal)
     return result if device == "cpu" else result.to(usable(device))
+
+
+def policy(
+    model: str | Path | Forecaster | NamedPolicy, noise: Noise | None = None, execute_steps: int = 1
+) -> NamedPolicy:
+    """Return a model, or the one of a name, as a TorchRL policy; what is a policy stays as it is.
+
+    Arguments of models as of `pedzoo.policies.learned.walker.Walker`; errors as of `load`.
+    """
+    loaded = load(model) if isinstance(model, str | Path) else model
+    return Walker(loaded, noise, execute_steps) if isinstance(loaded, Forecaster) else loaded
+
+
+def controller(
+    model: str | Path | Forecaster | NamedPolicy,
+    map: OccupancyGrid | str | Path | None = None,
+    noise: Noise | None = None,
+    **settings: Any,
+) -> Controller:
+    """Return a model or policy, or the one of a name, as a controller for the people of any simulator.
+
+    Args:
+        model: It, or its name as of `load`.
+        map: The floor plan that they walk on, its name (``apartment.7``) or file; None for open space.
+        noise: As of `policy`.
+        settings: As of `pedzoo.policies.controller.controller.Controller`: ``dt``, ``pref_speed``, ``seed``,
+            ...
+
+    Raises:
+        UserError: No such model, policy or floor plan, or a setting is out of range.
+    """
+    return policy(model, noise).controller(map, **settings)
 
 
 def _is_of_policy(text: str) -> bool:

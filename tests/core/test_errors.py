@@ -43,7 +43,7 @@ sys.meta_path[:] = [Without(finder) for finder in sys.meta_path]
 WALKS = """
 import pedzoo
 
-controller = pedzoo.load("sgan_goal_map.indoor").controller()
+controller = pedzoo.controller("sgan_goal_map.indoor")
 velocity = controller.step({"ann": (0, 0), "bo": (3, 0)}, goals={"ann": (3, 0), "bo": (0, 0)})
 walked, env = pedzoo.rollout("sgan_goal_map.indoor", "perpendicular:people=2", episodes=1)
 row = pedzoo.evaluate(["go_to_goal"], ["door"], episodes=1)["rows"][0]

@@ -114,7 +114,7 @@ def test_a_broken_download_goes_on_where_it_was(site: Site) -> None:
     assert site.ranges_asked() == [f"bytes={start}-" if start else None for start in starts]
 
 
-def test_a_broken_download_restarts_where_the_server_cannot_go_on(site: Site) -> None:
+def test_broken_download_restarts_without_ranges(site: Site) -> None:
     page = Page(CONTENT, cuts=[100_000, 100_000], ranges=False)
     url = site.put("file.bin", page)
     assert fetch(url, SUM, "file.bin", size=len(CONTENT)).read_bytes() == CONTENT

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_edt, find_objects, label
 
+import pedzoo
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.data.datamodule import TrajectoryDataModule
@@ -25,7 +26,6 @@ from pedzoo.maps.planning.graph import OpenGraph
 from pedzoo.maps.plans import flat, load_plan
 from pedzoo.maps.procedural.plan import KINDS, FloorPlan, generate, is_connected
 from pedzoo.maps.procedural.shapes import UNIT, Rect
-from pedzoo.models.zoo.loading import load
 
 SEEDS = range(30)
 EVERY_KIND = pytest.mark.parametrize("kind", KINDS)
@@ -269,7 +269,7 @@ def test_unknown_names_are_helped(name: str, message: str) -> None:
 def test_a_controller_and_a_datamodule_take_a_name(tmp_path: Path) -> None:
     graph = OpenGraph(plans("apartment")[3].grid, "wall", 0.25)
     start, goal = graph.xy[0], graph.xy[-1]
-    controller = load("constant_velocity").controller("apartment.3")
+    controller = pedzoo.controller("constant_velocity", "apartment.3")
     velocity = controller.step({"anna": start}, {"anna": goal})["anna"]
     assert np.linalg.norm(velocity) == pytest.approx(1.3, abs=1e-3)
 

@@ -76,7 +76,8 @@ def test_it_walks_as_the_same_policy_does_in_the_environment(env, name: str, det
     expected = blended(state.velocity[0].T, command.T, 4)[:, 0].T
     expected = limit_speed(expected, top_speed)
 
-    controller = pedzoo.load(name).controller(
+    controller = pedzoo.controller(
+        name,
         env.bank.grids[0],
         pref_speed=dict(enumerate(state.pref_speed[0].tolist())),
         dt=0.1,
@@ -94,7 +95,7 @@ def test_it_walks_as_the_same_policy_does_in_the_environment(env, name: str, det
 
 def test_a_plain_simulator_of_thirty_lines(model):
     dt = 0.1
-    controller = model.controller(ROOMS, dt=dt, pref_speed={"quick": 1.7})
+    controller = pedzoo.controller(model, ROOMS, dt=dt, pref_speed={"quick": 1.7})
     entries = [  # when people come, who, from where to where: most through the door, both ways
         (0.0, "anna", (1.0, 3.0), (9.0, 2.0)),
         (0.0, "bert", (9.0, 4.5), (1.0, 1.0)),
@@ -125,7 +126,7 @@ def test_the_order_of_the_people_does_not_matter(model):
     draw = np.random.default_rng(1)
     people = {who: draw.uniform(0.5, 4.5, 2) for who in ("a", 7, ("x", 1), 2.5, frozenset([3]))}
     goals = {who: draw.uniform(0.5, 4.5, 2) for who in people}
-    one, other = model.controller(ROOMS, seed=3), model.controller(ROOMS, seed=3)
+    one, other = pedzoo.controller(model, ROOMS, seed=3), pedzoo.controller(model, ROOMS, seed=3)
     for tick in range(4):
         named = list(people) if tick % 2 else list(people)[::-1]
         forth = one.step(people, goals)
@@ -147,7 +148,7 @@ def test_noise_goes_by_seed_and_id_who_else_is_there():
         return torch.zeros(1, noise.shape[1], steps, 2)
 
     model.next_steps = noted
-    alone, both, again = (model.controller(seed=seed) for seed in (1, 1, 2))
+    alone, both, again = (pedzoo.controller(model, seed=seed) for seed in (1, 1, 2))
     alone.step({"bert": far["bert"]}, goals)
     both.step(far, goals)
     again.step(far, goals)
@@ -267,7 +268,7 @@ def test_orca_at_its_own_clock_and_through_the_door():
 
 
 def test_two_hundred_people_with_goals_of_their_own(model):
-    controller = model.controller(ROOMS)
+    controller = pedzoo.controller(model, ROOMS)
     draw = np.random.default_rng(0)
     goals = draw.uniform((0.5, 0.5), (4.5, 5.5), (200, 2))
     people = draw.uniform((0.5, 0.5), (4.5, 5.5), (200, 2))
@@ -330,9 +331,9 @@ def test_steps_that_are_no_steps_of_a_simulator_are_refused(dt: float):
 
 def test_settings_out_of_range_are_refused(model, tmp_path: Path):
     with pytest.raises(UserError, match=r"nowhere\.yaml"):
-        model.controller(tmp_path / "nowhere.yaml")
+        pedzoo.controller(model, tmp_path / "nowhere.yaml")
     with pytest.raises(UserError, match="execute_steps 4"):
-        Controller(model.policy(execute_steps=4))
+        Controller(pedzoo.policy(model, execute_steps=4))
     with pytest.raises(UserError, match=r"pref_speed -1\.0 of 'a'"):
         Controller(Straight(), pref_speed=-1).step({"a": (0, 0)}, {"a": (1, 0)})
     with pytest.raises(UserError, match="not finite for 'a'"):
@@ -376,7 +377,7 @@ def row_of(batch: Any, radius: float) -> int:
 @pytest.mark.parametrize("goal", [None, (0.8, 0.0)])
 @pytest.mark.parametrize("name", ["sgan_goal_map.zara1", "sgan_goal.indoor"])
 def test_a_person_without_a_further_goal_stands_for_a_minute_and_walks_on_with_another(name: str, goal: Any):
-    controller = pedzoo.load(name).controller(room_of_ten(), dt=0.1)
+    controller = pedzoo.controller(name, room_of_ten(), dt=0.1)
     place, passer = np.array([0.0, 0.0]), np.array([-4.0, 0.3])
     goals: dict[Any, Any] = {"stands": goal, "passes": (4.0, 0.3)}
     path = []
@@ -467,7 +468,7 @@ def test_neither_the_order_of_others_nor_their_names_matter(model):
     radius = {"r": 0.5, "s": 0.25}
     answers = []
     for named in ({"r": "r", "s": "s"}, {"s": "s", "r": "r"}, {"r": 3, "s": ("x", 1)}):
-        controller = model.controller()
+        controller = pedzoo.controller(model)
         for _ in range(3):
             result = controller.step(
                 people,
@@ -562,7 +563,7 @@ def test_time_at_some_calls_only_is_refused():
 @pytest.mark.parametrize("name", ["sgan_goal_map.indoor", "social_walker.eth_ucy"])
 def test_a_policy_that_a_controller_has_asked_still_has_gradients(name: str) -> None:
     """A controller asks in inference mode; nothing that is kept may be a tensor of that mode."""
-    policy = pedzoo.load(name).policy()
+    policy = pedzoo.policy(name)
     controller = policy.controller(ROOMS)
     people, goals = {0: (1.0, 3.0), 1: (4.0, 2.0)}, {0: (9.0, 3.0), 1: (1.0, 2.0)}
     controller.step(people, goals)
@@ -586,11 +587,11 @@ def test_a_policy_that_a_controller_has_asked_still_has_gradients(name: str) -> 
 def test_a_model_on_a_gpu_walks_as_on_the_cpu():
     people, goals = {"a": (1.0, 3.0), "b": (9.0, 2.0)}, {"a": (9.0, 3.0), "b": (1.0, 2.0)}
     here, there = pedzoo.load("sgan_goal_map.zara1"), pedzoo.load("sgan_goal_map.zara1").cuda()
-    expected, result = (arrays(m.controller(ROOMS).step(people, goals)) for m in (here, there))
+    expected, result = (arrays(pedzoo.controller(m, ROOMS).step(people, goals)) for m in (here, there))
     np.testing.assert_allclose(result, expected, atol=1e-4)
 
 
 def test_positions_too_far_away_to_be_exact() -> None:
-    controller = pedzoo.load("constant_velocity").controller(None)
+    controller = pedzoo.controller("constant_velocity", None)
     with pytest.raises(UserError, match=r"'a' is more than 10000 m from the scene's origin"):
         controller.step({"a": (500000.3, 4649776.2)}, {"a": (5.0, 4.0)})

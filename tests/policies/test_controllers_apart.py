@@ -90,7 +90,7 @@ def test_without_noise_the_seed_does_not_matter(name: str) -> None:
 )
 def test_wrong_settings_are_refused(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(UserError, match=message):
-        pedzoo.load("go_to_goal").controller(**settings)
+        pedzoo.controller("go_to_goal", **settings)
 
 
 def test_wrong_times_and_speeds_are_refused() -> None:

@@ -35,8 +35,8 @@ def test_all_public_names_exist_and_are_documented():
 def test_every_policy_and_model_steps_people_of_a_simulator(name, kind, seconds):
     loaded = pedzoo.load(name)
     assert loaded.name == name
-    assert repr(loaded.policy()) == f"{kind}({name!r}, decides every {seconds:g} s)"
-    controller = loaded.controller(dt=seconds)
+    assert repr(pedzoo.policy(loaded)) == f"{kind}({name!r}, decides every {seconds:g} s)"
+    controller = pedzoo.controller(loaded, dt=seconds)
     velocity = controller.step({"anna": (0.0, 0.0)}, {"anna": (5.0, 0.0)})["anna"]
     assert velocity[0] > 0.5 and abs(velocity[1]) < 0.5
     assert len(repr(controller)) < 150

@@ -10,6 +10,7 @@ from tensordict import TensorDict
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+import pedzoo
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import PRED_LEN
 from pedzoo.models.base import Forecaster
@@ -165,7 +166,7 @@ def test_displacement_over_0_4_s_is_the_velocity() -> None:
     now = env.reset()
     model = load("sgan_goal.zara1")
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        action = model.policy()(now)["agents", "action"]
+        action = pedzoo.policy(model)(now)["agents", "action"]
         expected = model.mode(now, PRED_LEN)[:, 0, :, 0] / 0.4
     assert torch.allclose(action, expected, atol=1e-6)
 

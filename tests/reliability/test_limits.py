@@ -154,7 +154,7 @@ def test_homographies_are_small(tmp_path: Path) -> None:
 @pytest.mark.parametrize("dt", [1e-9, 1e-300, float("nan")])
 def test_calls_of_a_controller_are_a_millisecond_apart(dt: float) -> None:
     with at_most(300), pytest.raises(UserError, match=r"of at least 0.001 s"):
-        load("constant_velocity").controller(dt=dt)
+        pedzoo.controller("constant_velocity", dt=dt)
 
 
 def weights(path: Path, **init: Any) -> str:

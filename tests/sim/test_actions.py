@@ -41,7 +41,7 @@ def test_actions_of_another_width_are_refused(width: int) -> None:
     with pytest.raises(UserError, match=rf"action of shape \(2, 3, {width}\): expected \(2, 3, 2\)"):
         env.step(Wide(width)(env.reset()))
     with pytest.raises(UserError, match=r"expected \(1, 1, 2\)"):
-        Wide(width).controller().step({1: (0, 0)}, {1: (0, -5)})
+        pedzoo.controller(Wide(width)).step({1: (0, 0)}, {1: (0, -5)})
 
 
 class Forgetful(Policy):
@@ -74,7 +74,7 @@ def test_a_policy_that_forgets_the_actions_or_the_batch_is_told(
     with pytest.raises(UserError, match=message):
         Forgetful(result)(pedzoo.make_env("circle:people=2", 2).reset())
     with pytest.raises(UserError, match=message):
-        Forgetful(result).controller().step({1: (0, 0)}, {1: (0, -5)})
+        pedzoo.controller(Forgetful(result)).step({1: (0, 0)}, {1: (0, -5)})
 
 
 @pytest.mark.parametrize("scenario", ["door", "circle:people=4"])

@@ -303,7 +303,7 @@ def test_scenes_that_are_over_stay_as_they_are() -> None:
 def test_every_weight_of_a_network_has_a_gradient_through_an_episode() -> None:
     model = pedzoo.load("sgan_goal_map.eth_ucy").train()
     env = make_env("door", 4, seed=0)
-    walker = model.policy()
+    walker = pedzoo.policy(model)
     segment = unrolled(env, walker, env.reset(), 6)
     torch.stack(list(LoopLosses()(segment, env.bank).values())).sum().backward()
     for name, parameter in model.named_parameters():

@@ -153,7 +153,7 @@ def controllers(scenes: int, people: int) -> Iterator[TimedCase]:
             others = np.concatenate([env.reset()["agents", "goal"][0].numpy() for _ in range(32)])
             far = np.linalg.norm(start[:, None] - others, axis=-1).argmax(1)  # nobody arrives in a turn
             goals = others[far] + np.random.default_rng(0).uniform(-0.05, 0.05, start.shape)
-            controller = pedzoo.load(MODEL).controller(plan, dt=dt)
+            controller = pedzoo.controller(MODEL, plan, dt=dt)
             position = start
 
             def step() -> None:
@@ -184,7 +184,7 @@ def planners(scenes: int, people: int) -> Iterator[TimedCase]:
         return np.concatenate([env.reset()["agents", "goal"][0].numpy() for _ in range(64)])
 
     def ours() -> Step:
-        controller = pedzoo.load("go_to_goal").controller(CROWDED, dt=0.1)
+        controller = pedzoo.controller("go_to_goal", CROWDED, dt=0.1)
         goals = places()
 
         def step() -> None:

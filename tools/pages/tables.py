@@ -253,7 +253,7 @@ def measure() -> None:
     for name in CHOICE:
         if name.startswith(ROBOTS):
             continue
-        controller = pedzoo.load(name).controller(FLOOR)
+        controller = pedzoo.controller(name, FLOOR)
         goals, medians = dict(enumerate(places[PEOPLE : 2 * PEOPLE])), []
         for _ in range(REPEATS):
             controller.reset()

@@ -103,9 +103,9 @@ def _in_python(tuned: Path, picture: Path) -> None:
     from pedzoo.data.datamodule import TrajectoryDataModule
     from pedzoo.viz.plots import plot_forecasts
 
-    print(f'>>> walker = pedzoo.load("{CONTROLLER}").controller()')
+    print(f'>>> walker = pedzoo.controller("{CONTROLLER}")')
     print('>>> walker.step({"anna": (0, 0), "ben": (4, 0.2)}, {"anna": (6, 0), "ben": (-2, 0)})')
-    walker = pedzoo.load(CONTROLLER).controller()
+    walker = pedzoo.controller(CONTROLLER)
     velocity = walker.step({"anna": (0, 0), "ben": (4, 0.2)}, {"anna": (6, 0), "ben": (-2, 0)})
     print({name: tuple(round(float(part), 2) for part in value) for name, value in velocity.items()})
     print(f'>>> plot_forecasts(pedzoo.load("{tuned}"), data, "{picture}")')

@@ -49,7 +49,7 @@ def _dataset(name: str, to: str | None) -> None:
 
 
 def _alexnet() -> Path:
-    from pedzoo.models.blocks.floor_plan.alexnet import obtain
+    from pedzoo.models.blocks.alexnet import obtain
 
     return obtain()
 

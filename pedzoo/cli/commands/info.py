@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
+
+from msgspec.structs import asdict
 
 from pedzoo.cli.output import check_outputs, print_tables, write_json, write_text
 from pedzoo.core.errors import UserError
