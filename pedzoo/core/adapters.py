@@ -5,6 +5,7 @@ A test fails where one is used elsewhere. Versions of these libraries are pinned
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -19,9 +20,10 @@ if TYPE_CHECKING:
 
 @contextmanager
 def pieces_as_they_come() -> Iterator[None]:
-    """Let huggingface_hub write what it downloads at once. Else it waits for 10 MB, and loses them, too."""
+    """Let huggingface_hub write what it downloads at once, and quietly. Else 10 MB are waited for."""
     from huggingface_hub import constants
 
+    logging.getLogger("huggingface_hub.file_download").setLevel(logging.ERROR)  # each new try
     usual = constants.DOWNLOAD_CHUNK_SIZE
     constants.DOWNLOAD_CHUNK_SIZE = None  # pyright: ignore[reportAttributeAccessIssue]
     try:

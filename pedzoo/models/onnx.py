@@ -28,9 +28,8 @@ from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.maps.bank import MAX_DISTANCE, MapBank
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.models.base import Forecaster
-from pedzoo.models.blocks.floor_plan import alexnet
-from pedzoo.models.blocks.floor_plan.map_alexnet import AlexNetEncoder, encode, map_to_feature
-from pedzoo.models.blocks.floor_plan.map_encoder import MapEncoder
+from pedzoo.models.blocks import alexnet
+from pedzoo.models.blocks.map_encoders import AlexNetEncoder, MapEncoder, encode, map_to_feature
 from pedzoo.models.zoo.loading import config_of
 
 TOLERANCE = 1e-4

@@ -109,8 +109,8 @@ def test_models_has_a_row_for_every_card_with_its_headline(capsys: pytest.Captur
 def test_one_bad_card_does_not_hide_the_others(zoo: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (zoo / "sgan.bad.yaml").write_text("name: sgan.bad")
     bad, good = rows("*.[bm]a*")
-    assert "architecture is missing" in bad["error"] and good["kB"] == 192
-    assert "sgan.bad.yaml': architecture is missing" in capsys.readouterr().out
+    assert "missing required field `architecture`" in bad["error"] and good["kB"] == 192
+    assert "sgan.bad.yaml': Object missing required field `architecture`" in capsys.readouterr().out
 
 
 def test_nothing_heavy_is_imported() -> None:

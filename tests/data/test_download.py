@@ -21,12 +21,11 @@ from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.data.datasets.eth_ucy import EthUcy
 from pedzoo.data.published import files as listing
-from pedzoo.data.published.eth_ucy import splits
+from pedzoo.data.published.eth_ucy import FRAMES, floor_plan, splits
 from pedzoo.data.published.files import files_of, published
-from pedzoo.data.published.floor_plans import FRAMES, floor_plan
 from pedzoo.maps.formats import read_plan, seen_from_above
 from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN
-from pedzoo.models.blocks.floor_plan import alexnet
+from pedzoo.models.blocks import alexnet
 
 PLACE = ("repository", "commit", "path")
 RAW, CDN = "raw/{repository}/{commit}/{path}", "cdn/{repository}@{commit}/{path}"
@@ -110,7 +109,7 @@ LOOKING_DOWN = np.array([[0.1, 0, 0], [0, -0.1, 1.0], [0, 0, 1]])
 """Pixels of 0.1 m, the image's upper left corner at (0, 1) on the ground."""
 
 
-def test_cells_are_solid_by_majority_thin_by_any_and_unknown_outside() -> None:
+def test_cells_are_solid_by_majority_and_unknown_outside() -> None:
     solid, thin = np.zeros((2, 10, 10), dtype=np.bool_)
     solid[0, :5] = True  # y from 0.95 to 1.05, x up to 0.45
     thin[8, 8] = True
@@ -129,7 +128,7 @@ def test_cells_are_solid_by_majority_thin_by_any_and_unknown_outside() -> None:
     assert (finer == OCCUPIED).sum() == 9 + 4
 
 
-def test_a_homography_says_the_same_at_every_scale_and_is_checked() -> None:
+def test_homography_is_the_same_at_every_scale() -> None:
     rng = np.random.default_rng(0)
     solid, thin = rng.random((2, 20, 20)) < 0.3
     tilted = LOOKING_DOWN + np.array([[0, 0.01, 0], [0.01, 0, 0], [0.01, 0.02, 0]])
@@ -306,7 +305,7 @@ def test_alexnet_comes_once_and_loads(
     assert all(torch.equal(weights[key], expected[key]) for key in alexnet.KEYS)
 
 
-def test_alexnet_of_torch_hub_is_taken_where_it_is_the_published_one(
+def test_alexnet_of_torch_hub_is_taken_if_published(
     published_alexnet: tuple[Site, Path], tmp_path: Path
 ) -> None:
     site, file = published_alexnet

@@ -6,7 +6,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from pedzoo.models.blocks.anchored.forecaster import AnchorForecaster
+from pedzoo.models.blocks.anchored import AnchorForecaster
 
 
 def futures(model: AnchorForecaster, batch: TensorDict, steps: int) -> tuple[Tensor, Tensor]:

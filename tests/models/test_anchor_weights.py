@@ -12,7 +12,7 @@ from tensordict import TensorDict
 
 from pedzoo.core import geometry
 from pedzoo.core.batch import agents_of
-from pedzoo.models.blocks.anchored.forecaster import AnchorForecaster
+from pedzoo.models.blocks.anchored import AnchorForecaster
 from pedzoo.models.zoo.loading import load
 
 WEIGHTS = ("anchors.zara1_pred12", "anchor_mlp.zara1_pred12", "anchor_net.zara1_pred12")

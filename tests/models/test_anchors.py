@@ -21,9 +21,7 @@ from pedzoo.core.registry import MODELS
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.models.architectures.anchor_net import AnchorNet
 from pedzoo.models.architectures.anchors import Anchors
-from pedzoo.models.blocks.anchored.clusters import clustered
-from pedzoo.models.blocks.anchored.forecaster import SPEEDS, AnchorForecaster
-from pedzoo.models.blocks.anchored.time_reversal import reversed_in_time
+from pedzoo.models.blocks.anchored import SPEEDS, AnchorForecaster, clustered, reversed_in_time
 from pedzoo.models.zoo.loading import load, save_weights
 
 NAMES = ("anchors", "anchor_mlp", "anchor_net")
@@ -158,7 +156,7 @@ def test_every_part_can_be_left_out_or_added(options: dict[str, Any]) -> None:
         AnchorNet.of(goal=True)
 
 
-def test_modes_with_a_timed_goal_begin_at_the_line_that_ends_there() -> None:
+def test_timed_goal_modes_begin_at_the_line_to_it() -> None:
     """Nothing is trained, and all training futures end at the goal: so do all modes."""
     model = AnchorNet.of(goal=True, goal_protocol="window_end")
     batch = make_batch((9, 12, 7))
@@ -170,7 +168,7 @@ def test_modes_with_a_timed_goal_begin_at_the_line_that_ends_there() -> None:
     torch.testing.assert_close(ends.transpose(1, 2)[there], goal.transpose(1, 2)[there], atol=2e-3, rtol=0)
 
 
-def test_draws_follow_the_probabilities_and_candidates_are_the_likeliest() -> None:
+def test_draws_follow_probabilities_candidates_are_likeliest() -> None:
     model, batch = made("anchors"), scene(1)
     seen = model.see(batch)
     mixture = model.mixture(model.write(batch, seen), seen)
@@ -254,7 +252,7 @@ def test_weights_bring_the_anchors_back(name: str, tmp_path: Path) -> None:
     assert torch.equal(again.mode(batch, 8), model.mode(batch, 8))
 
 
-def test_other_numbers_of_steps_are_refused_in_training_and_prolonged_elsewhere() -> None:
+def test_other_step_counts_refused_in_training_else_prolonged() -> None:
     model, batch = made("anchor_net"), make_batch((3,), steps=12)
     with pytest.raises(UserError, match="the data predict 12 steps and the model 8"):
         model.loss(batch)
@@ -278,7 +276,7 @@ def test_it_walks_as_a_controller() -> None:
     model = made("anchor_net", goal=True, goal_protocol="destination", map="rings", map_dim=4)
     first, again = (
         pedzoo.make_env("perpendicular:people=4", num_envs=2, physics="compiled", seed=0).rollout(
-            4, model.policy()
+            4, pedzoo.policy(model)
         )["agents", "action"]
         for _ in range(2)
     )

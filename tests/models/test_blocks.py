@@ -161,7 +161,7 @@ def test_pooling_is_the_pair_by_pair_one(
         )
 
 
-def test_pooling_of_slots_leaves_out_who_is_absent_or_beyond_reach() -> None:
+def test_slot_pooling_leaves_out_absent_and_far_people() -> None:
     """As in graphs for other programs; by hand, pair by pair."""
     torch.manual_seed(3)
     absent = torch.tensor([[False, False, True], [False, False, False], [True, False, False]])

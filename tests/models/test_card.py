@@ -41,7 +41,7 @@ def test_a_card_is_the_same_when_read_again(tmp_path: Path) -> None:
     assert os.listdir(tmp_path / "new") == ["a.yaml"]
 
 
-def test_small_numbers_are_numbers_again_and_shared_parts_are_written_out(tmp_path: Path) -> None:
+def test_card_keeps_small_numbers_and_writes_no_references(tmp_path: Path) -> None:
     versions = {"pedzoo": "0.1.0"}
     report = {"command": "x", "protocol": {"lr": 1e-07}, "seeds": [0], "versions": versions, "rows": []}
     write_card(make_card(evaluations=[report, report], versions=versions), tmp_path / "a.yaml")
@@ -149,9 +149,7 @@ def test_what_is_no_card_is_refused_and_nothing_in_it_runs(
         ("[&b [x, x, x], &c [*b, *b, *b], [*c, *c, *c]]", "expected no references"),
     ],
 )
-def test_values_that_json_cannot_hold_and_endless_ones_are_refused(
-    value: str, message: str, tmp_path: Path
-) -> None:
+def test_card_refuses_values_that_are_no_json(value: str, message: str, tmp_path: Path) -> None:
     path = written(tmp_path / "bad.yaml", versions=...)
     path.write_text(f"{path.read_text()}\nversions: {{torch: {value}}}\n")
     with pytest.raises(UserError, match=message):

@@ -78,7 +78,7 @@ def test_people_close_a_gap_no_faster_than_in_its_time(gap: float, aside: float)
     assert result[1].tolist() == pytest.approx([0.5 + gap / GAP_SECONDS, 0.0], abs=1e-3)
 
 
-def test_people_walk_on_who_are_far_behind_or_beside_or_behind_somebody_who_stands() -> None:
+def test_people_far_beside_or_behind_standing_ones_walk_on() -> None:
     for wish, now in (one_behind(0.4), one_behind(0.1, 0.54, 1.2), one_behind(0.1, speed=0.0)):
         assert torch.equal(held(wish, now), wish)
     far_aside = torch.tensor([[0.3, 0.56], [0.0, 0.0]])
@@ -103,7 +103,7 @@ def two_who_meet(gap: float, turned: float = 0.0) -> tuple[Tensor, Situation]:
 
 
 @pytest.mark.parametrize("first", [0, 1])
-def test_of_two_who_meet_the_one_nearer_to_the_narrow_place_goes_first(first: int) -> None:
+def test_person_nearer_to_a_narrow_place_goes_first(first: int) -> None:
     wish, now = two_who_meet(1.5 * GAP_SECONDS)
     around = torch.tensor([[0.2, 0.2]])
     around[0, first] = 0.6
@@ -125,7 +125,7 @@ def test_mirror_images_go_one_after_the_other_by_chance() -> None:
         assert not result[1 - first].any()
 
 
-def test_people_do_not_wait_in_the_open_or_for_those_who_stand_or_cross_or_have_passed() -> None:
+def test_nobody_waits_in_the_open_or_for_crossing_people() -> None:
     luck = torch.tensor([1.0, 0.0])
     wish, now = two_who_meet(0.1)
     assert torch.equal(held(wish, now, 0.0, luck), wish)  # in the open
@@ -172,7 +172,7 @@ def arch(pressing: float = 0.0) -> tuple[Tensor, Situation]:
     return 1.2 * (place.roll(-1, 0) - place) / 0.52, now
 
 
-def test_of_those_who_stand_the_one_with_the_shortest_way_waits_for_none() -> None:
+def test_standing_person_with_shortest_path_waits_for_none() -> None:
     wish, now = arch()
     result = held(wish, now)
     assert torch.equal(result[0], wish[0])
@@ -187,7 +187,7 @@ def test_those_around_a_person_who_cannot_get_on_press_too() -> None:
 
 
 @pytest.mark.parametrize("longer", [0, 1])
-def test_of_two_who_press_against_each_other_the_one_with_the_longer_way_backs_off(longer: int) -> None:
+def test_longer_path_backs_off(longer: int) -> None:
     ahead = torch.tensor([[-1.0, 0.0], [1.0, 0.0]])
     left = torch.tensor([4.0, 4.0])
     left[longer] = 6.0
@@ -215,7 +215,7 @@ def crowd() -> TensorDict:
 
 
 @torch.no_grad()
-def test_turning_and_renumbering_a_crowd_turns_and_renumbers_its_steps() -> None:
+def test_steps_turn_and_renumber_with_the_crowd() -> None:
     model, batch, order = follower(), crowd(), torch.tensor([3, 0, 4, 1, 2])
     noise = torch.randn(1, 5, model.noise_dim, generator=torch.Generator().manual_seed(1))
     step, wish = model.step_and_wish(batch, noise)
@@ -230,7 +230,7 @@ def test_turning_and_renumbering_a_crowd_turns_and_renumbers_its_steps() -> None
 
 
 @torch.no_grad()
-def test_a_walker_remembers_what_people_wish_for_and_what_they_are_asked() -> None:
+def test_walker_remembers_raw_and_constrained_actions() -> None:
     batch = crowd()
     agents_of(batch)["remaining_path"] = torch.full((1, 5, 1), 9.0)
     batch["scene_key"], batch["time"] = torch.tensor([[5]]), torch.zeros(1, 1)
@@ -242,7 +242,7 @@ def test_a_walker_remembers_what_people_wish_for_and_what_they_are_asked() -> No
 
 
 @pytest.mark.parametrize("shoulders", [0.0, 0.71])
-def test_the_layer_keeps_as_much_room_in_narrow_places_as_it_is_asked_to(shoulders: float) -> None:
+def test_safety_layer_keeps_the_asked_room_in_narrow_places(shoulders: float) -> None:
     steps = about_a_door(6)
     walls = MapBank([ROOM]).walls_around(torch.full((64,), ROOM.map_id), identity_pose(64))
     one, other = (keep(steps, walls, shoulders) for keep in (kept_clear, kept_clear_in_torch))

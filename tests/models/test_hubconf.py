@@ -17,7 +17,7 @@ from pedzoo.models.base import Forecaster
 CHECKOUT = Path(__file__).parents[2]
 
 
-def test_there_is_an_entry_for_every_family_of_weights_and_nothing_else() -> None:
+def test_hub_has_one_entry_per_family_of_weights() -> None:
     spec = spec_from_file_location("hubconf", CHECKOUT / "hubconf.py")
     assert spec is not None and spec.loader is not None
     module = module_from_spec(spec)

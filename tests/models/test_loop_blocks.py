@@ -16,7 +16,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
 from pedzoo.models.architectures.sgan import SGAN
-from pedzoo.models.blocks.floor_plan.map_rings import CLIP, RADII, RAYS, RingEncoder
+from pedzoo.models.blocks.map_encoders import CLIP, RADII, RAYS, RingEncoder
 from pedzoo.models.blocks.mlp import ContextNoise
 from pedzoo.models.blocks.people import ego_frame
 from pedzoo.models.blocks.people.approach import ApproachPooling
@@ -143,7 +143,7 @@ def room() -> OccupancyGrid:
     return OccupancyGrid(cells, 0.1, (1.0, -2.0, 0.3), name="room")
 
 
-def test_rings_have_the_distances_of_the_bank_turned_to_the_heading() -> None:
+def test_rings_read_distances_turned_to_the_heading() -> None:
     """First the distance here, then rings from the smallest, anticlockwise from straight ahead."""
     grid = room()
     bank, encoder = MapBank([grid]), RingEncoder(dim=4)
@@ -183,7 +183,7 @@ def test_rings_carry_gradients_to_positions_and_keep_no_map() -> None:
     assert all(key.startswith("net.") for key in encoder.state_dict())
 
 
-def test_the_way_hardly_turns_for_people_who_stop_and_the_heading_does() -> None:
+def test_way_frame_hardly_turns_for_stopping_people() -> None:
     """A step of 2 cm to the left, to the right or back, with the goal straight ahead."""
     goal = torch.tensor([[4.0, 0.0]]).expand(3, 2)
     moved = torch.zeros(3, 7, 2)
@@ -218,7 +218,7 @@ def grown(plain: SGAN) -> SGAN:
     return model
 
 
-def test_what_is_new_says_nothing_before_training_and_can_be_learnt() -> None:
+def test_new_parts_say_nothing_before_training() -> None:
     plain = cast("SGAN", random_weights(SGAN.of(**GOAL)))
     model, batch = grown(plain), on_plan(make_batch((3, 1, 4)), MapBank([room()]))
     noise = torch.randn(3, 4, 8, generator=torch.Generator().manual_seed(0))

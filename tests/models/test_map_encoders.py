@@ -15,10 +15,8 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose, move_to_scene, turn_to_scene
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
-from pedzoo.models.blocks.floor_plan import alexnet
-from pedzoo.models.blocks.floor_plan.map_alexnet import AlexNetEncoder
-from pedzoo.models.blocks.floor_plan.map_encoder import MapEncoder
-from pedzoo.models.blocks.floor_plan.map_patch import PatchEncoder
+from pedzoo.models.blocks import alexnet
+from pedzoo.models.blocks.map_encoders import AlexNetEncoder, MapEncoder, PatchEncoder
 
 WEIGHTS = "alexnet_imagenet_features_fp16.safetensors"
 
@@ -167,7 +165,7 @@ def test_features_are_read_exactly_at_a_persons_place(
     torch.testing.assert_close(result, local / pixel - 0.5 + 16, atol=5e-3, rtol=0)
 
 
-def test_alexnet_features_tell_walls_from_floor_and_stay_out_of_checkpoints(weights: Path) -> None:
+def test_alexnet_tells_walls_from_floor_and_is_not_saved(weights: Path) -> None:
     grid, moved = room(), room("moved", (10.0, 5.0, 0.0))
     encoder = AlexNetEncoder(weights=str(weights))
     before = encoder.state_dict().keys()

@@ -94,7 +94,7 @@ def test_mixture_by_hand() -> None:
     assert float(result) == pytest.approx(math.log(density), rel=1e-6)
 
 
-def test_mixture_is_that_of_torch_distributions_and_leaves_unknown_steps_out() -> None:
+def test_mixture_equals_torch_and_leaves_unknown_steps_out() -> None:
     mixture = random_mixture()
     path = torch.randn(4, 5, 2, generator=seeded(), dtype=torch.float64)
     everything = torch.ones(4, 5, dtype=torch.bool)
@@ -204,7 +204,7 @@ def test_samples_are_of_the_mixture() -> None:
     torch.testing.assert_close(drawn.var(1), variance, atol=0.01, rtol=0.05)
 
 
-def test_no_noise_is_the_mode_and_noise_chooses_latent_and_component() -> None:
+def test_noise_chooses_latent_and_component() -> None:
     model, batch = small(), batch_of()
     mask = agents_of(batch)["mask"]
     assert torch.equal(model.next_steps(batch, None, 3, 8), model.mode(batch, 8)[:, 0, :, :3])

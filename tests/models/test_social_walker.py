@@ -370,7 +370,7 @@ def test_places_are_confined_by_walls_on_both_sides() -> None:
 
 
 @torch.no_grad()
-def test_people_between_walls_neither_stop_by_themselves_nor_hold_a_wrong_velocity() -> None:
+def test_people_between_walls_neither_stop_nor_drift() -> None:
     """They walk across their way, and a halt and a held velocity are drawn; in a doorway neither happens."""
     model = SocialWalker.of(hidden_dim=0, style_prior=True, avoids=True).eval()
     steps = torch.tensor([0.1, 0.4]).expand(1, 1, 7, 2)
@@ -410,7 +410,7 @@ def test_people_in_narrow_places_turn_to_their_way_at_once() -> None:
     assert along_way[0.0] > 0.8 and along_way[1.5] < 0.3
 
 
-def test_people_who_walk_more_evenly_than_recorded_ones_have_the_usual_style() -> None:
+def test_people_evener_than_recorded_have_the_usual_style() -> None:
     """What stands says nothing of that; styles of a scene with one shaky walk stay to the bit."""
     torch.manual_seed(0)
     line = 0.5 * torch.arange(8.0).view(8, 1) * torch.tensor([1.0, 0.0])

@@ -362,7 +362,7 @@ def test_the_sum_of_another_file_is_refused(model: Forecaster) -> None:
         load("mine")
 
 
-def test_a_pickle_under_the_name_of_weights_is_refused_and_not_run(model: Forecaster) -> None:
+def test_pickle_named_as_weights_is_not_run(model: Forecaster) -> None:
     class Trap:
         def __reduce__(self) -> tuple:
             return Path.mkdir, (Path("trapped"),)
@@ -392,7 +392,7 @@ def test_a_card_that_climbs_out_of_its_folder_is_refused(
     assert not list((tmp_path / "home").rglob("*.yaml"))
 
 
-def test_configs_with_unknown_keys_and_cards_of_others_are_refused(model: Forecaster) -> None:
+def test_cards_that_differ_from_their_weights_are_refused(model: Forecaster) -> None:
     card = made(model, Path("mine"))
     changed(Path("mine"), config=card.config | {"hook": "x"})
     with pytest.raises(UserError, match=r"config: .*unknown field `hook`"):
@@ -429,7 +429,7 @@ def test_configs_with_unknown_keys_and_cards_of_others_are_refused(model: Foreca
         ("architecture", "own.py:Mine", "no other file ever makes code run"),
     ],
 )
-def test_weights_and_cards_that_agree_on_something_wrong_are_refused(
+def test_wrong_configs_in_weights_and_card_are_refused(
     key: str, value: Any, message: str, model: Forecaster
 ) -> None:
     card = made(model, Path("mine"))

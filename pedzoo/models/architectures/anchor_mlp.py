@@ -8,8 +8,7 @@ from torch import nn
 
 from pedzoo.core.types import OBS_LEN, PRED_LEN
 from pedzoo.models.base import Walking
-from pedzoo.models.blocks.anchored.building_blocks import AnchorInputs, AnchorLosses, ModePredictions
-from pedzoo.models.blocks.anchored.forecaster import UNIT, AnchorForecaster
+from pedzoo.models.blocks.anchored import UNIT, AnchorForecaster, AnchorInputs, AnchorLosses, ModePredictions
 from pedzoo.models.blocks.mlp import init_with_zeros, two_layers
 
 

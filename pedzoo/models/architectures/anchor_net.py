@@ -17,10 +17,8 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import unrotate
 from pedzoo.core.types import OBS_LEN, PRED_LEN, GoalProtocol
 from pedzoo.models.base import Walking
-from pedzoo.models.blocks.anchored.building_blocks import AnchorInputs, AnchorLosses, ModePredictions
-from pedzoo.models.blocks.anchored.forecaster import UNIT, AnchorForecaster
-from pedzoo.models.blocks.floor_plan.map_patch import PatchEncoder
-from pedzoo.models.blocks.floor_plan.map_rings import RingEncoder
+from pedzoo.models.blocks.anchored import UNIT, AnchorForecaster, AnchorInputs, AnchorLosses, ModePredictions
+from pedzoo.models.blocks.map_encoders import PatchEncoder, RingEncoder
 from pedzoo.models.blocks.mlp import init_with_zeros, two_layers
 
 NEAR = 5.0

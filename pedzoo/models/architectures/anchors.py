@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 
 from pedzoo.core.types import PRED_LEN
-from pedzoo.models.blocks.anchored.building_blocks import AnchorLosses
-from pedzoo.models.blocks.anchored.forecaster import AnchorForecaster
+from pedzoo.models.blocks.anchored import AnchorForecaster, AnchorLosses
 
 
 @dataclass(frozen=True)

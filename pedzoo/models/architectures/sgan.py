@@ -17,9 +17,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.types import PRED_LEN, STEP_SECONDS, GoalProtocol
 from pedzoo.data.goals import TIMED
 from pedzoo.models.base import Forecaster, Walking
-from pedzoo.models.blocks.floor_plan.map_alexnet import AlexNetEncoder
-from pedzoo.models.blocks.floor_plan.map_patch import PatchEncoder
-from pedzoo.models.blocks.floor_plan.map_rings import RingEncoder
+from pedzoo.models.blocks.map_encoders import AlexNetEncoder, PatchEncoder, RingEncoder
 from pedzoo.models.blocks.mlp import ContextNoise, init_like_sgan, init_with_zeros, mlp
 from pedzoo.models.blocks.people import ego_frame, linear_extrapolation
 from pedzoo.models.blocks.people.approach import ApproachPooling
@@ -284,4 +282,6 @@ class SGAN(Forecaster):
         See `VarietyLoss`. ``encoded`` is the result of `encode` for this batch, if computed already.
         """
         steps = agents_of(batch)["future"].shape[2]
-        return self.losses(self, batch, encoded or self.encode(batch, steps), steps, generator, sample)
+        seen = encoded or self.encode(batch, steps)
+        z = self.draw(seen, max(self.losses.best_k, 2), generator)
+        return self.losses(lambda noise: self.decode(seen, noise, steps), z, batch, seen.crowd, sample)

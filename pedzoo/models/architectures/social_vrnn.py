@@ -24,12 +24,12 @@ from torch.distributions import Normal, kl_divergence
 from pedzoo.core.batch import agents_of, maps_of
 from pedzoo.core.errors import UserError
 from pedzoo.models.base import Forecaster, known_displacements, true_displacements
-from pedzoo.models.blocks.floor_plan.map_patch import PatchEncoder
+from pedzoo.models.blocks.map_encoders import PatchEncoder
 from pedzoo.models.blocks.mixture import FutureMixture, MixtureDecoder
 from pedzoo.models.blocks.mlp import LatentHead
 from pedzoo.models.blocks.people import ego_frame, linear_extrapolation
+from pedzoo.models.blocks.people.approach import RelativePooling
 from pedzoo.models.blocks.people.crowd import Crowd
-from pedzoo.models.blocks.people.neighbours import RelativePooling
 from pedzoo.models.blocks.recurrent import DisplacementEncoder
 
 

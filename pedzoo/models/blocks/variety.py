@@ -1,9 +1,8 @@
 """Losses of forecasts with noise: the best of several, two at random, and the one without noise."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, cast
+from typing import Literal, cast
 
 import torch
 from tensordict import TensorDict
@@ -44,10 +43,6 @@ class SceneError:
         return self.crowd.sum_per_scene((wrong * self.known).sum(2).t()) / self.count.unsqueeze(1)
 
 
-if TYPE_CHECKING:
-    from pedzoo.models.architectures.sgan import SGAN, Encoded
-
-
 @dataclass(frozen=True)
 class VarietyLoss:
     """The variety loss, the energy score and the error of the most likely forecast, weighed.
@@ -85,28 +80,33 @@ class VarietyLoss:
 
     def __call__(
         self,
-        model: SGAN,
+        decode: Callable[[Tensor], Tensor],
+        z: Tensor,
         batch: TensorDict,
-        encoded: Encoded,
-        steps: int,
-        generator: torch.Generator | None = None,
+        crowd: Crowd,
         sample: bool = True,
     ) -> tuple[Tensor, Tensor | None]:
-        """Return the loss, summed over scenes, and, if ``sample``, a random sample (P, T, 2)."""
-        crowd = encoded.crowd
+        """Return the loss, summed over scenes, and, if ``sample``, a random sample (P, T, 2).
+
+        Args:
+            decode: Returns displacements (K, P, T, 2) for noise (K, P, Z).
+            z: That noise, of ``best_k`` samples, at least two.
+            batch: Scenes with the truth.
+            crowd: Their packing.
+            sample: Whether a sample is wanted.
+        """
         error = SceneError(self.error, batch, crowd)
-        z = model.draw(encoded, max(self.best_k, 2), generator)
         chosen = {"sample": z[-1]} if sample or self.energy_weight else {}
         chosen["winner"] = z[-1]
         if self.best_k > 1 and self.variety_weight:
             with torch.no_grad():
-                best = error(model.decode(encoded, z[-self.best_k :], steps)).argmin(1)
+                best = error(decode(z[-self.best_k :])).argmin(1)
             chosen["winner"] = z[-self.best_k :][best[crowd.scene], torch.arange(z.shape[1], device=z.device)]
         if self.energy_weight:
             chosen["other"] = z[-2]
         if self.mode_weight:
             chosen["mode"] = torch.zeros_like(z[-1])
-        paths = model.decode(encoded, torch.stack(list(chosen.values())), steps)
+        paths = decode(torch.stack(list(chosen.values())))
         path = dict(zip(chosen, paths, strict=True))
 
         def cost(name: str, other: Tensor | None = None) -> Tensor:

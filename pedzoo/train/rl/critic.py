@@ -13,8 +13,8 @@ from pedzoo.core.batch import agents_of, maps_of
 from pedzoo.core.geometry import direction_of
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.models.blocks.people import ego_frame
+from pedzoo.models.blocks.people.approach import RelativePooling
 from pedzoo.models.blocks.people.crowd import Crowd
-from pedzoo.models.blocks.people.neighbours import RelativePooling
 
 _RING = 8
 """Directions in which walls are looked for."""

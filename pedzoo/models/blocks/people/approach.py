@@ -1,4 +1,4 @@
-"""How close and how soon a person comes to each other: features for avoidance."""
+"""Features of the others around a person: where they are, and how close and how soon they come."""
 
 import torch
 from torch import Tensor, nn
@@ -13,6 +13,9 @@ REACH = 2.0
 
 HORIZON = 4.0
 """Seconds: closest approaches farther ahead count as so far ahead."""
+
+NEAR = 4.0
+"""The same scale for `RelativePooling`."""
 
 _FEATURES = 8
 
@@ -73,3 +76,31 @@ def _features(away: Tensor, moved: Tensor, heading: Tensor) -> Tensor:
     vectors = torch.stack((near * away / REACH, near * velocity, near * closest / REACH), -2)
     turned = geometry.unrotate(vectors, heading.unsqueeze(-2).expand_as(vectors))
     return torch.cat((turned.flatten(-2), near, urgent), -1)
+
+
+class RelativePooling(nn.Module):
+    """Max-pools an embedding of all others' relative position and velocity.
+
+    The order of people and the pose of the scene do not matter. A person alone has features of zero.
+    """
+
+    def __init__(self, hidden_dim: int, dim: int) -> None:
+        """Create the parameters: ``hidden_dim`` wide inside, ``dim`` features per person."""
+        super().__init__()
+        self.net = nn.Sequential(nn.Linear(5, hidden_dim), nn.ReLU(), nn.Linear(hidden_dim, dim), nn.ReLU())
+        self.dim = dim
+
+    def forward(self, position: Tensor, moved: Tensor, heading: Tensor, crowd: Crowd) -> Tensor:
+        """Return the features (P, dim), never negative.
+
+        Positions and last displacements (P, 2), metres; ``heading`` (P, 2) are unit vectors.
+        """
+
+        def seen(me: Tensor, them: Tensor) -> Tensor:
+            away = geometry.unrotate(position[them] - position[me], heading[me])
+            relative = geometry.unrotate(moved[them] - moved[me], heading[me])
+            distance = (away.square().sum(-1, keepdim=True) + 1e-8).sqrt()
+            near = NEAR / (NEAR + distance)
+            return self.net(torch.cat((near * away / NEAR, relative, near), -1))
+
+        return crowd.most_of_others(seen, position, position.new_zeros(position.shape[0], self.dim))

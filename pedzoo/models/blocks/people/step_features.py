@@ -9,7 +9,7 @@ from torch.nn import functional
 
 from pedzoo.core.batch import agents_of, companions_of, goals_of, is_walking, maps_of
 from pedzoo.core.types import STEP_SECONDS
-from pedzoo.models.blocks.floor_plan.map_encoder import distances_at, rings
+from pedzoo.models.blocks.map_encoders import distances_at, rings
 from pedzoo.models.blocks.people.crowd import share_seen
 from pedzoo.models.blocks.people.style import kinks_of, style_of, unless_even
 

@@ -1,24 +1,26 @@
 """What all models with anchors share: people's frames, the mixture of futures, draws from it, and its loss.
 
-An anchor is a typical future in the frame of a walking person, in units of the person's speed. A model
-moves the anchors and says how likely each of the resulting modes is.
+An anchor is a typical future in the frame of a walking person, in units of the person's speed: a centroid of
+training futures by k-means. A model moves the anchors and says how likely each of the resulting modes is.
 """
 
+import math
 from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import NamedTuple
 
+import numpy as np
 import torch
+from scipy.cluster.vq import kmeans2
 from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.nn import functional
 
 from pedzoo.core.batch import agents_of, goals_of
 from pedzoo.core.errors import UserError
-from pedzoo.core.types import BODY_RADIUS, GoalProtocol
+from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, GoalProtocol
 from pedzoo.data.goals import TIMED
 from pedzoo.models.base import Forecaster, known_displacements
-from pedzoo.models.blocks.anchored.building_blocks import AnchorInputs, AnchorLosses, ModePredictions
-from pedzoo.models.blocks.anchored.clusters import FEW, clustered, fan
-from pedzoo.models.blocks.anchored.time_reversal import reversed_in_time
 from pedzoo.models.blocks.mixture import FutureMixture
 from pedzoo.models.blocks.people import ego_frame, linear_extrapolation
 from pedzoo.models.blocks.people.crowd import Crowd
@@ -31,6 +33,65 @@ UNIT = 0.338
 
 LEAST = 0.02
 """Metres per step: the smallest standard deviation, since standing people are recorded at one place."""
+
+MOST = 20_000
+"""Futures that k-means looks at, at most: more change the centroids by less than the seed does."""
+
+FEW = 4
+"""Futures per centroid below which a class of speeds takes those of all classes."""
+
+
+@dataclass(frozen=True)
+class AnchorLosses:
+    """Losses of the training, metres unless they say otherwise.
+
+    Attributes:
+        final_weight: Weight of the best final error beside the best average one.
+        guess_weight: Weight of the average error of the one best guess.
+        choice_weight: Weight of the cross-entropy, nats, of the mode that was best.
+        reverse: Whether half of the batches run backwards in time.
+    """
+
+    final_weight: float = 0.5
+    guess_weight: float = 0.5
+    choice_weight: float = 0.1
+    reverse: bool = True
+
+
+class AnchorInputs(NamedTuple):
+    """The people of a batch, each in their own frame.
+
+    Attributes:
+        history: Positions (P, 8, 2) from the last one, metres.
+        goal: Goal and desired velocity (P, 4), metres and m/s; None without a goal.
+        base: Positions (P, T, 2) that anchors are added to, metres.
+        speed: Last displacement's length (P,), metres.
+        unit: Metres (P, 1) of one unit of the anchors.
+        heading: Directions of the frames (P, 2).
+        crowd: The packing.
+    """
+
+    history: Tensor
+    goal: Tensor | None
+    base: Tensor
+    speed: Tensor
+    unit: Tensor
+    heading: Tensor
+    crowd: Crowd
+
+
+class ModePredictions(NamedTuple):
+    """What a model says about P people, in units of the anchors.
+
+    Attributes:
+        path: Positions (P, M + 1, T, 2) from the base: modes, and last the one best guess.
+        logits: Unnormalised log probabilities of the modes (P, M).
+        log_scale: Log standard deviations of displacements (P, M, T, 2).
+    """
+
+    path: Tensor
+    logits: Tensor
+    log_scale: Tensor
 
 
 class AnchorForecaster(Forecaster):
@@ -271,3 +332,82 @@ def _touching(batch: TensorDict, path: Tensor) -> Tensor:
     alone = torch.eye(there.shape[1], dtype=torch.bool, device=there.device)
     others = (there.unsqueeze(1) & there.unsqueeze(2) & ~alone)[:, None, None]
     return (near & others).any(-1).any(2)
+
+
+class Clusters(NamedTuple):
+    """Futures (..., T, 2), positions from here, in the units and frames that they were given in.
+
+    Attributes:
+        centroids: M centroids and, as the last one, the mean of all (M + 1, T, 2), from right to left.
+        logits: Log shares of the futures that each of the M is nearest to (M,).
+        scale: Standard deviations of displacements around a centroid's (M, T, 2).
+    """
+
+    centroids: Tensor
+    logits: Tensor
+    scale: Tensor
+
+
+def clustered(futures: Tensor, modes: int, seed: int) -> Clusters:
+    """Return clusters of futures (N, T, 2) by k-means of ``modes`` centroids; N is at least 1."""
+    steps = futures.shape[1]
+    random = np.random.default_rng(seed)
+    points = futures.flatten(1).double().cpu().numpy()
+    if len(points) > MOST:
+        points = points[random.choice(len(points), MOST, replace=False)]
+    elif len(points) < modes:
+        points = np.resize(points, (modes, points.shape[1]))
+    # of equal points, as of people who stand, no two can be centroids
+    points = points + random.normal(0, 1e-5, points.shape)
+    centroids, nearest = kmeans2(points, modes, iter=100, minit="++", rng=random, missing="warn")
+    order = np.argsort(np.arctan2(centroids[:, -1], centroids[:, -2] + 1e-9), kind="stable")
+    place = np.argsort(order)
+    centroids, nearest = centroids[order], place[nearest]
+    count = torch.from_numpy(np.bincount(nearest, minlength=modes)).float()
+    displacements = torch.from_numpy(np.diff(points.reshape(-1, steps, 2), axis=1, prepend=0)).float()
+    typical = torch.from_numpy(np.diff(centroids.reshape(-1, steps, 2), axis=1, prepend=0)).float()
+    label = torch.from_numpy(nearest)
+    squared = (displacements - typical[label]).square()
+    # one more future, as far off as all are: a cluster of one is not certain
+    total = squared.mean(0).expand(modes, -1, -1).clone().index_add_(0, label, squared)
+    scale = (total / (count + 1).view(-1, 1, 1)).sqrt()
+    centres = torch.from_numpy(centroids).float().view(modes, steps, 2)
+    mean = torch.from_numpy(points.mean(0)).float().view(1, steps, 2)
+    return Clusters(torch.cat((centres, mean)), ((count + 1) / (count + 1).sum()).log(), scale)
+
+
+def fan(modes: int, steps: int) -> Tensor:
+    """Return futures (modes + 1, T, 2) for models that have seen no data: even walks in many directions."""
+    angle = torch.linspace(-1, 1, modes) * math.pi / 3
+    speed = 0.5 + 0.75 * torch.arange(modes).remainder(4) / 3
+    step = torch.cat((speed.unsqueeze(1) * torch.stack((angle.cos(), angle.sin()), 1), torch.eye(2)[:1]))
+    return step.unsqueeze(1) * torch.arange(1, steps + 1).view(-1, 1)
+
+
+def reversed_in_time(batch: TensorDict, goal: GoalProtocol | None) -> TensorDict:
+    """Return a batch of recorded scenes that run backwards, with the people who are known throughout.
+
+    A destination lies outside of the window: batches with other goals than ``window_end`` stay as they are.
+    """
+    if goal not in (None, "none", "window_end"):
+        return batch
+    agents = agents_of(batch)
+    observed = agents["history"].shape[2]
+    place = torch.cat((agents["history"], agents["future"]), 2).flip(2)
+    known = torch.cat((agents["valid"], agents["future_valid"]), 2).all(2) & agents["mask"]
+    history, future = place[:, :, :observed], place[:, :, observed:]
+    valid = known.unsqueeze(2)
+    changed = {
+        "history": history,
+        "future": future,
+        "valid": valid.expand(history.shape[:3]),
+        "future_valid": valid.expand(future.shape[:3]),
+        "velocity": (history[:, :, -1] - history[:, :, -2]) / STEP_SECONDS,
+        "mask": known,
+    }
+    if goal == "window_end":
+        to_goal = torch.nn.functional.normalize(future[:, :, -1] - history[:, :, -1], dim=-1)
+        changed |= {"goal": future[:, :, -1], "desired_velocity": agents["pref_speed"] * to_goal}
+    result = batch.clone(recurse=False)
+    result["agents"] = agents.clone(recurse=False).update(changed)
+    return result

@@ -1,1 +1,0 @@
-"""Forecasts that begin with anchors: typical futures of the training data."""

@@ -1,1 +1,0 @@
-"""Blocks that look at the floor plan."""
