@@ -234,7 +234,7 @@ def least_distance_m(rollout: Rollout) -> Ratio:
 @once
 def _collisions(rollout: Rollout) -> tuple[Tensor, Tensor]:
     """Return seconds to collision at the ends of 0.4 s windows (E, A, S), and where people meet others."""
-    velocity, there = velocities(rollout.path, rollout.met)
+    velocity, there = velocities(rollout.path, rollout.continuous)
     ends = slice(WINDOW - 1, None, WINDOW)
     seconds = time_to_collision(rollout.trace[:, :, ends], velocity, there, rollout.radius)
     return seconds, seconds.isfinite() & rollout.scored[:, :, ends]

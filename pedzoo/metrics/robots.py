@@ -120,7 +120,7 @@ class _Agents(NamedTuple):
         walked, first = rollout.walked, rollout.walked.mask.shape[1] - rollout.robots
         people, present, moved, sizes = (
             value[:, :first] if first else torch.zeros_like(value[:, :1])
-            for value in (walked.path, walked.met, walked.scored, walked.radius)
+            for value in (walked.path, walked.continuous, walked.scored, walked.radius)
         )
         radius = walked.radius[:, first:]
         reach = radius.unsqueeze(2) + sizes.unsqueeze(1)

@@ -1,17 +1,17 @@
-"""When people reach a goal, on the 0.1 s trace and not only at decisions, and their next goals."""
+"""When people reach a goal, on the 0.1 s trace and not only at decisions; deadlines; people who wait."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.randomness import Draws
-from pedzoo.core.types import GOAL_RADIUS
-from pedzoo.sim.scenario import PreparedScenario
-from pedzoo.sim.step_result import MotionInput
+from pedzoo.core.types import GOAL_RADIUS, STEP_SECONDS
+from pedzoo.maps.planning.guidance import Guidance
+from pedzoo.sim.state import CLOCK_ROUNDING, MotionInput, State
 
 LEAST_TIME_LIMIT = 20.0
 """Least time limit for a goal, seconds."""
@@ -33,27 +33,6 @@ def arrived(path: Tensor, goal: Tensor, inputs: MotionInput) -> Tensor:
     return (near.unflatten(0, (-1, inputs.substeps)).any(1).cumsum(0) > 0).permute(1, 2, 0)
 
 
-def later_goals(prepared: PreparedScenario, key: Tensor, first: Tensor) -> Tensor:
-    """Return the goals (B, A, G) that follow the ``first`` (B, A), drawn ahead; -1 where there are none.
-
-    Args:
-        prepared: Draws them; ``later`` of its scenario are used in turn.
-        key: Of the scenes (B,) long.
-        first: Their first goals; -1 for none.
-    """
-    scenes, agents = first.shape
-    scenario = prepared.scenario
-    if not scenario.later:
-        return torch.full((scenes, agents, 1), -1, device=first.device)
-    scene = torch.arange(scenes, device=first.device).repeat_interleave(agents)
-    slot = torch.arange(agents, device=first.device).repeat(scenes)
-    draws, goal, goals = Draws(key[scene]), first.flatten(), []
-    for number in range(1, scenario.later + 1):
-        goal = scenario.next_goal(prepared, draws, slot, torch.full_like(slot, number), goal)
-        goals.append(goal.view(scenes, agents))
-    return torch.where((first >= 0).unsqueeze(2), torch.stack(goals, 2), -1)
-
-
 def planned(way: Tensor) -> Tensor:
     """Return how far people with paths (B, A) of such lengths to their goals have to walk, metres."""
     return (way.detach() - GOAL_RADIUS).clamp_min(0)
@@ -65,7 +44,7 @@ def deadline(clock: Tensor, way: Tensor, pref_speed: Tensor, seconds: float | No
     At least 20 s from ``clock`` (B,), the end of the decision in which the goal was drawn; everything in
     seconds and metres. Where ``seconds`` are given, there are so many for every goal instead.
     """
-    ways, least = limits(seconds)
+    ways, least = (TIME_RATIO, LEAST_TIME_LIMIT) if seconds is None else (0.0, seconds)
     return clock.unsqueeze(1) + torch.clamp(ways * way / pref_speed, min=least)
 
 
@@ -79,6 +58,47 @@ def check_deadline(seconds: float | None) -> None:
         raise UserError(f"deadline {seconds}: expected a number of seconds above 0")
 
 
-def limits(seconds: float | None) -> tuple[float, float]:
-    """Return how many times the way's own time people have for a goal, and how many seconds at least."""
-    return (TIME_RATIO, LEAST_TIME_LIMIT) if seconds is None else (0.0, seconds)
+class WaitingUpdate(NamedTuple):
+    """Places and goals in a decision of S trace points.
+
+    Attributes:
+        hits: Which agents have reached a goal until each trace point (B, A, S) bool; places to wait at are
+            none.
+        moves_on: Which agents take their next goal without having reached this one (B, A) bool.
+        stands: As of `State`, at the end of the decision (B, A).
+    """
+
+    hits: Tensor
+    moves_on: Tensor
+    stands: Tensor
+
+
+def waiting_update(pause: Tensor, state: State, near: Tensor, clock: Tensor) -> WaitingUpdate:
+    """Return which people stop to wait and which move on.
+
+    Args:
+        pause: How long people wait at their goals (B, A), seconds: see `Scenario.pauses`.
+        state: At the beginning of the decision.
+        near: Which agents have come near their goal until each trace point (B, A, S) bool.
+        clock: At its end (B,), seconds.
+    """
+    stops = near[..., -1] & (pause > 0)
+    now = clock.unsqueeze(1)
+    over = state.holds & (now + CLOCK_ROUNDING >= state.stands)
+    before = torch.nn.functional.pad(state.goal_index[:, :-1], (1, 0), value=-1)
+    called = state.controlled & pause.isinf() & (before > state.goal_index)
+    moves_on = over | called
+    stands = torch.where(moves_on, 0.0, torch.where(stops, now + pause, state.stands))
+    return WaitingUpdate(near & ~stops.unsqueeze(-1), moves_on, stands)
+
+
+def at_places(state: State, guidance: Guidance) -> Guidance:
+    """Return the guidance of people who wait: to their place, as fast as that takes one step."""
+    holds = state.holds.unsqueeze(2)
+    back = (guidance.goal_point - state.position) / STEP_SECONDS
+    speed = back.norm(dim=-1, keepdim=True).clamp_min(1e-9)
+    back = back * (state.pref_speed.unsqueeze(2) / speed).clamp_max(1.0)
+    return guidance._replace(
+        goal=torch.where(holds, guidance.goal_point, guidance.goal),
+        desired_velocity=torch.where(holds, back, guidance.desired_velocity),
+    )

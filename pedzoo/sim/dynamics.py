@@ -24,7 +24,7 @@ ROUNDING = 1e-4
 """Metres by which an agent may be nearer to a wall than allowed before it goes back."""
 
 CREEP = 0.02
-"""Metres of a stride of an agent that is inside a wall."""
+"""Step length (m) while pushing out of a wall."""
 
 STRIDE = 2
 """Sub-steps of a stride: walls are looked up where a stride ends, contacts are checked after each half."""

@@ -22,16 +22,14 @@ from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim import kernel
+from pedzoo.sim.camera import check_size
 from pedzoo.sim.dynamics import substeps
-from pedzoo.sim.episode_queue import EpisodeQueue, Scenes
-from pedzoo.sim.episodes import Episodes
+from pedzoo.sim.episodes import EpisodeQueue, Episodes, Scenes
 from pedzoo.sim.observation import action_spec, done_spec, observation_spec, observed, reward_spec
-from pedzoo.sim.physics_parts.base import Physics
-from pedzoo.sim.physics_parts.camera import check_size
-from pedzoo.sim.physics_parts.state_picture import picture_of
+from pedzoo.sim.physics._base import Physics
+from pedzoo.sim.rules import rules_of
 from pedzoo.sim.scenario import WARM_SECONDS, PreparedScenario, Scenario
-from pedzoo.sim.state import TRACE_PER_STEP, State
-from pedzoo.sim.step_result import Events
+from pedzoo.sim.state import TRACE_PER_STEP, Events, State
 from pedzoo.sim.warm_start import WarmStart
 
 
@@ -42,7 +40,7 @@ class PedestrianEnv(EnvBase):
     metrics read ``agents/info``. Its ``trace``, ``agent_contact``, ``wall_contact`` and ``reached`` are
     those of every 0.1 s since the last decision (`Events`), ``overdue`` and ``remaining_path`` of `State`.
 
-    The reward is the path that got shorter, in metres, less `step_result.CONTACT_COST` for a contact.
+    The reward is the path that got shorter, in metres, less `CONTACT_COST` for a contact.
     Noise is drawn by `scene_key`, which names the scene in any row.
 
     Attributes:
@@ -104,7 +102,7 @@ class PedestrianEnv(EnvBase):
         self.group_map = {"agents": [f"person_{slot}" for slot in range(agents)]}
         smallest = min(body_radius, self.scenario.smallest_radius or body_radius)
         fine = substeps(prepared.fastest_agent, smallest)
-        self.rules = kernel.rules_of(prepared, trace_points, fine, self.device, deadline)
+        self.rules = rules_of(prepared, trace_points, fine, self.device, deadline)
         self._episodes = Episodes(prepared, warm_start, physics, self.rules, self.device)
         self._first = as_integer("first_episode", first_episode)
         self._stride = at_least_one("stride", num_envs if stride is None else stride)
@@ -116,14 +114,9 @@ class PedestrianEnv(EnvBase):
         self.done_spec = done_spec(num_envs).to(self.device)
 
     def __repr__(self) -> str:
-        scenes, people = (
-            f"{self.batch_size[0]} scenes of {self.prepared.people} people",
-            f"{self.decision_dt:g} s",
-        )
-        name = type(self.scenario).__name__
-        return (
-            f"{type(self).__name__}({name}, {scenes}, {type(self.physics).__name__}, decides every {people})"
-        )
+        scenes = f"{self.batch_size[0]} scenes of {self.prepared.people} people"
+        name, physics = type(self.scenario).__name__, type(self.physics).__name__
+        return f"{type(self).__name__}({name}, {scenes}, {physics}, decides every {self.decision_dt:g} s)"
 
     @property
     def scenario(self) -> Scenario:
@@ -216,7 +209,7 @@ class PedestrianEnv(EnvBase):
         check_size(size)
         if not 0 <= scene < self.batch_size[0]:
             raise UserError(f"scene {scene}: expected 0 to {self.batch_size[0] - 1}")
-        return picture_of(self.state, self.physics, scene, size)
+        return self.physics.picture(self.state, scene, size)
 
     def set_seed(self, seed: int | None = None, static_seed: bool = False) -> int | None:
         """Choose the scenes of any whole number, as `EnvBase.set_seed`, which takes no negative ones."""
@@ -235,8 +228,16 @@ class PedestrianEnv(EnvBase):
     def _set_seed(self, seed: int | None) -> None:
         self.seed = worker_number() if seed is None else as_integer("seed", seed)
         people, rows = self.prepared.people, self.batch_size[0]
-        numbers = self.seed, rows, self._first, self._stride
-        self._queue = EpisodeQueue(self._episodes, self.rules, self._opened, people, *numbers)
+        self._queue = EpisodeQueue(
+            self._episodes,
+            self.rules,
+            self._opened,
+            people=people,
+            seed=self.seed,
+            rows=rows,
+            first=self._first,
+            stride=self._stride,
+        )
 
     def _opened(self, state: State) -> State:
         """Return the first state of episodes as this environment begins them."""

@@ -10,7 +10,7 @@ from pedzoo.core.spec import Spec, build, parse
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.sim.env import PedestrianEnv
-from pedzoo.sim.physics_parts.base import Physics
+from pedzoo.sim.physics._base import Physics
 from pedzoo.sim.scenario import PreparedScenario, Scenario
 from pedzoo.sim.scenarios._yaml import scenario_spec
 from pedzoo.sim.warm_start import WarmStart
@@ -59,10 +59,18 @@ def make_env(
         UserError: An unknown name or setting, or a scene that cannot be.
     """
     prepared = prepare_scenario(scenario, clearance)
-    moves = make_physics(physics, prepared.bank, body_radius)
-    when = first_episode, stride
     return PedestrianEnv(
-        prepared, moves, num_envs, seed, decision_dt, warm_start, *when, body_radius, device, deadline
+        prepared,
+        make_physics(physics, prepared.bank, body_radius),
+        num_envs=num_envs,
+        seed=seed,
+        decision_dt=decision_dt,
+        warm_start=warm_start,
+        first_episode=first_episode,
+        stride=stride,
+        body_radius=body_radius,
+        device=device,
+        deadline=deadline,
     )
 
 

@@ -14,10 +14,11 @@ from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim import kernel
 from pedzoo.sim.dynamics import substeps
 from pedzoo.sim.episodes import Episodes
+from pedzoo.sim.physics._base import Physics
 from pedzoo.sim.physics.compiled import Compiled
-from pedzoo.sim.physics_parts.base import Physics
 from pedzoo.sim.replay.script import Script
 from pedzoo.sim.rollout import Rollout, rollout_of
+from pedzoo.sim.rules import Rules, rules_of
 from pedzoo.sim.scenario import PreparedScenario, Scenario
 from pedzoo.sim.state import TRACE_PER_STEP, State
 
@@ -35,38 +36,13 @@ def real_parts(prepared: PreparedScenario, scenes: int) -> Iterator[Rollout]:
     not quite where they left: they reach it by leaving.
     """
     assert prepared.script is not None
-    script = RecordedScript.of(prepared.script)
     fine, physics = substeps(prepared.fastest_agent), Compiled(prepared.bank)
-    planned = kernel.rules_of(prepared, TRACE_PER_STEP, fine)
+    planned = rules_of(prepared, TRACE_PER_STEP, fine)
     episodes = Episodes(prepared, "recorded", physics, planned)
-    rules = kernel.Rules(_still, TRACE_PER_STEP, fine, script=script)
+    rules = Rules(_still, TRACE_PER_STEP, fine, script=prepared.script.as_recorded())
     for number in torch.arange(scenes).split(_AT_ONCE):
         start = episodes.begin(Draws.for_episodes(0, number))
-        yield _walked(prepared.scenario, script, physics, rules, start)
-
-
-class RecordedScript(Script):
-    """The script in which no policy takes an agent over: people come and go as they really did."""
-
-    @classmethod
-    def of(cls, script: Script) -> RecordedScript:
-        """Return the script of the same people."""
-        return cls(script.people, script.xy, script.occupants, script.scenes)
-
-    def people_in_slots(self, scene: Tensor, frame: Tensor) -> Tensor:
-        """Return the people in the slots until they really leave; see `Script.people_in_slots`."""
-        scheduled = super().people_in_slots(scene, frame)
-        at = frame.unsqueeze(1)
-        # in the frame `left` all people that a policy would have are gone
-        there = (
-            (scheduled >= 0)
-            & (at < self.people.last[scheduled])
-            & (at < self.scenes.left[scene].unsqueeze(1))
-        )
-        return torch.where(there, scheduled, -1)
-
-    def _taken(self, scene: Tensor, person: Tensor, frame: Tensor, before: bool = False) -> Tensor:
-        return torch.zeros_like(person, dtype=torch.bool)
+        yield _walked(prepared.scenario, prepared.script, physics, rules, start)
 
 
 def _still(state: State) -> Guidance:
@@ -76,15 +52,14 @@ def _still(state: State) -> Guidance:
     return Guidance(position, still, position, state.goal_point, remaining_path)
 
 
-def _walked(
-    scenario: Scenario, script: Script, physics: Physics, rules: kernel.Rules, start: State
-) -> Rollout:
+def _walked(scenario: Scenario, script: Script, physics: Physics, rules: Rules, start: State) -> Rollout:
     """Return the recorded continuation of scenes that begin so."""
+    assert rules.script is not None
     people, scene = script.people, start.scene
     goal_point = people.goal.float()
     planned = (people.path_length.float() - GOAL_RADIUS).clamp_min(0)
     origin = script.scenes.origin[scene]
-    scheduled = script.people_in_slots(scene, origin)
+    scheduled = rules.script.people_in_slots(scene, origin)
     state = start._replace(
         person=scheduled,
         mask=scheduled >= 0,
@@ -94,12 +69,12 @@ def _walked(
     still = torch.zeros_like(state.position)
     steps: list[dict[str, Tensor]] = []
     before, done = start.person, torch.zeros_like(start.mask)
-    for frame in range(int((script.scenes.left[scene] - origin).max())):
+    for frame in range(int((script.scenes.last_exit[scene] - origin).max())):
         person, there = state.person, state.mask
         at = (origin + frame).unsqueeze(1).expand_as(person)
         begin = script.places(person, at)
         state, _, events = kernel.step(state, still, physics, rules)
-        had = script.scored(scene, person) & there & (at >= people.taken[person])
+        had = script.scored(scene, person) & there & (at >= people.handover[person])
         done = done & (person == before)
         leaves = had & (at + 1 == people.last[person])
         reached = _arrived(begin, events.trace, goal_point[person], had) | done.unsqueeze(2)

@@ -105,7 +105,7 @@ class Rollout:
 
         The step to each such point was walked by that person, so points without a gap are one person's.
         """
-        return self.controlled & self._stayed
+        return self.controlled & self._same_agent
 
     @property
     def underway(self) -> Tensor:
@@ -124,12 +124,12 @@ class Rollout:
         return TRACE_SECONDS * (self.present & ~self.controlled).sum(2)
 
     @property
-    def met(self) -> Tensor:
-        """Which agents are there and were in the slot already at the point before (E, A, T) bool."""
-        return self.present & self._stayed
+    def continuous(self) -> Tensor:
+        """Same agent present at this and the previous point (E, A, T) bool."""
+        return self.present & self._same_agent
 
     @property
-    def _stayed(self) -> Tensor:
+    def _same_agent(self) -> Tensor:
         there = torch.cat((self.mask.unsqueeze(2), self.present[..., :-1]), dim=2)
         before = torch.cat((self.person[..., :1], self.person[..., :-1]), dim=2)
         return there & (self.person == before)

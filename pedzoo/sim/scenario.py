@@ -6,7 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import torch
 from torch import Tensor
@@ -19,12 +19,8 @@ from pedzoo.core.types import STEP_SECONDS, TOP_SPEED_RATIO
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.planning.planner import Planner
-
-if TYPE_CHECKING:
-    from pedzoo.sim.replay.script import SceneStarts, Script
-
-SLOWEST = 0.3
-"""Least preferred speed, m/s."""
+from pedzoo.sim.replay.script import SceneStarts, Script
+from pedzoo.sim.state import SLOWEST
 
 MIN_INITIAL_PATH = 1.0
 """Minimum path length to the first goal, metres; nearer goals are redrawn."""

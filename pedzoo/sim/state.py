@@ -1,4 +1,4 @@
-"""All that a simulation knows about its scenes between two steps."""
+"""The state of scenes between two decisions, and what a decision gives: motion, contacts, events."""
 
 from __future__ import annotations
 
@@ -8,13 +8,21 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
-from pedzoo.sim.step_result import CLOCK_ROUNDING
 
 TRACE_PER_STEP = round(STEP_SECONDS / TRACE_SECONDS)
 """Trace points in one step of the networks' clock."""
 
 PAST_LEN = (OBS_LEN - 1) * TRACE_PER_STEP + 1
 """Trace points that 8 observed steps span."""
+
+SLOWEST = 0.3
+"""Least preferred speed, m/s."""
+
+CONTACT_COST = 1.0
+"""Metres of progress that a decision with a contact costs in the reward."""
+
+CLOCK_ROUNDING = 1e-3
+"""Seconds: clocks are sums of decisions."""
 
 
 class State(NamedTuple):
@@ -52,7 +60,7 @@ class State(NamedTuple):
         goal_point: Where the goal is (B, A, 2), metres.
         goal_since: When agents were given it (B, A), seconds on the clock; -inf where they were on their way
             when the scene began, or go as recorded.
-        drawn: Goals that were taken after the first (B, A) long.
+        goal_index: Which of its goals each agent walks to (B, A) long, 0 for the first.
         reached: Goals reached since the warm start (B, A) long.
         deadline: When the goal has to be reached (B, A), seconds on the clock.
         overdue: A goal was not reached in time (B, A) bool.
@@ -93,7 +101,7 @@ class State(NamedTuple):
     later_goals: Tensor
     goal_point: Tensor
     goal_since: Tensor
-    drawn: Tensor
+    goal_index: Tensor
     reached: Tensor
     deadline: Tensor
     overdue: Tensor
@@ -114,7 +122,7 @@ class State(NamedTuple):
         nothing, none = torch.zeros_like(pref_speed), torch.zeros_like(mask, dtype=torch.long)
         endless, never = torch.full_like(nothing, torch.inf), torch.zeros_like(mask)
         usual = dict.fromkeys(("turn_rate", "remaining_path", "planned", "stands"), nothing)
-        usual |= dict.fromkeys(("kind", "drive", "drawn", "reached"), none)
+        usual |= dict.fromkeys(("kind", "drive", "goal_index", "reached"), none)
         usual |= {"group": none - 1}
         usual |= dict.fromkeys(("acceleration", "turn_acceleration", "deadline"), endless)
         usual |= {"goal_since": -endless}
@@ -156,7 +164,7 @@ class State(NamedTuple):
     @property
     def next_goal(self) -> Tensor:
         """The goals after the present ones (B, A) long, -1 for none."""
-        number = (self.drawn % self.later_goals.shape[2]).unsqueeze(2)
+        number = (self.goal_index % self.later_goals.shape[2]).unsqueeze(2)
         return self.later_goals.gather(2, number)[..., 0]
 
     def select(self, index: Tensor) -> State:
@@ -168,3 +176,128 @@ class State(NamedTuple):
         return (
             self if self.key.device == torch.device(device) else State(*(value.to(device) for value in self))
         )
+
+
+class Contacts(NamedTuple):
+    """Contacts at each trace point.
+
+    Attributes:
+        agent: Whether another agent is touched at trace point s (B, A, S) bool.
+        wall: Whether a wall is touched (B, A, S) bool.
+    """
+
+    agent: Tensor
+    wall: Tensor
+
+
+class Distances(NamedTuple):
+    """How near others and walls are to each person; absent people have the reach and no normals.
+
+    Attributes:
+        agent: Least distance between centres (B, A), metres; the reach where none is nearer.
+        wall: Signed distance from the centre to the nearest wall (B, A), metres, at most the reach.
+        agent_normal: Unit vectors (B, A, 2) away from the nearest person, 0 where none is within reach.
+        wall_normal: Unit vectors (B, A, 2) away from the nearest wall, 0 where none is within reach.
+    """
+
+    agent: Tensor
+    wall: Tensor
+    agent_normal: Tensor
+    wall_normal: Tensor
+
+
+class OwnedMotion(NamedTuple):
+    """How bodies that a physics backend owns move in a decision.
+
+    Attributes:
+        path: Positions at all sub-steps (B, A, S, M, 2), metres.
+        heading: Where they face at the end (B, A), radians.
+        turn_rate: How fast they turn at the end (B, A), rad/s.
+    """
+
+    path: Tensor
+    heading: Tensor
+    turn_rate: Tensor
+
+
+class MotionInput(NamedTuple):
+    """Motion of agents on the common path in a decision of S trace points.
+
+    Attributes:
+        velocity: In each 0.1 s (2, S, B, A), m/s, limits respected already.
+        moving: Which agents it moves (B, A) bool; others are played back, or stay where they are.
+        substeps: M, sub-steps of every 0.1 s.
+        played: Paths of those who are played back (B, A, S, M, 2); None for none.
+        wanted: Which agents may reach their goals (B, A) bool.
+        command: What policies want (B, A, 2), as the agent's drive has it; None for nothing.
+        owned: How agents move that the backend owns, whose paths are among those played back; None for none.
+    """
+
+    velocity: Tensor
+    moving: Tensor
+    substeps: int
+    played: Tensor | None
+    wanted: Tensor
+    command: Tensor | None = None
+    owned: OwnedMotion | None = None
+
+
+class Motion(NamedTuple):
+    """The result of a decision of S trace points.
+
+    Attributes:
+        trace: Positions every 0.1 s (B, A, S, 2), metres.
+        agent_contact: Another agent is touched in that 0.1 s (B, A, S) bool.
+        wall_contact: A wall is (B, A, S) bool.
+        reached: The agent that walks has come within 0.3 m of its goal until then (B, A, S) bool.
+        heading: Where bodies that the physics backend owns face at the end (B, A), radians, NaN for other
+            agents; None where it owns none.
+        turn_rate: How fast these bodies turn at the end (B, A), rad/s; None where it owns none.
+    """
+
+    trace: Tensor
+    agent_contact: Tensor
+    wall_contact: Tensor
+    reached: Tensor
+    heading: Tensor | None = None
+    turn_rate: Tensor | None = None
+
+
+class Decision(NamedTuple):
+    """What a decision of S trace points has done to the scenes, before the planner is asked again.
+
+    Attributes:
+        state: The scenes after it, with paths and times to goals as before.
+        motion: What the bodies did.
+        moving: Which agents a policy moved (B, A) bool.
+        hits: Which agents have reached a goal until each trace point (B, A, S) bool.
+        sets_out: Which agents set out, or were taken over by the policy, at its end (B, A) bool.
+    """
+
+    state: State
+    motion: Motion
+    moving: Tensor
+    hits: Tensor
+    sets_out: Tensor
+
+
+class Events(NamedTuple):
+    """The events of one decision of S trace points.
+
+    Attributes:
+        trace: Positions every 0.1 s (B, A, S, 2), metres.
+        agent_contact: A body was touched in that 0.1 s (B, A, S) bool.
+        wall_contact: A wall was (B, A, S) bool.
+        reached: Goals reached until then (B, A, S) long.
+        reward: Metres of path that got shorter, less `CONTACT_COST` for a contact (B, A).
+        terminated: All agents have reached all goals (B,) bool.
+        truncated: No other agent can in time, or the policy failed (B,) bool.
+    """
+
+    trace: Tensor
+    agent_contact: Tensor
+    wall_contact: Tensor
+    reached: Tensor
+    reward: Tensor
+    terminated: Tensor
+    truncated: Tensor

@@ -17,7 +17,8 @@ from pedzoo.policies.orca.settings import OrcaSettings
 from pedzoo.policies.orca.velocity import orca_velocity
 from pedzoo.sim import kernel
 from pedzoo.sim.observation import dense
-from pedzoo.sim.physics_parts.base import Physics
+from pedzoo.sim.physics._base import Physics
+from pedzoo.sim.rules import Rules
 from pedzoo.sim.scenario import Layout
 from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
 
@@ -28,7 +29,7 @@ ORCA = OrcaSettings(radius=0.2, dt=STEP_SECONDS, max_obstacles=8)
 
 
 @torch.no_grad()
-def rolled(state: State, physics: Physics, rules: kernel.Rules, walls: WallSegments) -> State:
+def rolled(state: State, physics: Physics, rules: Rules, walls: WallSegments) -> State:
     """Return the state after 7 steps with ORCA of people who begin to walk; reached goals are renewed.
 
     Robots, agents with wheels and agents that stand or wait where they start stay in place. The time

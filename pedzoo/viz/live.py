@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from torchrl.envs.utils import step_mdp
 
+from pedzoo.core.batch import ROBOT
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import move_to_map
 from pedzoo.core.types import TRACE_SECONDS
@@ -24,10 +25,9 @@ from pedzoo.eval.packed_episodes import packed_episodes
 from pedzoo.eval.rollout import Recorder, prepare
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.walls.boxes import boxes
+from pedzoo.sim.drawing import headings_along
 from pedzoo.sim.env import PedestrianEnv
-from pedzoo.sim.physics_parts.bullet.figure import Figure
-from pedzoo.sim.physics_parts.bullet.looks import BulletLooks
-from pedzoo.sim.physics_parts.stance import Stance
+from pedzoo.sim.physics.pybullet.looks import BulletLooks, Figure
 from pedzoo.viz.page import page
 
 HOST = "127.0.0.1"
@@ -169,17 +169,15 @@ class BulletWindow:
         points = round(self._env.decision_dt / TRACE_SECONDS)
         path = move_to_map(state.past, state.pose)[0].double().cpu()
         path = torch.from_numpy(_local(self._grid, path.numpy()))
-        stance, whole = Stance.along(path, state.kind[0].cpu()), Stance.of(state)
+        heading = headings_along(path)
         for point in range(points):
-            at, ago = point - points, (points - 1 - point) * TRACE_SECONDS
+            at = point - points
             figures = {
                 agent: Figure(
                     *path[agent, at].tolist(),
                     radius=float(state.radius[0, agent]),
-                    heading=float(stance.heading[at, agent]),
-                    walked=float(whole.walked[0, agent] - ago * state.pref_speed[0, agent]),
-                    speed=float(stance.speed[at, agent]),
-                    robot=bool(whole.robot[0, agent]),
+                    heading=float(heading[agent, at]),
+                    robot=int(state.kind[0, agent]) == ROBOT,
                 )
                 for agent in state.mask[0].nonzero()[:, 0].tolist()
             }

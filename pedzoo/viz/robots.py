@@ -13,11 +13,9 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import direction_of, move_to_scene
 from pedzoo.core.paths import atomic_write
 from pedzoo.core.types import TRACE_SECONDS
-from pedzoo.sim.physics_parts.bodies import Bodies
-from pedzoo.sim.physics_parts.camera import ROBOT_BODY, ROBOT_FRONT, Camera, free_corners, person_color
-from pedzoo.sim.physics_parts.floor_marks import draw_goal, draw_way
-from pedzoo.sim.physics_parts.stance import Stance
-from pedzoo.sim.physics_parts.top_view import draw_disc, draw_floor, draw_person
+from pedzoo.sim.camera import ROBOT_BODY, ROBOT_FRONT, Camera, free_corners, person_color
+from pedzoo.sim.drawing import draw_disc, draw_floor, draw_goal, draw_person, draw_way, headings_along
+from pedzoo.sim.physics._base import Bodies
 from pedzoo.sim.robots.env import RobotEnv
 from pedzoo.sim.robots.rollout import RobotRollout
 from pedzoo.viz.video import Image, ShownEpisode, check_video_path, labelled, write_video
@@ -108,7 +106,7 @@ class _Scene:
         self.size, self.robots, self.radius = size, rollout.robots, shown.rollout.radius[0]
         self.points, self.path, self.goal, self.present = shown.length, shown.path, shown.goal, shown.present
         self.heading = rollout.heading[episode, :, : self.points + 1]
-        self.facing = Stance.along(self.path, shown.rollout.kind[0]).heading
+        self.facing = headings_along(self.path).T
         self.large = large = size[0] * FINER, size[1] * FINER
         grid = next((grid for grid in env.bank.grids if grid.map_id == int(shown.rollout.map_id[0])), None)
         seen, map_id, pose = shown.seen, shown.rollout.map_id, shown.rollout.pose

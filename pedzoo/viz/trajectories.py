@@ -22,7 +22,7 @@ from pedzoo.core.types import GOAL_RADIUS, TRACE_SECONDS
 from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.metrics.contacts import begins
-from pedzoo.sim.physics_parts.camera import person_color
+from pedzoo.sim.camera import person_color
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.state import TRACE_PER_STEP
 from pedzoo.viz.plots import check_plot_path, draw_floor_plan, write_figure

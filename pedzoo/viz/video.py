@@ -18,10 +18,9 @@ from pedzoo.core.geometry import move_to_map
 from pedzoo.core.paths import CODECS, atomic_write, check_ending
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.eval.comparison import PolicyRollout
-from pedzoo.sim.physics_parts.bodies import Bodies
-from pedzoo.sim.physics_parts.camera import Camera, person_color
-from pedzoo.sim.physics_parts.floor_marks import draw_goal, draw_way
-from pedzoo.sim.physics_parts.stance import Stance
+from pedzoo.sim.camera import Camera, person_color
+from pedzoo.sim.drawing import draw_goal, draw_way, headings_along
+from pedzoo.sim.physics._base import Bodies
 from pedzoo.sim.rollout import Rollout
 
 COLUMNS = 3
@@ -181,7 +180,7 @@ class _Panel:
         self.name, self.physics, self.size = walked.name, walked.env.physics, size
         self.shown = shown = ShownEpisode(walked.rollout, episode)
         self.length, self.seen = shown.length, shown.seen
-        self.stance = Stance.along(shown.path, shown.rollout.kind[0])
+        self.heading = headings_along(shown.path)
         self._empty: Image | None = None
         self._last: Image | None = None
 
@@ -215,7 +214,8 @@ class _Panel:
             rollout.map_id.unsqueeze(1),
             rollout.pose,
             rollout.radius,
-            self.stance.scene(i),
+            self.heading[None, :, i],
+            rollout.kind,
         )
         return self.physics.image(bodies, 0, self.size, camera)
 

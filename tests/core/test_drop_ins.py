@@ -69,7 +69,7 @@ PHYSICS = '''
     import torch
 
     from pedzoo.core.batch import ROBOT
-    from pedzoo.sim.step_result import OwnedMotion
+    from pedzoo.sim.state import OwnedMotion
     from pedzoo.sim.physics.compiled import Compiled
     from pedzoo.sim.physics.torch import Torch
 

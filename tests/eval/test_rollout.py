@@ -110,7 +110,7 @@ def test_trace_goes_on_from_the_warm_start_at_possible_speeds() -> None:
 def test_rollout_knows_who_moves_and_what_ways_were_planned() -> None:
     walked, _ = rollout("go_to_goal", "goals:people=3,goals=2,pool=8", "compiled", 3)
     assert not walked.replayed and walked.gate is None
-    assert torch.equal(walked.scored, walked.present) and torch.equal(walked.met, walked.present)
+    assert torch.equal(walked.scored, walked.present) and torch.equal(walked.continuous, walked.present)
     assert torch.equal(walked.path[:, :, 1:], walked.trace)
     torch.testing.assert_close(walked.planned[:, :, 0], (walked.first_path_length - GOAL_RADIUS).clamp_min(0))
     # another way is added when a goal is reached, and only then

@@ -14,8 +14,8 @@ from pedzoo.policies import nearest_agents
 from pedzoo.policies.nearest_agents import nearest
 from pedzoo.policies.orca.settings import OrcaSettings
 from pedzoo.policies.orca.velocity import orca_velocity
+from pedzoo.sim.physics._base import Bodies
 from pedzoo.sim.physics.compiled import Compiled
-from pedzoo.sim.physics_parts.bodies import Bodies
 
 WAYS = pytest.mark.parametrize("all_pairs", [10_000, 0], ids=["all pairs", "cells"])
 

@@ -18,12 +18,10 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.sim.dynamics import SKIN
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env, make_physics
+from pedzoo.sim.physics._base import Bodies, Physics
 from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.sim.physics.torch import Torch
-from pedzoo.sim.physics_parts.base import Physics
-from pedzoo.sim.physics_parts.bodies import Bodies
-from pedzoo.sim.state import State
-from pedzoo.sim.step_result import Motion
+from pedzoo.sim.state import Motion, State
 
 WIDTHS = (0.15, 0.5)
 MAP = "apartment.7"

@@ -41,7 +41,7 @@ def test_fields_that_are_the_same_in_all_episodes_are_not_copied(physics: str) -
     assert env.state.radius is radius
 
 
-def test_a_field_that_becomes_different_is_that_of_the_new_episode(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_changed_fields_are_those_of_the_new_episode(monkeypatch: pytest.MonkeyPatch) -> None:
     env = env_of()
     batch = env.reset()
     begin = Episodes.begin

@@ -20,6 +20,7 @@ from pedzoo.policies.safety_layer.layer import kept_clear_in_torch
 from pedzoo.policies.safety_layer.yielding import yielding
 from pedzoo.sim import kernel
 from pedzoo.sim.make import make_env
+from pedzoo.sim.rules import rules_of
 
 SCENES = {
     "planner and walls": "goals:map=apartment.7,people=5,goals=2,pool=6",
@@ -46,7 +47,7 @@ def test_steps_on_a_device_are_those_on_the_cpu(scenes: str, wheels: bool) -> No
     rules = replace(env.rules, wheels=wheels)
     with pretended():
         state, asked = env.state.to(DEVICE), action.to(DEVICE)
-        remote = replace(kernel.rules_of(env.prepared, rules.ticks, rules.substeps, DEVICE), wheels=wheels)
+        remote = replace(rules_of(env.prepared, rules.ticks, rules.substeps, DEVICE), wheels=wheels)
         state, _, _ = kernel.step(state, asked, env.physics, remote)
     expected, guided, _ = kernel.step(env.state, action, env.physics, rules)
     moved = 0.0

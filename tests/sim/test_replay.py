@@ -178,7 +178,7 @@ def test_starts_goals_ways_and_times(folder: Path) -> None:
     scenario = replay(folder)
     people, alice, edge = scenario.persons, person(scenario, ALICE), person(scenario, EDGE)
     # 8 steps are frames 0 to 7; the last of 17 is frame 16
-    assert 0.4 * float(people.taken[alice]) == pytest.approx(2.8)
+    assert 0.4 * float(people.handover[alice]) == pytest.approx(2.8)
     assert 0.4 * float(people.last[alice]) == pytest.approx(6.4)
     assert people.start[alice].tolist() == pytest.approx([1 + 7 * 0.3, 1])
     assert people.exit[alice].tolist() == people.goal[alice].tolist() == pytest.approx([5.8, 1])
@@ -357,7 +357,7 @@ def test_real_is_the_recording(folder: Path) -> None:
             scene = int((real.controlled & (real.person == number)).any(-1).any(-1).nonzero()[0, 0])
             begun = 0.4 * int(script.scenes.origin[scene])
             first, last = times(real, real.controlled, number)
-            assert begun + 0.1 * (first - 1) == pytest.approx(0.4 * float(people.taken[number]))
+            assert begun + 0.1 * (first - 1) == pytest.approx(0.4 * float(people.handover[number]))
             _, gone = times(real, real.present, number)
             assert begun + 0.1 * gone == pytest.approx(0.4 * float(people.last[number]))
             mine = real.controlled[scene] & (real.person[scene] == number)
@@ -386,10 +386,12 @@ def test_slots_are_never_shared(plaza: PreparedReplay) -> None:
     for number in range(len(people.agent)):
         slot, frames = (who == number).nonzero(as_tuple=True)
         assert len(slot.unique()) == 1
-        assert torch.equal(frames, torch.arange(int(people.first[number]), int(people.until[number])))
+        assert torch.equal(frames, torch.arange(int(people.first[number]), int(people.removal[number])))
     assert ((who >= 0).sum(0) <= scenario.people).all()
-    busy = torch.tensor([int(((people.first <= f) & (people.until > f)).sum()) for f in range(who.shape[1])])
-    assert int(busy.max()) == scenario.people  # no fewer slots would do
+    busy = torch.tensor(
+        [int(((people.first <= f) & (people.removal > f)).sum()) for f in range(who.shape[1])]
+    )
+    assert max(busy) == scenario.people  # no fewer slots would do
 
 
 def test_recordings_are_cut_where_no_person_can_be_left(folder: Path) -> None:
@@ -467,7 +469,7 @@ def test_one_person_among_others_who_are_played_back(folder: Path) -> None:
     assert same > 300
 
 
-def test_others_are_taken_over_when_they_would_be_around_one_person(folder: Path) -> None:
+def test_others_around_one_person_are_taken_over_in_their_frame(folder: Path) -> None:
     one, around = (replay(folder, "first second", simulated=which) for which in ("one", "around"))
     assert around.scenes == one.scenes == 5 and around.script is not None
     people, result, alone = around.persons, run(around, GoToGoal(), 0.4, 5), run(one, GoToGoal(), 0.4, 5)
@@ -479,7 +481,7 @@ def test_others_are_taken_over_when_they_would_be_around_one_person(folder: Path
         for number in set(who[moved].tolist()) - {lead}:
             first = int(((who == number) & moved).any(0).nonzero()[0])
             # a policy takes a person over in a frame of 0.4 s; who was taken before the scene is so at once
-            assert first == max(4 * (int(people.taken[number]) - origin), 0)
+            assert first == max(4 * (int(people.handover[number]) - origin), 0)
             reacting.append(number)
     assert len(reacting) >= 2 and people.controlled[torch.tensor(reacting)].all()
 

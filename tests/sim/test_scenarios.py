@@ -107,9 +107,9 @@ def test_goals_at_the_start_make_way_for_others(scenario: str, warm_start: Liter
     env.reset()
     state = env.state
     assert float(state.remaining_path.min()) >= MIN_INITIAL_PATH
-    assert bool((state.drawn > 0).any()) == (warm_start == "orca")
+    assert bool((state.goal_index > 0).any()) == (warm_start == "orca")
     assert (state.reached == 0).all()
-    for episode in (0, *state.drawn.any(1).nonzero()[:3, 0].tolist()):
+    for episode in (0, *state.goal_index.any(1).nonzero()[:3, 0].tolist()):
         alone = make_env(env.prepared, 1, seed=2, first_episode=episode, warm_start=warm_start)
         alone.reset()
         for key in ("goal_id", "drawn", "goal_point", "remaining_path"):

@@ -19,8 +19,7 @@ from pedzoo.sim import kernel
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_physics
 from pedzoo.sim.robots.env import RobotEnv
-from pedzoo.sim.state import State
-from pedzoo.sim.step_result import Events
+from pedzoo.sim.state import Events, State
 
 pytest.importorskip("pybullet")
 

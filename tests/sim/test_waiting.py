@@ -123,7 +123,7 @@ def test_people_are_served_one_after_the_other() -> None:
     assert goal[0, 1].tolist() == pytest.approx([-0.8, 0.0], abs=0.03)
 
 
-def test_people_who_come_go_to_the_end_of_the_line_of_that_moment() -> None:
+def test_people_join_the_line_at_its_present_end() -> None:
     env = make_env("queue:people=3,coming=1,seconds=1,speed_std=0", num_envs=1)
     first = env.reset()["agents", "info", "remaining_path"][0, 2]
     goals = {round(float(env.state.goal_point[0, 2, 0]), 1)}

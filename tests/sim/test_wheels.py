@@ -93,7 +93,7 @@ def test_wheels_never_slip_sideways(physics: str) -> None:
     env.physics.close()
 
 
-def test_holonomic_agents_have_a_limit_too_and_face_where_they_walk(physics: str) -> None:
+def test_holonomic_agents_have_a_limit_and_face_ahead(physics: str) -> None:
     """Beside a robot: from rest at 2 m/s^2 to (0, 1) m/s takes 0.5 s, and the person turns to it."""
     both: dict[str, Any] = {
         "drive": [HOLONOMIC, UNICYCLE],
@@ -108,7 +108,7 @@ def test_holonomic_agents_have_a_limit_too_and_face_where_they_walk(physics: str
     assert heading.tolist() == pytest.approx([math.pi / 2] * 2, abs=1e-3)
 
 
-def test_robots_stand_in_the_warm_start_and_face_as_they_are_told(physics: str) -> None:
+def test_robots_stand_and_face_as_told_in_the_warm_start(physics: str) -> None:
     env = make_env(
         Yard(2, drive=[HOLONOMIC, UNICYCLE], heading=[0.0, 2.0], kind=[0, 1], radius=[0.15, 0.5]), 1, physics
     )

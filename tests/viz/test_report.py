@@ -15,7 +15,7 @@ import pytest
 import pedzoo
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
-from pedzoo.sim.physics_parts.stance import FACE, FACE_AHEAD, HAIR, HEAD, SHOULDERS, SKIN
+from pedzoo.sim.drawing import FACE, FACE_AHEAD, HAIR, HEAD, SHOULDERS, SKIN
 from pedzoo.viz.page import framed, page
 from pedzoo.viz.report import better, content_of, shorten
 

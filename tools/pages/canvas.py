@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from pedzoo.sim.physics_parts.stance import FACE, FACE_AHEAD, HAIR, HEAD, SKIN, shoulders
+from pedzoo.sim.drawing import FACE, FACE_AHEAD, HAIR, HEAD, SKIN, shoulders
 
 Color = tuple[int, int, int]
 

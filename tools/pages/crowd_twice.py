@@ -22,7 +22,7 @@ from pedzoo.eval.rollout import rollout
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
 from pedzoo.metrics.realism.features import SampledRollout, coarse, every_step
 from pedzoo.metrics.smoothness import acceleration, heading_rate
-from pedzoo.sim.physics_parts.camera import person_color
+from pedzoo.sim.camera import person_color
 from pedzoo.sim.rollout import joined
 from pedzoo.sim.scenarios.replay import PreparedReplay
 from tools.pages.canvas import FINER, INK, Canvas, headings, pale, save_gif

@@ -24,9 +24,9 @@ from pedzoo.eval.robots import robot_rollout
 from pedzoo.eval.rollout import rollout
 from pedzoo.maps.procedural.plan import generate
 from pedzoo.policies.controller.controller import Controller
-from pedzoo.sim.physics_parts.bodies import Bodies
-from pedzoo.sim.physics_parts.camera import person_color
-from pedzoo.sim.physics_parts.stance import SHOULDERS
+from pedzoo.sim.camera import person_color
+from pedzoo.sim.drawing import SHOULDERS
+from pedzoo.sim.physics._base import Bodies
 from pedzoo.sim.robots.rollout import RobotRollout
 from pedzoo.viz.plan_sheet import draw
 from pedzoo.viz.video import film

@@ -30,9 +30,9 @@ from pedzoo.core.spec import parse
 from pedzoo.core.types import BODY_RADIUS, GOAL_RADIUS
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.walls.outlines import outlines
+from pedzoo.sim.camera import person_color
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
-from pedzoo.sim.physics_parts.camera import person_color
 from pedzoo.sim.scenarios._lanes import Encounter
 from pedzoo.viz.plots import draw_floor_plan
 

@@ -140,10 +140,10 @@ def blocks_of(people: RecordedPeople) -> tuple[Tensor, int]:
 
     A block lies within one recording.
     """
-    block, before = torch.zeros_like(people.taken), 0
+    block, before = torch.zeros_like(people.handover), 0
     for number in people.recording.unique().tolist():
         mine = people.recording == number
-        taken = people.taken[mine] - people.taken[mine].min()
+        taken = people.handover[mine] - people.handover[mine].min()
         frames = max(int(taken.max()) + 1, 1)
         length = max(frames / BLOCKS, BLOCK_SECONDS / STEP_SECONDS)
         block[mine] = before + (taken / length).long()
@@ -158,7 +158,7 @@ def _scored_rows(steps: SampledRollout, first: int, scenario: PreparedReplay) ->
     episode, slot, step = steps.scored.nonzero().unbind(1)
     scene = (episode + first) % scenario.scenes
     # people of two recordings are never there together
-    apart = (int(people.until.max()) + 1) * scenes.table[scene]
+    apart = (int(people.removal.max()) + 1) * scenes.table[scene]
     frame = scenes.origin[scene] + step - 1 + apart
     person = steps.person[episode, slot, step]
     return ScoredSteps((episode + first) // scenario.scenes, person, frame, steps.xy[episode, slot, step])

@@ -172,7 +172,7 @@ def _with_roles(parts: RecordedPeople, people: RecordedPeople) -> RecordedPeople
 def _scenes(parts: RecordedPeople, windows: int) -> tuple[Tensor, ScriptScenes]:
     """Return who is in which slot, and the scenes of windows."""
     end = OBS_LEN + STEPS
-    gone = parts.until.clamp_max(end)
+    gone = parts.removal.clamp_max(end)
     slot = torch.full_like(parts.first, -1)
     for number in range(windows):
         mine = (parts.recording == number).nonzero()[:, 0]

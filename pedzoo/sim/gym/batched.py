@@ -19,9 +19,9 @@ from pedzoo.core.batch import ROBOT, agents_of
 from pedzoo.core.errors import UserError, installed
 from pedzoo.core.geometry import direction_of
 from pedzoo.core.types import TRACE_SECONDS
-from pedzoo.sim.physics_parts.camera import Camera, check_size, person_color
-from pedzoo.sim.physics_parts.floor_marks import draw_goal
-from pedzoo.sim.physics_parts.state_picture import bodies_seen
+from pedzoo.sim.camera import Camera, check_size, person_color
+from pedzoo.sim.drawing import draw_goal
+from pedzoo.sim.physics._base import Bodies
 from pedzoo.sim.robots.env import RobotEnv, make_robot_env
 
 MODES = ("rgb_array", "human")
@@ -346,7 +346,7 @@ class Pictures:
         import cv2
 
         env, state, size = self._env, self._env.state, self._size
-        bodies = bodies_seen(state)
+        bodies = Bodies.of(state)
         if scene not in self._cameras:
             there = state.mask[scene]
             seen = torch.cat((state.position[scene][there], state.goal_point[scene][there]))

@@ -1,1 +1,1 @@
-"""Physics backends: one file each. Their shared parts are in `pedzoo.sim.physics_parts`."""
+"""Physics backends: one file each. Files that begin with `_` are what they share."""

@@ -12,20 +12,26 @@ from torch import Tensor
 from pedzoo.core.batch import ROBOT
 from pedzoo.core.bodies import HOLONOMIC
 from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import direction_of
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.bank import MapBank
+from pedzoo.sim.camera import VIEW_ANGLE, Camera, Lens
 from pedzoo.sim.dynamics import SKIN
-from pedzoo.sim.physics_parts.base import REACH, Physics
-from pedzoo.sim.physics_parts.bodies import Bodies
-from pedzoo.sim.physics_parts.bullet.client import load_pybullet
-from pedzoo.sim.physics_parts.bullet.pictures import from_above, from_robots
-from pedzoo.sim.physics_parts.bullet.robots import find_urdf
-from pedzoo.sim.physics_parts.bullet.scene import BulletScene
-from pedzoo.sim.physics_parts.bullet.scenes import BulletScenes, PlacedScene, as_array, moved, scene_rays
-from pedzoo.sim.physics_parts.bullet.urdf import drive_by_wheels, headings, with_shapes
-from pedzoo.sim.physics_parts.camera import Camera, Lens
-from pedzoo.sim.state import State
-from pedzoo.sim.step_result import Contacts, Distances, MotionInput, OwnedMotion
+from pedzoo.sim.physics._base import REACH, Bodies
+from pedzoo.sim.physics.compiled import Compiled
+from pedzoo.sim.physics.pybullet.client import WALL_HEIGHT, load_pybullet
+from pedzoo.sim.physics.pybullet.looks import CUT_HEIGHT, Figure
+from pedzoo.sim.physics.pybullet.robots import find_urdf
+from pedzoo.sim.physics.pybullet.scene import (
+    BulletScene,
+    BulletScenes,
+    PlacedScene,
+    as_array,
+    moved,
+    scene_rays,
+)
+from pedzoo.sim.physics.pybullet.shapes import drive_by_wheels, headings, with_shapes
+from pedzoo.sim.state import Contacts, MotionInput, OwnedMotion, State
 
 _SLACK = 1e-6
 """Metres by which the broad phase is generous: far above rounding."""
@@ -34,7 +40,7 @@ DRIVES = ("kinematic", "wheels")
 """How robots of a URDF file move."""
 
 
-class Bullet(Physics):
+class Bullet(Compiled):
     """One pybullet client per floor plan, made when it is first asked about.
 
     pybullet answers; torch only says which bodies are near enough to be asked about. Inside a wall the
@@ -89,54 +95,6 @@ class Bullet(Physics):
     def close(self) -> None:
         """Disconnect all clients."""
         self._scenes.close()
-
-    @torch.no_grad()
-    def distances(self, people: Bodies, reach: float = REACH) -> Distances:
-        """See `Physics.distances`; not differentiable."""
-        self._check_reach(reach)
-        shape = people.mask.shape
-        gaps = np.full((2, *shape), reach)
-        normals = np.zeros((2, *shape, 2))
-        for asked in self._scenes.placed(people, self._present(people)):
-            for person in asked.present:
-                asked.bullet.place(person, *asked.places[person])
-            for person in asked.present:
-                result = self._nearest_person(asked, person, reach), self._nearest_wall(asked, person, reach)
-                for kind, (gap, away) in enumerate(result):
-                    gaps[kind, asked.index, person] = gap
-                    normals[kind, asked.index, person] = away @ asked.affine[:, :2]
-        (agent, wall), (agent_normal, wall_normal) = (
-            torch.from_numpy(values).to(people.position) for values in (gaps, normals)
-        )
-        return Distances(agent, wall, agent_normal, wall_normal)
-
-    def _nearest_person(
-        self, asked: PlacedScene, person: int, reach: float
-    ) -> tuple[float, NDArray[np.float64]]:
-        others = [other for other in asked.present if other != person]
-        apart = np.linalg.norm(asked.places[others] - asked.places[person], axis=1)
-        if not len(apart) or apart.min() >= reach:
-            return reach, np.zeros(2)
-        both = 2 * self.body_radius
-        result = asked.bullet.person_gap(person, others[int(apart.argmin())], max(reach - both, 0.0))
-        return (result[0] + both, result[1]) if result else (reach, np.zeros(2))
-
-    def _nearest_wall(
-        self, asked: PlacedScene, person: int, reach: float
-    ) -> tuple[float, NDArray[np.float64]]:
-        best, away = reach, np.zeros(2)
-        place, boxes = asked.places[person], asked.bullet.boxes
-        beyond = np.maximum(np.maximum(boxes[:, :2] - place, place - boxes[:, 2:]), 0)
-        least = np.linalg.norm(beyond, axis=1)
-        near = np.flatnonzero(least < reach)
-        # nearest first: all others are farther than what was found by then
-        for box in near[np.argsort(least[near])].tolist():
-            if least[box] > max(best, 0) + _SLACK:
-                break
-            result = asked.bullet.wall_gap(person, box, max(best - self.body_radius, 0.0))
-            if result and result[0] + self.body_radius < best:
-                best, away = result[0] + self.body_radius, result[1]
-        return best, away
 
     @torch.no_grad()
     def contacts(self, path: Tensor, people: Bodies) -> Contacts:
@@ -207,8 +165,7 @@ class Bullet(Physics):
             bullet.place(first, *way[first, trace, step])
             bullet.place(second, *way[second, trace, step])
             more = float(extra[first] + extra[second])
-            result = bullet.person_gap(first, second, max(more, 0.0))
-            if result and result[0] < more:
+            if bullet.people_meet(first, second, more):
                 touching[[first, second], trace] = True
 
     def _hit(
@@ -232,8 +189,7 @@ class Bullet(Physics):
         for (person, box, trace), place in zip(questions, places, strict=True):
             if not touching[person, trace]:
                 asked.bullet.place(person, *place)
-                result = asked.bullet.wall_gap(person, box, max(float(extra[person]), 0.0))
-                touching[person, trace] = result is not None and result[0] < extra[person]
+                touching[person, trace] = asked.bullet.hits_wall(person, box, float(extra[person]))
 
     @torch.no_grad()
     def rays(self, people: Bodies, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:
@@ -255,12 +211,48 @@ class Bullet(Physics):
         """See `Physics.image`; drawn on a GPU where pybullet's plugin for it works, else on the CPU."""
         one = people.scene(scene)
         (asked,) = self._scenes.placed(one, self._present(one))
-        return from_above(asked, one, self._radius(one)[0], size, self.framed(people, scene, size, camera))
+        camera, linear = self.framed(people, scene, size, camera), asked.affine[:, :2]
+        eye, target, up = (np.array(values) for values in camera.eye())
+        for place in (eye, target):
+            place[:2] = linear @ place[:2] + asked.affine[:, 2]
+        up[:2] = linear @ up[:2]
+        pinhole = eye.tolist(), target.tolist(), up.tolist()
+        figures = _figures(asked, one, self._radius(one)[0])
+        picture = asked.bullet.looks(CUT_HEIGHT).render(figures, size, pinhole, VIEW_ANGLE[camera.view])
+        # in a mirrored scene, left is right
+        return picture if np.linalg.det(linear) > 0 else np.ascontiguousarray(picture[:, ::-1])
 
     @torch.no_grad()
     def onboard(
         self, people: Bodies, heading: Tensor, lens: Lens
     ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
         """See `Physics.onboard`."""
-        placed = self._scenes.placed(people, self._present(people))
-        return from_robots(placed, people, self._radius(people), heading, lens)
+        shape = (*heading.shape, lens.height, lens.width)
+        pictures, depths = np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.float32)
+        ahead, radius = as_array(direction_of(heading)), self._radius(people)
+        first = radius.shape[1] - heading.shape[1]
+        for asked in self._scenes.placed(people, self._present(people)):
+            linear, looks = asked.affine[:, :2], asked.bullet.looks(WALL_HEIGHT)
+            order = 1 if np.linalg.det(linear) > 0 else -1
+            figures = _figures(asked, people, radius[asked.index])
+            for robot in (agent for agent in asked.present if agent >= first):
+                others = {agent: figure for agent, figure in figures.items() if agent != robot}
+                at = asked.index, robot - first
+                picture, depth = looks.onboard(
+                    others, figures[robot][:2], (linear @ ahead[at]).tolist(), lens
+                )
+                pictures[at], depths[at] = picture[:, ::order], depth[:, ::order]
+        return pictures, depths
+
+
+def _figures(asked: PlacedScene, people: Bodies, radius: Tensor) -> dict[int, Figure]:
+    """Return how the agents of a scene are drawn in pybullet's frame; bodies have ``radius`` (A,) metres."""
+    at, angles = asked.index, np.zeros(len(radius))
+    if people.heading is not None:
+        x, y = (as_array(direction_of(people.heading[at])) @ asked.affine[:, :2].T).T
+        angles = np.arctan2(y, x)
+    robots = [False] * len(radius) if people.kind is None else (people.kind[at] == ROBOT).tolist()
+    return {
+        agent: Figure(x, y, round(float(radius[agent]), 6), float(angles[agent]), robots[agent])
+        for agent, (x, y) in zip(asked.present, asked.places[asked.present].tolist(), strict=True)
+    }

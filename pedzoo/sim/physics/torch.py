@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pedzoo.core.machine import compiles
-from pedzoo.sim.arrival import arrived
-from pedzoo.sim.physics_parts.base import REACH, Physics
-from pedzoo.sim.physics_parts.bodies import Bodies
-from pedzoo.sim.physics_parts.camera import Camera
-from pedzoo.sim.physics_parts.compiled import events_compiled
-from pedzoo.sim.physics_parts.top_view import draw_top_view
-from pedzoo.sim.state import State
-from pedzoo.sim.step_result import Contacts, Distances, Motion, MotionInput
+from pedzoo.maps.walls.local_walls import LocalWalls
+from pedzoo.sim.camera import Camera
+from pedzoo.sim.drawing import draw_top_view
+from pedzoo.sim.physics._base import REACH, Bodies, Physics
+from pedzoo.sim.state import Contacts, Distances, MotionInput, State
 
 _CHUNK = 4_000_000
 """Ray-body pairs that are compared at once."""
@@ -25,13 +19,6 @@ _CHUNK = 4_000_000
 
 class Torch(Physics):
     """Exact distances to the grid's squares, for all scenes at once and on the people's device."""
-
-    def __init_subclass__(cls, **settings: Any) -> None:
-        """Ask a subclass for contacts of its own: the short ways of walking have theirs built in."""
-        super().__init_subclass__(**settings)
-        nearest = next(base for base in cls.__mro__ if {"contacts", "_advance"} & vars(base).keys())
-        if "_advance" not in vars(nearest):
-            cls._advance, cls.compiled = Physics._advance, False
 
     def distances(self, people: Bodies, reach: float = REACH) -> Distances:
         """See `Physics.distances`; differentiable with respect to positions."""
@@ -57,31 +44,17 @@ class Torch(Physics):
             wall_normal=torch.where(near.unsqueeze(-1), away, 0),
         )
 
-    def _advance(self, state: State, inputs: MotionInput) -> Motion:
-        """See `Physics.advance`."""
-        # hundreds of short operations: not to track them at all saves a sixth
-        with torch.inference_mode(not torch.is_grad_enabled()):
-            path = self._integrated(state, inputs)
-        steps = path.unflatten(1, (-1, inputs.substeps))
-        trace = steps[:, :, -1].permute(2, 3, 1, 0)
-        trace = trace.clone() if path.is_inference() else trace
-        if compiles(path):
-            return Motion(trace, *events_compiled(self.bank, path, state, inputs))
-        steps, walls = steps.detach(), self._walls(state)
-        gap = None if walls is None else walls.half_planes(steps, state.radius)[0]
-        contacts = contacts_of(steps, gap, state.mask, state.radius)
-        return Motion(trace, *contacts, arrived(path, state.goal_point, inputs))
-
     @torch.no_grad()
     def contacts(self, path: Tensor, people: Bodies) -> Contacts:
         """See `Physics.contacts`."""
-        radius = self._radius(people)
-        row = self.bank.index(people.map_id[:, 0])
-        frame, place = self.bank.walls_of_scenes(row, people.pose)
+        frame, place = self.bank.walls_of_scenes(self.bank.index(people.map_id[:, 0]), people.pose)
         present = people.mask & path.isfinite().flatten(2).all(2)
-        steps, walls = path.permute(4, 2, 3, 0, 1), self.bank.walls_of_state(frame, place)
-        gap = None if walls is None else walls.half_planes(steps, radius)[0]
-        return contacts_of(steps, gap, present, radius)
+        return _found(path, self.bank.walls_of_state(frame, place), present, self._radius(people))
+
+    def _touched(self, state: State, path: Tensor, inputs: MotionInput) -> Contacts:
+        if type(self).contacts is not Torch.contacts:
+            return super()._touched(state, path, inputs)
+        return _found(path, self._walls(state), state.mask, state.radius)
 
     @torch.no_grad()
     def rays(self, people: Bodies, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:
@@ -126,12 +99,20 @@ class Torch(Physics):
             self._radius(people)[scene],
             size,
             self.framed(people, scene, size, camera),
-            people.scene(scene).stance,
+            None if people.heading is None else people.heading[scene],
+            None if people.kind is None else people.kind[scene],
         )
 
 
 _AT_ONCE = 1 << 17
 """Pairs of agents that are compared at once: what they need stays in the cache of the processor."""
+
+
+def _found(path: Tensor, walls: LocalWalls | None, present: Tensor, radius: Tensor) -> Contacts:
+    """Return contacts on paths (B, A, S, M, 2) between walls; all else is as of `contacts_of`."""
+    steps = path.permute(4, 2, 3, 0, 1)
+    gap = None if walls is None or not present.numel() else walls.half_planes(steps, radius)[0]
+    return contacts_of(steps, gap, present, radius)
 
 
 @torch.no_grad()

@@ -17,13 +17,13 @@ from pedzoo.data.tracks import Tracks
 from pedzoo.maps.planning.planner import Planner
 from pedzoo.sim.replay.companions import companies
 from pedzoo.sim.replay.stops import STANDS, Stops, stops_of
-from pedzoo.sim.scenario import SLOWEST
+from pedzoo.sim.state import SLOWEST
 
 USUAL = 1.3
 """m/s: what people like where no person is seen to walk freely."""
 
 LONGEST = 2
-"""People are taken out after so many times as long as they really took."""
+"""A person is removed after so many times their recorded duration."""
 
 CONTROLLED, SHORT, STAYED, BLOCKED, NO_WAY, LATER = range(6)
 """Role of a recorded person: taken over by the policy, or played back and why."""
@@ -94,14 +94,14 @@ class RecordedPeople(NamedTuple):
         return self.what == CONTROLLED
 
     @property
-    def taken(self) -> Tensor:
-        """Frame in which it does (P,) long."""
+    def handover(self) -> Tensor:
+        """Frame in which the policy takes them over (P,) long."""
         return self.first + OBS_LEN - 1
 
     @property
-    def until(self) -> Tensor:
+    def removal(self) -> Tensor:
         """Frame in which they are gone at the latest (P,) long."""
-        longest = self.taken + LONGEST * (self.last - self.taken)
+        longest = self.handover + LONGEST * (self.last - self.handover)
         return torch.where(self.controlled, longest, self.last)
 
     @property
@@ -191,11 +191,11 @@ def _of(number: int, tracks: Tracks, share: float, speed: SpeedOf, stops: bool) 
         pref_speed=torch.from_numpy(liked).clamp_min(SLOWEST).float(),
         group=group,
         grouped=grouped,
-        **_columns(stops_of(tracks, begin, taken) if stops else Stops.none(len(agent))),
+        **columns_of(stops_of(tracks, begin, taken) if stops else Stops.none(len(agent))),
     )
 
 
-def _columns(stops: Stops) -> dict[str, Tensor]:
+def columns_of(stops: Stops) -> dict[str, Tensor]:
     """Return stops as columns of `RecordedPeople`."""
     return {"stop_place": stops.place, "stop_pause": stops.pause, "stop_id": stops.goal_id}
 
@@ -227,7 +227,7 @@ def _estimated(tracks: Tracks, begin: np.ndarray, taken: np.ndarray) -> np.ndarr
 
 def _with_goals(people: RecordedPeople, mine: Tensor, row: int, planner: Planner) -> RecordedPeople:
     """Return the people; those of one recording, ``mine`` (P,) bool, have goals where possible."""
-    gone = people.until[mine & people.controlled]
+    gone = people.removal[mine & people.controlled]
     if not len(gone):
         return people
     mine = mine & (people.first < gone.max())  # others are never seen
@@ -289,4 +289,4 @@ def _with_stops(people: RecordedPeople, rows: Sequence[int], planner: Planner) -
     stops = Stops(place, people.stop_pause, goal_id).only(wanted & reached)
     legs = ways(torch.cat((start, stops.place), 1), stops.goals(people.goal_id)[:, :-1])
     path_length = torch.where(people.controlled, legs.sum(1).to(people.path_length), people.path_length)
-    return people._replace(path_length=path_length, **_columns(stops))
+    return people._replace(path_length=path_length, **columns_of(stops))

@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
-from pedzoo.sim.replay.people import RecordedPeople, top_speed_of
+from pedzoo.sim.replay.people import SHORT, RecordedPeople, columns_of, top_speed_of
+from pedzoo.sim.replay.stops import Stops
 from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
 
 
@@ -21,7 +22,7 @@ class ScriptScenes(NamedTuple):
         origin: Frame at which its clock is 0 (R,) long.
         until: Frame from which on none of its people are there (R,) long.
         last: Frame in which the policy takes a person over for the last time (R,) long.
-        left: Frame in which the last of them really leaves (R,) long.
+        last_exit: Frame in which the last of them really leaves (R,) long.
         lead: The person that it takes over first (R,) long, -1 for none.
         others: Whether it takes over all others that it can, too (R,) bool.
     """
@@ -30,7 +31,7 @@ class ScriptScenes(NamedTuple):
     origin: Tensor
     until: Tensor
     last: Tensor
-    left: Tensor
+    last_exit: Tensor
     lead: Tensor
     others: Tensor
 
@@ -96,6 +97,49 @@ class Script:
         scenes = ScriptScenes(*(value.to(device) for value in self.scenes))
         return type(self)(people, self.xy.to(device), self.occupants.to(device), scenes)
 
+    @classmethod
+    def of_windows(cls, here: Tensor, future: Tensor, there: Tensor, group: Tensor) -> Script:
+        """Return the script of B recorded windows whose A people are in their slots from the beginning.
+
+        Nobody comes or is taken over later. Person a of scene b is number b * A + a.
+
+        Args:
+            here: Where people are at the beginning (B, A, 2), metres.
+            future: Where they are at the end of each of T steps (B, A, T, 2), metres.
+            there: Which people are present from begin to end of each step (B, A, T) bool.
+            group: Numbers of their companies (B, A) long, -1 for alone.
+        """
+        scenes, agents, steps = there.shape
+        number = torch.arange(scenes * agents, device=there.device)
+        zeros, last = torch.zeros_like(number), torch.full_like(number, steps)
+        place, never = here.flatten(0, 1), torch.full_like(number, steps + 1)
+        people = RecordedPeople(
+            recording=number // agents,
+            agent=number % agents,
+            first=zeros,
+            last=last,
+            what=torch.full_like(number, SHORT),
+            start=place,
+            exit=place,
+            goal=place,
+            goal_id=zeros,
+            path_length=place[:, 0] * 0,
+            pref_speed=place[:, 0] * 0,
+            group=group.flatten(),
+            grouped=zeros,
+            **columns_of(Stops.none(len(number), there.device)),
+        )
+        xy = torch.cat((here.unsqueeze(2), future), 2).reshape(-1, 2)
+        occupants = torch.where(there, number.view(scenes, agents, 1), -1)
+        row = torch.arange(scenes, device=there.device)
+        none, end = torch.full_like(row, -1), never[:scenes]
+        return cls(people, xy, occupants, ScriptScenes(row, zeros[:scenes], end, end, end, none, none > 0))
+
+    def as_recorded(self) -> Script:
+        """Return the script in which no policy takes an agent over: people come and go as they really did."""
+        people = self.people._replace(what=torch.full_like(self.people.what, SHORT))
+        return Script(people, self.xy, self.occupants, self.scenes._replace(until=self.scenes.last_exit))
+
     @cached_property
     def fastest(self) -> float:
         """The largest preferred speed, m/s, or a faster one that was recorded: it decides about sub-steps."""
@@ -113,10 +157,11 @@ class Script:
         )
         scheduled = self.occupants[table, :, frame.clamp_max(self.occupants.shape[2] - 1)]
         # the last slot is kept for the lead, which is not met a second time
-        leads = (lead >= 0) & (frame < self.people.until[lead])
+        leads = (lead >= 0) & (frame < self.people.removal[lead])
         scheduled = torch.where(scheduled == lead.unsqueeze(1), -1, scheduled)
         scheduled[:, -1] = torch.where(leads, lead, scheduled[:, -1])
-        return torch.where((frame < until).unsqueeze(1), scheduled, -1)
+        there = (frame < until).unsqueeze(1) & (frame.unsqueeze(1) < self.people.removal[scheduled])
+        return torch.where(there, scheduled, -1)
 
     def places(self, person: Tensor, frame: Tensor) -> Tensor:
         """Return where people (..., ) are at frames (..., ), in their first or last place before or after."""
@@ -172,7 +217,7 @@ class Script:
 
     def _taken(self, scene: Tensor, person: Tensor, frame: Tensor, before: bool = False) -> Tensor:
         """Return which people the policy takes over in this frame (B, A) bool, or took over ``before``."""
-        taken = self.people.taken[person]
+        taken = self.people.handover[person]
         return self.scored(scene, person) & (taken <= frame if before else taken == frame)
 
     def _group(self, person: Tensor, frame: Tensor) -> Tensor:
@@ -181,12 +226,12 @@ class Script:
         return torch.where(shown, self.people.group[person], -1)
 
     def _deadline(self, scene: Tensor, person: Tensor) -> Tensor:
-        steps = self.people.until[person] - self.scenes.origin[scene].unsqueeze(1)
+        steps = self.people.removal[person] - self.scenes.origin[scene].unsqueeze(1)
         return (steps * TRACE_PER_STEP) * TRACE_SECONDS
 
     def pauses(self, state: State) -> Tensor:
         """Return how long people wait where their present goal is (B, A), seconds; 0 at exits."""
-        pause = self._pause[state.person, state.drawn.clamp_max(self._pause.shape[1] - 1)]
+        pause = self._pause[state.person, state.goal_index.clamp_max(self._pause.shape[1] - 1)]
         return torch.where(state.person >= 0, pause, 0.0)
 
     def playback(self, state: State, failed: Tensor, points: int, substeps: int) -> Tensor:
@@ -228,7 +273,7 @@ class Script:
             top_speed=torch.where(comes, top_speed_of(self._pref_speed[scheduled]), after.top_speed),
             goal_id=torch.where(comes, self.goals[scheduled, 0], after.goal_id),
             later_goals=torch.where(come, self.goals[scheduled, 1:], after.later_goals),
-            drawn=after.drawn.masked_fill(comes, 0),
+            goal_index=after.goal_index.masked_fill(comes, 0),
             stands=after.stands.masked_fill(comes, 0.0),
             reached=after.reached.masked_fill(comes, 0),
             deadline=torch.where(comes, self._deadline(after.scene, scheduled), after.deadline),

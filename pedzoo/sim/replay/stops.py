@@ -33,9 +33,10 @@ class Stops(NamedTuple):
     goal_id: Tensor
 
     @classmethod
-    def none(cls, people: int) -> Stops:
-        """Return those of people who go on all the time."""
-        return cls(torch.zeros(people, 0, 2), torch.zeros(people, 0), torch.zeros(people, 0).long())
+    def none(cls, people: int, device: torch.device | str = "cpu") -> Stops:
+        """Return those of people who never stop."""
+        nothing = torch.zeros(people, 0, device=device)
+        return cls(nothing.unsqueeze(2).expand(-1, -1, 2), nothing, nothing.long())
 
     @classmethod
     def joined(cls, parts: list[Stops]) -> Stops:
@@ -88,9 +89,9 @@ def stops_of(tracks: Tracks, begin: np.ndarray, taken: np.ndarray) -> Stops:
     coarse = (xy[np.maximum(row - 1, first)] + xy + xy[np.minimum(row + 1, last)]) / 3
     step = np.linalg.norm(np.diff(coarse, axis=0, prepend=coarse[:1]), axis=1) / STEP_SECONDS
     stands = (step < STANDS) & (row > taken[person])
-    goes_on = stands[1:] & stands[:-1] & (person[1:] == person[:-1])
-    opens = np.flatnonzero(stands & ~np.append(False, goes_on))
-    closes = np.flatnonzero(stands & ~np.append(goes_on, False))
+    is_standing_still = stands[1:] & stands[:-1] & (person[1:] == person[:-1])
+    opens = np.flatnonzero(stands & ~np.append(False, is_standing_still))
+    closes = np.flatnonzero(stands & ~np.append(is_standing_still, False))
     long = closes - opens + 1 >= LEAST
     opens, closes = opens[long], closes[long]
     sums = np.append(np.zeros((1, 2)), xy.cumsum(0), axis=0)

@@ -28,13 +28,12 @@ from pedzoo.sim import observation as specs
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import CLEARANCE, make_physics
 from pedzoo.sim.observation import observed
-from pedzoo.sim.physics_parts.base import Physics
+from pedzoo.sim.physics._base import Physics
 from pedzoo.sim.robots.reward import EndsAt, Outcome, WeightedSum, outcome_of
 from pedzoo.sim.robots.scenes import RobotScenes, with_robots
 from pedzoo.sim.robots.sensor import Readings, RobotView, Sensor
 from pedzoo.sim.scenario import PreparedScenario
-from pedzoo.sim.state import State
-from pedzoo.sim.step_result import Events
+from pedzoo.sim.state import Events, State
 
 SENSES = ("goal", "odometry", "people")
 """Default sensors."""

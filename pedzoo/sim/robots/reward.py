@@ -15,8 +15,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.registry import ROBOT_REWARDS
 from pedzoo.core.spec import build
 from pedzoo.sim.robots.sensor import RobotView, shape_of
-from pedzoo.sim.state import State
-from pedzoo.sim.step_result import Events
+from pedzoo.sim.state import Events, State
 
 EndsAt = Literal["any", "agent", "none"]
 """Which contacts end a robot's episode: with anything, with people and other robots, or none."""

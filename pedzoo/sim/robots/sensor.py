@@ -17,8 +17,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import direction_of, rotate, unrotate
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.maps.planning.guidance import Guidance
-from pedzoo.sim.physics_parts.base import Physics
-from pedzoo.sim.physics_parts.bodies import Bodies
+from pedzoo.sim.physics._base import Bodies, Physics
 from pedzoo.sim.state import State
 
 

@@ -12,8 +12,8 @@ from torch import Tensor
 from pedzoo.core.batch import other_agents
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import direction_of
-from pedzoo.sim.physics_parts.camera import Lens
-from pedzoo.sim.physics_parts.state_picture import bodies_seen
+from pedzoo.sim.camera import Lens
+from pedzoo.sim.physics._base import Bodies
 from pedzoo.sim.robots.sensor import Reading, RobotView, Sensor, check_view
 
 NOT_SEEN = 15.0
@@ -150,7 +150,7 @@ class Camera(Sensor):
 
     def read(self, view: RobotView) -> dict[str, Tensor]:
         """See `Sensor.read`."""
-        pictures = view.physics.onboard(bodies_seen(view.state), view.heading, self.lens)
+        pictures = view.physics.onboard(Bodies.of(view.state), view.heading, self.lens)
         rgb, depth = (torch.from_numpy(values).to(view.heading.device) for values in pictures)
         return {"rgb": rgb, "depth": depth}
 

@@ -245,25 +245,25 @@ class PreparedReplay(PreparedScenario):
 
 def _all_simulated(people: RecordedPeople, recordings: int) -> tuple[Tensor, ScriptScenes]:
     """Return which person is in which slot, and the scenes, with all people simulated that can be."""
-    frames = int(people.until.max()) + 1
+    frames = int(people.removal.max()) + 1
     slot, scene_rows = torch.full_like(people.first, -1), []
     for recording in range(recordings):
         mine = (people.recording == recording).nonzero()[:, 0]
-        slot[mine] = slots(people.first[mine], people.until[mine])
-        for piece in pieces(people.first[mine], people.until[mine]):
+        slot[mine] = slots(people.first[mine], people.removal[mine])
+        for piece in pieces(people.first[mine], people.removal[mine]):
             group = mine[piece]
             scored = group[people.controlled[group]]
             if len(scored):
                 origin = people.first[group].min() + OBS_LEN - 1
-                last, left = people.taken[scored].max(), people.last[scored].max()
-                scene_rows.append((recording, origin, people.until[group].max(), last, left, -1, True))
-    occupants = _occupants(people, slot, people.until, frames, int(slot.max()) + 1, recordings)
+                last, left = people.handover[scored].max(), people.last[scored].max()
+                scene_rows.append((recording, origin, people.removal[group].max(), last, left, -1, True))
+    occupants = _occupants(people, slot, people.removal, frames, int(slot.max()) + 1, recordings)
     return occupants, _scenes_of(scene_rows)
 
 
 def _one_simulated(people: RecordedPeople, recordings: int, around: bool) -> tuple[Tensor, ScriptScenes]:
     """Return the same with a scene for each person, ordered by how long they stay."""
-    until = people.until if around else people.last
+    until = people.removal if around else people.last
     frames = int(until.max()) + 1
     slot = torch.full_like(people.first, -1)
     for recording in range(recordings):
@@ -272,7 +272,15 @@ def _one_simulated(people: RecordedPeople, recordings: int, around: bool) -> tup
     leads = people.controlled.nonzero()[:, 0]
     leads = leads[(people.last - people.first)[leads].argsort(stable=True)].tolist()
     scene_rows = [
-        (people.recording[p], people.taken[p], people.until[p], people.taken[p], people.last[p], p, around)
+        (
+            people.recording[p],
+            people.handover[p],
+            people.removal[p],
+            people.handover[p],
+            people.last[p],
+            p,
+            around,
+        )
         for p in leads
     ]
     occupants = _occupants(people, slot, until, frames, int(slot.max()) + 2, recordings)

@@ -8,7 +8,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from pedzoo.sim.env import PedestrianEnv
-from pedzoo.sim.step_result import CONTACT_COST
+from pedzoo.sim.state import CONTACT_COST
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
 """Writes each person's ``action`` (B, A, 2), m/s, into the observation."""

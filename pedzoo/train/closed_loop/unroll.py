@@ -24,9 +24,10 @@ from pedzoo.sim.dynamics import STRIDE
 from pedzoo.sim.observation import observed, state_of
 from pedzoo.sim.physics.torch import Torch
 from pedzoo.sim.replay.people import top_speed_of
+from pedzoo.sim.replay.script import Script
+from pedzoo.sim.rules import Rules
 from pedzoo.sim.scenario import SLOWEST
-from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
-from pedzoo.sim.step_result import Motion, MotionInput
+from pedzoo.sim.state import TRACE_PER_STEP, Motion, MotionInput, State
 
 Walk = Callable[[TensorDict], Tensor]
 """Returns each person's next displacement (B, A, 2), metres, for an observation."""
@@ -77,20 +78,23 @@ def unroll(walk: Walk, batch: TensorDict, steps: int, key: Tensor | None = None)
     key = torch.arange(len(batch), device=there.device) if key is None else key
     state = state_of(batch, destination, walks, key)
     liked = state.pref_speed.clamp_min(SLOWEST)
-    windows = _Windows(agents["future"], there)
+    script = Script.of_windows(state.position, agents["future"], there, state.group)
     here = state.mask & there[..., 0]
+    slot, scene = state.person, torch.arange(len(batch), device=there.device)
     state = state._replace(
+        scene=scene,
         pref_speed=liked,
         top_speed=top_speed_of(liked),
         mask=here,
         controlled=walks & here,
-        person=state.person.where(here, -1),
+        person=script.people_in_slots(scene, 0 * scene),
     )
-    rules = kernel.Rules(_straight, TRACE_PER_STEP, STRIDE, script=windows)
+    rules = Rules(_straight, TRACE_PER_STEP, STRIDE, script=script)
     guidance, physics, result = _straight(state), OpenFloor(), []
     for _ in range(steps):
         moving, here = state.controlled, state.mask
-        action = walk(observed(state, guidance, maps)) / STEP_SECONDS
+        seen = state._replace(person=slot.where(here, -1))  # a walker draws noise by the slot
+        action = walk(observed(seen, guidance, maps)) / STEP_SECONDS
         state, guidance, _ = kernel.step(state, action, physics, rules)
         result.append((state.position, moving, here))
     return Unrolled(*(torch.stack(values, 2) for values in zip(*result, strict=True)))
@@ -104,49 +108,6 @@ def _straight(state: State) -> Guidance:
     ahead = unit * state.pref_speed.unsqueeze(-1)
     distance = way.square().sum(-1).clamp_min(_NEAR**2).sqrt()
     return Guidance(position + ahead * AHEAD_SECONDS, ahead, goal, goal, distance)
-
-
-class _Windows(NamedTuple):
-    """Plays back people that no policy controls, and takes people away in the moment in which they left.
-
-    Attributes:
-        future: Where people really were (B, A, T, 2), metres.
-        there: Which people were there from begin to end of each step (B, A, T) bool.
-    """
-
-    future: Tensor
-    there: Tensor
-
-    def playback(self, state: State, failed: Tensor, points: int, substeps: int) -> Tensor:
-        """Return paths (B, A, S, M, 2), straight to where they really were at the end of the step."""
-        end = self.future.gather(2, self._step(state.clock, self.future.shape[2:]))[:, :, 0]
-        part = torch.arange(1, points * substeps + 1, device=end.device) / (points * substeps)
-        path = torch.lerp(state.position.unsqueeze(2), end.unsqueeze(2), part.view(-1, 1).to(end))
-        return path.unflatten(2, (points, substeps))
-
-    def update_presence(self, before: State, after: State, points: int) -> tuple[State, Tensor]:
-        """Remove people who are not seen in the next step."""
-        steps = self.there.shape[2:]
-        still = self.there.gather(2, self._step(after.clock, steps))[..., 0]
-        mask = after.mask & still
-        seen = (after.observed_points + points).clamp_max(PAST_LEN)
-        after = after._replace(
-            mask=mask,
-            controlled=after.controlled & mask,
-            person=after.person.where(mask, -1),
-            observed_points=seen,
-        )
-        return after, torch.zeros_like(mask)
-
-    def ended(self, state: State) -> Tensor:
-        """Return the scenes that have ended (B,) bool: none before the windows do."""
-        return torch.zeros_like(state.failed)
-
-    def _step(self, clock: Tensor, shape: torch.Size) -> Tensor:
-        """Return the number of the step that begins now, to gather by (B, A, 1, ...)."""
-        number = (clock / STEP_SECONDS).round().long().clamp_max(shape[0] - 1)
-        agents = self.there.shape[1]
-        return number.view(-1, 1, 1, *[1] * (len(shape) - 1)).expand(-1, agents, 1, *shape[1:])
 
 
 def recorded(batch: TensorDict, steps: int) -> Unrolled:

@@ -16,7 +16,7 @@ class Reward:
     """The environment's own reward, and more where weights say so; all weights 0 leave it as it is.
 
     The environment's is the way that got shorter, in metres, less
-    `pedzoo.sim.step_result.CONTACT_COST` for a decision in which something was touched; every weight is in
+    `pedzoo.sim.state.CONTACT_COST` for a decision in which something was touched; every weight is in
     that unit, metres of progress. A reward of one's own is a function in ``terms``, or a subclass that
     overrides ``__call__``, named by its ``class_path`` in the config.
     """

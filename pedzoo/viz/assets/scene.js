@@ -8,7 +8,7 @@ const GOAL = 0.3; // metres
 const TRAIL = 40; // points
 const BANDS = 5;
 const BODY = 0.15; // metres: figures grow with their bodies
-const FIGURE = { along: 0.13, across: 0.23, head: 0.1, face: 0.07, ahead: 0.05 }; // as pedzoo.sim.physics_parts.stance
+const FIGURE = { along: 0.13, across: 0.23, head: 0.1, face: 0.07, ahead: 0.05 }; // as pedzoo.sim.drawing
 const SKIN = "rgb(226,180,150)", HAIR = "rgb(66,48,40)", EDGE = "rgb(40,40,40)";
 
 const colorOf = (person) => PALETTE[((person.person % PALETTE.length) + PALETTE.length) % PALETTE.length];

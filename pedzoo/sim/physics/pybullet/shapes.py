@@ -15,10 +15,9 @@ from pedzoo.core.bodies import HOLONOMIC, speed_and_turn
 from pedzoo.core.geometry import TURNS_FROM, direction_of, heading_of
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.sim.dynamics import driven
-from pedzoo.sim.physics_parts.bullet.scenes import PlacedScene, as_array, moved
-from pedzoo.sim.physics_parts.bullet.wheels import STEPS, WheelCommand
-from pedzoo.sim.state import State
-from pedzoo.sim.step_result import Contacts, MotionInput, OwnedMotion
+from pedzoo.sim.physics.pybullet.robots import STEPS, WheelCommand
+from pedzoo.sim.physics.pybullet.scene import PlacedScene, as_array, moved
+from pedzoo.sim.state import Contacts, MotionInput, OwnedMotion, State
 
 
 def headings(state: State, inputs: MotionInput) -> Tensor:

@@ -1,26 +1,28 @@
-"""One floor plan in pybullet: extruded walls, a capsule per person, and questions about single bodies."""
+"""Floor plans in pybullet: extruded walls, a capsule per person, and scenes in the frames of these plans."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
+from pedzoo.core.errors import UserError
+from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.walls.boxes import boxes
-from pedzoo.sim.physics_parts.bullet.client import check_connected, connect
-from pedzoo.sim.physics_parts.bullet.looks import (
-    AWAY,
-    BODY_HEIGHT,
-    SHAPES,
-    UPRIGHT,
-    BulletLooks,
-)
-from pedzoo.sim.physics_parts.bullet.robots import BulletRobots
-from pedzoo.sim.physics_parts.bullet.walls import build_walls
-from pedzoo.sim.physics_parts.bullet.wheels import DrivenRobots
+from pedzoo.sim.camera import Affine, scene_to_grid
+from pedzoo.sim.physics._base import Bodies
+from pedzoo.sim.physics.pybullet.client import AWAY, SHAPES, UPRIGHT, build_walls, check_connected, connect
+from pedzoo.sim.physics.pybullet.looks import BulletLooks
+from pedzoo.sim.physics.pybullet.robots import BulletRobots, DrivenRobots
+
+BODY_HEIGHT = 1.75
+"""Metres of a person's capsule, with both round ends."""
 
 RAY_HEIGHT = 1.0
 """Metres above the floor at which rays run: where a capsule is a cylinder."""
@@ -62,8 +64,7 @@ class BulletScene:
         walls = boxes(grid, unknown) if grid else np.zeros((0, 4))
         # Boxes of one body lie near one another (Z-order): bodies are small, and rays miss most.
         self.boxes = walls[np.argsort(_z_order((walls[:, :2] + walls[:, 2:]) / 2), kind="stable")]
-        parts = [self.boxes[i : i + SHAPES] for i in range(0, len(self.boxes), SHAPES)]
-        self._walls = build_walls(self._p, self.client, parts)
+        self._walls = build_walls(self.client, self.boxes)
         self._bodies: dict[tuple[int, float], int] = {}
         self._looks: dict[float, BulletLooks] = {}
         self._urdf = urdf
@@ -121,20 +122,17 @@ class BulletScene:
     def _put(self, body: int, where: Sequence[float]) -> None:
         self._p.resetBasePositionAndOrientation(body, where, UPRIGHT, physicsClientId=self.client)
 
-    def person_gap(self, person: int, other: int, within: float) -> tuple[float, NDArray[np.float64]] | None:
-        """Return the gap between two bodies and the direction from the other, None beyond ``within`` metres.
+    def people_meet(self, person: int, other: int, than: float) -> bool:
+        """Return whether the capsules of two agents are nearer to each other than some metres."""
+        return self.nearer(self._bodies[person, self._radius], self._bodies[other, self._radius], than)
 
-        Gaps are negative where bodies overlap; directions are unit vectors (2,), or zero.
-        """
-        return self._gap(person, self._bodies[other, self._radius], within)
+    def hits_wall(self, person: int, box: int, than: float) -> bool:
+        """Return whether an agent's capsule is nearer to the walls around a box than some metres."""
+        return self.nearer(self._bodies[person, self._radius], self._walls[box // SHAPES], than)
 
-    def wall_gap(self, person: int, box: int, within: float) -> tuple[float, NDArray[np.float64]] | None:
-        """Return the gap between a body and the walls around a box, and the direction from them, likewise."""
-        return self._gap(person, self._walls[box // SHAPES], within)
-
-    def nearer(self, robot: int, body: int, than: float) -> bool:
-        """Return whether the body of a robot is nearer to another body than some metres."""
-        points = self._p.getClosestPoints(robot, body, max(than, 0.0), physicsClientId=self.client)
+    def nearer(self, one: int, body: int, than: float) -> bool:
+        """Return whether a body is nearer to another body than some metres."""
+        points = self._p.getClosestPoints(one, body, max(than, 0.0), physicsClientId=self.client)
         return any(point[8] < than for point in points)
 
     def capsule(self, person: int, place: Sequence[float]) -> int:
@@ -145,15 +143,6 @@ class BulletScene:
     def walls(self, boxes: NDArray[np.int64]) -> list[int]:
         """Return the bodies that some boxes are part of."""
         return [self._walls[part] for part in np.unique(boxes // SHAPES).tolist()]
-
-    def _gap(self, person: int, body: int, within: float) -> tuple[float, NDArray[np.float64]] | None:
-        mine = self._bodies[person, self._radius]
-        points = self._p.getClosestPoints(mine, body, within, physicsClientId=self.client)
-        if not points:
-            return None
-        nearest = min(points, key=lambda point: point[8])  # contactDistance
-        x, y, _ = nearest[7]  # contactNormalOnB
-        return nearest[8], np.array([x, y]) / (math.hypot(x, y) or 1.0)
 
     def in_wall(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return which positions (N, 2) lie inside a wall."""
@@ -198,3 +187,118 @@ def _z_order(points: NDArray[np.float64], side: float = 0.5) -> NDArray[np.int64
     bits = np.arange(16)
     spread = ((cells[..., None] >> bits & 1) << 2 * bits).sum(axis=-1)
     return spread[:, 0] | spread[:, 1] << 1
+
+
+class PlacedScene(NamedTuple):
+    """One scene of a question.
+
+    Attributes:
+        index: Which of the B scenes.
+        bullet: Where its floor plan is built.
+        affine: From the scene to pybullet's frame.
+        places: Where agents are in pybullet's frame (A, 2), metres.
+        present: Numbers of the agents that are there, in ascending order.
+    """
+
+    index: int
+    bullet: BulletScene
+    affine: Affine
+    places: NDArray[np.float64]
+    present: list[int]
+
+
+class BulletScenes:
+    """One pybullet client per floor plan, made when it is first asked about; copies make their own."""
+
+    def __init__(self, bank: MapBank, body_radius: float, urdf: str | None = None) -> None:
+        """Take the floor plans, the usual radius of bodies, metres, and the file of robots' bodies."""
+        self.bank, self.body_radius, self.urdf = bank, body_radius, urdf
+        self._scenes: dict[int, BulletScene] = {}
+        self._closed = False
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_scenes": {}}
+
+    def __getitem__(self, row: int) -> BulletScene:
+        """Return the client of a floor plan by its row in the bank, -1 for the open floor.
+
+        Raises:
+            UserError: All were closed, or this client is gone.
+        """
+        if self._closed:
+            raise UserError("this Bullet was closed: make a new one, Bullet(bank)")
+        if row not in self._scenes:
+            grid = self.bank.grids[row] if row >= 0 else None
+            self._scenes[row] = BulletScene(grid, self.bank.unknown, self.body_radius, self.urdf)
+        self._scenes[row].check()
+        return self._scenes[row]
+
+    def close(self) -> None:
+        """Disconnect all clients."""
+        for scene in self._scenes.values():
+            scene.close()
+        self._scenes.clear()
+        self._closed = True
+
+    def placed(self, people: Bodies, present: Tensor) -> Iterator[PlacedScene]:
+        """Yield scene after scene, with those of their agents that are ``present`` (B, A) bool."""
+        rows = self.bank.index(people.map_id[:, 0]).tolist()
+        places, poses = as_array(people.position), people.pose.tolist()
+        for index, (row, pose, here) in enumerate(zip(rows, poses, present.tolist(), strict=True)):
+            affine = _frame(self.bank.grids[row] if row >= 0 else None, tuple(pose))
+            present_people = [person for person, there in enumerate(here) if there]
+            yield PlacedScene(index, self[row], affine, moved(affine, places[index]), present_people)
+
+
+@lru_cache(maxsize=1024)
+def _frame(grid: OccupancyGrid | None, pose: tuple[float, ...]) -> Affine:
+    """Return the map from a scene to pybullet's frame: poses stay as they are."""
+    return scene_to_grid(torch.tensor(pose), grid)
+
+
+def as_array(points: Tensor) -> NDArray[np.float64]:
+    """Return a tensor as numpy's doubles."""
+    return points.detach().cpu().double().numpy()
+
+
+def moved(affine: Affine, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return points (..., 2) by an affine map."""
+    return points @ affine[:, :2].T + affine[:, 2]
+
+
+def scene_rays(
+    asked: PlacedScene,
+    radius: list[float],
+    start: NDArray[np.float64],
+    along: NDArray[np.float64],
+    reach: float,
+) -> NDArray[np.float64]:
+    """Return how far rays of one scene go (R,), metres, at most ``reach``.
+
+    Args:
+        asked: The scene.
+        radius: Of all agents' bodies, metres.
+        start: Where rays begin (R, 2) in pybullet's frame.
+        along: Unit vectors (R, 2).
+        reach: Metres.
+    """
+    asked.bullet.clear()
+    for person in asked.present:
+        asked.bullet.place(person, *asked.places[person], radius=radius[person])
+    # pybullet hits some bodies from inside and others not: bodies around the start are taken away
+    starts, of = np.unique(start, axis=0, return_inverse=True)
+    apart = starts[:, None] - asked.places[None, asked.present]
+    holds = np.square(apart).sum(-1) <= np.square([radius[person] for person in asked.present])
+    groups, group = np.unique(holds, axis=0, return_inverse=True)
+    group = group.reshape(-1)[of.reshape(-1)]
+    result = np.full(len(start), reach)
+    for number, held in enumerate(groups):
+        taken = [person for person, inside in zip(asked.present, held, strict=True) if inside]
+        for person in taken:
+            asked.bullet.remove(person, radius[person])
+        rays = np.flatnonzero(group == number)
+        result[rays] = reach * asked.bullet.rays(start[rays], start[rays] + reach * along[rays])
+        for person in taken:
+            asked.bullet.place(person, *asked.places[person], radius=radius[person])
+    result[asked.bullet.in_wall(start)] = 0.0
+    return result

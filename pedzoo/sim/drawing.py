@@ -1,30 +1,67 @@
-"""A scene drawn from the top: the floor plan, people with shoulders and a head, robots as discs."""
+"""Scenes drawn from the top: floor plans, people with shoulders and a head, robots as discs, goals."""
 
 from __future__ import annotations
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pedzoo.core.types import BODY_RADIUS
+from pedzoo.core.batch import ROBOT
+from pedzoo.core.geometry import heading_of
+from pedzoo.core.types import BODY_RADIUS, GOAL_RADIUS
 from pedzoo.maps.grid import OccupancyGrid, Unknown
-from pedzoo.sim.physics_parts.camera import FLOOR, OUTSIDE, WALL, Camera, person_color
-from pedzoo.sim.physics_parts.frames import after, inverse, map_to_scene
-from pedzoo.sim.physics_parts.stance import (
-    FACE,
-    FACE_AHEAD,
-    HAIR,
-    HEAD,
-    SKIN,
-    Stance,
-    shoulders,
-)
+from pedzoo.sim.camera import FLOOR, OUTSIDE, WALL, Camera, after, inverse, map_to_scene, person_color
+
+Image = NDArray[np.uint8]
+
+SHOULDERS = (0.13, 0.23)
+"""Half axes of a person from above, along and across where it faces, metres."""
+
+HEAD, FACE, FACE_AHEAD = 0.1, 0.07, 0.05
+"""Radii of a head and of the face on it from above, and how far ahead the face lies, metres."""
+
+SKIN, HAIR = (226, 180, 150), (66, 48, 40)
+"""RGB."""
+
+_WINDOW = 3
+"""Trace points before and after one over which people's headings are means: 0.6 s in all."""
+
+_TURNS = 0.08
+"""Metres in such a time from which on people face where they walk."""
 
 EDGE = (40, 40, 40)
 """RGB around bodies."""
 
 _FINE = 4
 """cv2 draws at whole pixels, or at sixteenths of them with this shift."""
+
+_CIRCLE = 32
+"""Corners of the circle around a goal."""
+
+
+def shoulders(heading: float) -> NDArray[np.float64]:
+    """Return the outline (24, 2) of shoulders around the origin, metres; ``heading`` in radians."""
+    angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    along, across = SHOULDERS[0] * np.cos(angle), SHOULDERS[1] * np.sin(angle)
+    c, s = np.cos(heading), np.sin(heading)
+    return np.stack((along, across), 1) @ np.array([[c, s], [-s, c]])
+
+
+def headings_along(path: Tensor) -> Tensor:
+    """Return where people face (A, T), radians, at points every 0.1 s of their paths (A, T, 2), metres.
+
+    People who stand face where they last went, and at first where they will go. Positions are not finite
+    where nobody is.
+    """
+    last = path.shape[1] - 1
+    points = torch.arange(last + 1, device=path.device)
+    before, after = (points - _WINDOW).clamp_min(0), (points + _WINDOW).clamp_max(last)
+    moves = path[:, after] - path[:, before]
+    turned = moves.norm(dim=-1) > _TURNS
+    latest = torch.where(turned, points, -1).cummax(1).values
+    kept = torch.where(latest < 0, turned.int().argmax(1, keepdim=True), latest)
+    return heading_of(moves, moves.new_zeros(moves.shape[:2]), _TURNS).gather(1, kept)
 
 
 def draw_top_view(
@@ -36,8 +73,9 @@ def draw_top_view(
     radius: Tensor,
     size: tuple[int, int],
     camera: Camera,
-    stance: Stance | None = None,
-) -> NDArray[np.uint8]:
+    heading: Tensor | None = None,
+    kind: Tensor | None = None,
+) -> Image:
     """Return the picture (H, W, 3) uint8 RGB of floor and people.
 
     Args:
@@ -49,22 +87,23 @@ def draw_top_view(
         radius: Of bodies (A,), metres.
         size: Width and height in pixels.
         camera: Its center and width are used; it looks down for every ``view``.
-        stance: Of one scene, where people face; None draws discs.
+        heading: Where people face (A,), radians; None draws discs.
+        kind: Person or robot (A,), which is a disc; None for people alone.
     """
     image = draw_floor(grid, unknown, pose, size, camera)
     to_pixel = camera.to_pixel(size)
     for person in present.nonzero()[:, 0].tolist():
         place, wide, color = position[person], float(radius[person]), person_color(person)
-        if stance is None or bool(stance.robot[0, person]):
+        if heading is None or (kind is not None and int(kind[person]) == ROBOT):
             draw_disc(image, to_pixel, place, wide, color)
         else:
-            draw_person(image, to_pixel, place, float(stance.heading[0, person]), wide, color)
+            draw_person(image, to_pixel, place, float(heading[person]), wide, color)
     return image
 
 
 def draw_floor(
     grid: OccupancyGrid | None, unknown: Unknown, pose: Tensor, size: tuple[int, int], camera: Camera
-) -> NDArray[np.uint8]:
+) -> Image:
     """Return the picture (H, W, 3) uint8 RGB of the floor; arguments as of `draw_top_view`."""
     import cv2
 
@@ -87,7 +126,7 @@ def draw_floor(
 
 
 def draw_person(
-    image: NDArray[np.uint8],
+    image: Image,
     to_pixel: NDArray[np.float64],
     place: Tensor,
     heading: float,
@@ -126,7 +165,7 @@ def draw_person(
 
 
 def draw_disc(
-    image: NDArray[np.uint8],
+    image: Image,
     to_pixel: NDArray[np.float64],
     place: Tensor,
     radius: float,
@@ -148,3 +187,49 @@ def draw_disc(
     across = round(radius * to_pixel[0, 0] * 2**_FINE)
     cv2.circle(image, (x, y), across, color, cv2.FILLED, cv2.LINE_AA, _FINE)
     cv2.circle(image, (x, y), across, EDGE, 1, cv2.LINE_AA, _FINE)
+
+
+def draw_way(
+    image: Image,
+    way: Tensor,
+    camera: Camera,
+    size: tuple[int, int],
+    color: tuple[int, int, int],
+    width: int = 1,
+) -> None:
+    """Draw an agent's way (T, 2), metres, as a line on the floor, so many pixels broad.
+
+    ``size`` is the width and height in pixels of the picture that ``camera`` took.
+    """
+    _line(image, way, camera, size, color, width, closed=False)
+
+
+def draw_goal(
+    image: Image,
+    goal: Tensor,
+    camera: Camera,
+    size: tuple[int, int],
+    color: tuple[int, int, int],
+    width: int = 1,
+) -> None:
+    """Draw the circle around a goal (2,), metres, within which it is reached; nothing if it is not finite."""
+    angle = torch.linspace(0, 2 * torch.pi, _CIRCLE + 1)[:-1]
+    circle = goal.detach().cpu() + GOAL_RADIUS * torch.stack((angle.cos(), angle.sin()), dim=-1)
+    _line(image, circle, camera, size, color, width, closed=True)
+
+
+def _line(
+    image: Image,
+    points: Tensor,
+    camera: Camera,
+    size: tuple[int, int],
+    color: tuple[int, int, int],
+    width: int,
+    closed: bool,
+) -> None:
+    import cv2
+
+    pixels = camera.floor_pixels(points.detach().cpu().double().numpy(), size)
+    if np.isfinite(pixels).all():
+        corners = np.round(pixels * 2**_FINE).astype(np.int32).reshape(-1, 1, 2)
+        cv2.polylines(image, [corners], closed, color, width, cv2.LINE_AA, _FINE)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import replace
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -13,21 +13,50 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import move_to_scene
-from pedzoo.core.machine import compiles
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.walls.local_walls import LocalWalls
 from pedzoo.sim.arrival import arrived
+from pedzoo.sim.camera import Camera, Lens, free_corners, person_color
+from pedzoo.sim.drawing import draw_goal
 from pedzoo.sim.dynamics import SKIN, integrate
-from pedzoo.sim.physics_parts.bodies import Bodies
-from pedzoo.sim.physics_parts.camera import Camera, Lens, free_corners
-from pedzoo.sim.physics_parts.compiled import advance_compiled
-from pedzoo.sim.state import State
-from pedzoo.sim.step_result import Contacts, Distances, Motion, MotionInput, OwnedMotion
+from pedzoo.sim.rules import Rules
+from pedzoo.sim.state import Contacts, Decision, Distances, Motion, MotionInput, OwnedMotion, State
 
 REACH = 5.0
 """Metres up to which distances and rays are asked for, where nothing else is said."""
+
+
+class Bodies(NamedTuple):
+    """Where people are in B scenes: what every question to a physics backend begins with.
+
+    Attributes:
+        position: Scene positions (B, A, 2), metres, of the people who are present by ``mask`` (B, A) bool.
+        map_id: Floor plan of each scene (B, 1) long, -1 for none.
+        pose: How each scene lies on its floor plan (B, 4).
+        radius: Of the bodies (B, A), metres; None for that of the backend.
+        heading: Where they face (B, A), radians, for pictures; None where it is not known.
+        kind: Person or robot (B, A) long, for pictures; None for people alone.
+    """
+
+    position: Tensor
+    mask: Tensor
+    map_id: Tensor
+    pose: Tensor
+    radius: Tensor | None = None
+    heading: Tensor | None = None
+    kind: Tensor | None = None
+
+    @classmethod
+    def of(cls, state: State) -> Bodies:
+        """Return those of a state."""
+        map_id = state.map_id.unsqueeze(1)
+        return cls(state.position, state.mask, map_id, state.pose, state.radius, state.heading, state.kind)
+
+    def scene(self, number: int) -> Bodies:
+        """Return those of one scene."""
+        return Bodies(*(None if value is None else value[[number]] for value in self))  # type: ignore[arg-type]
 
 
 class Physics(ABC):
@@ -43,14 +72,12 @@ class Physics(ABC):
     Attributes:
         scenes_at_once: Scenes that evaluations run together: memory grows with them, time hardly.
         views: Where its camera can be.
-        compiled: Whether its `advance` is the compiled loop alone, so that a whole decision can be compiled.
         bank: The floor plans.
         body_radius: Radius of a body where nothing else is said, metres.
     """
 
     scenes_at_once: ClassVar[int] = 64
     views: ClassVar[tuple[str, ...]] = ("top",)
-    compiled: ClassVar[bool] = False
 
     def __init__(self, bank: MapBank, body_radius: float = BODY_RADIUS) -> None:
         """Take the floor plans.
@@ -74,6 +101,10 @@ class Physics(ABC):
             UserError: Something is not; the message says how to get it.
         """
         return
+
+    def decide(self, state: State, commands: Tensor, rules: Rules) -> Decision | None:
+        """Return what `kernel.step` finds before it asks the planner; None, the default: it finds that."""
+        return None
 
     def owned(self, state: State) -> Tensor | None:
         """Return which agents the backend moves itself (B, A) bool; None, the default, for none.
@@ -139,10 +170,6 @@ class Physics(ABC):
 
     def _advance(self, state: State, inputs: MotionInput) -> Motion:
         """See `advance`, of agents that move on the common path."""
-        if compiles(state.past, inputs.velocity):
-            paths = torch.empty(*inputs.moving.shape, inputs.velocity.shape[1], inputs.substeps, 2)
-            integrated = advance_compiled(self.bank, state, inputs, paths)
-            return Motion(integrated.trace, *self._touched(state, paths, inputs), integrated.reached)
         path = self._integrated(state, inputs)
         steps = path.permute(2, 3, 1, 0).unflatten(2, (-1, inputs.substeps))
         contacts = self._touched(state, steps.detach(), inputs)
@@ -243,6 +270,23 @@ class Physics(ABC):
             points, margin = move_to_scene(corners[None], people.pose[[scene]]), 0.4
         fitted = camera.around(points, size, margin)
         return replace(camera, center=camera.center or fitted.center, width=camera.width or fitted.width)
+
+    def picture(self, state: State, scene: int = 0, size: tuple[int, int] = (640, 480)) -> NDArray[np.uint8]:
+        """Return the picture (H, W, 3) uint8 RGB of a scene as it is now, from above, with its goals.
+
+        Args:
+            state: The scenes.
+            scene: Which of them.
+            size: Width and height in pixels.
+        """
+        bodies, there = Bodies.of(state), state.mask[scene]
+        seen = torch.cat((state.position[scene][there], state.goal_point[scene][there]))
+        open_floor = int(state.map_id[scene]) < 0
+        camera = self.framed(bodies, scene, size, Camera().around(seen, size) if open_floor else None)
+        image = np.ascontiguousarray(self.image(bodies, scene, size, camera))
+        for slot in (there & (state.goal_id[scene] >= 0)).nonzero()[:, 0].tolist():
+            draw_goal(image, state.goal_point[scene, slot], camera, size, person_color(slot), width=2)
+        return image
 
     def close(self) -> None:  # noqa: B027 (most backends hold nothing)
         """Give back what the backend holds outside of Python; it cannot be asked afterwards."""

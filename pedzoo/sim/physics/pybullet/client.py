@@ -1,8 +1,9 @@
-"""How pybullet comes in: imported without its greeting, and with a GPU's renderer where that works."""
+"""pybullet itself: imported without its greeting, its clients, and a GPU's renderer where that works."""
 
 from __future__ import annotations
 
 import importlib.util
+import math
 import os
 import subprocess
 import sys
@@ -13,7 +14,22 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pedzoo.core.errors import UserError, install_command
+
+SHAPES = 16
+"""pybullet takes so many shapes per body and drops the others without a word."""
+
+WALL_HEIGHT = 2.5
+"""Metres."""
+
+AWAY = (0.0, 0.0, -100.0)
+"""Where unused bodies wait: below the floor."""
+
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+"""No rotation, as a quaternion."""
 
 
 def load_pybullet() -> Any:
@@ -112,3 +128,33 @@ def quiet(stream: int) -> Iterator[None]:
         os.dup2(stored, stream)
         os.close(stored)
         os.close(nowhere)
+
+
+def about_z(angle: float) -> tuple[float, float, float, float]:
+    """Return the rotation by an angle, radians, as a quaternion."""
+    return 0.0, 0.0, math.sin(angle / 2), math.cos(angle / 2)
+
+
+def walls_over(boxes: NDArray[np.float64], height: float) -> Iterator[tuple[list[Any], list[Any]]]:
+    """Yield half sides and centres (x, y, z) of walls over rectangles (M, 4), body after body."""
+    for part in (boxes[i : i + SHAPES] for i in range(0, len(boxes), SHAPES)):
+        half, middle = (part[:, 2:] - part[:, :2]) / 2, (part[:, :2] + part[:, 2:]) / 2
+        yield tuple(
+            np.pad(sides, ((0, 0), (0, 1)), constant_values=height / 2).tolist() for sides in (half, middle)
+        )
+
+
+def build_walls(client: int, boxes: NDArray[np.float64]) -> list[int]:
+    """Return the bodies of walls over rectangles (M, 4), at most `SHAPES` for each body."""
+    pybullet, bodies = load_pybullet(), []
+    for half, middle in walls_over(boxes, WALL_HEIGHT):
+        shape = pybullet.createCollisionShapeArray(
+            shapeTypes=[pybullet.GEOM_BOX] * len(half),
+            halfExtents=half,
+            collisionFramePositions=middle,
+            physicsClientId=client,
+        )
+        bodies.append(pybullet.createMultiBody(0, shape, physicsClientId=client))
+        # A margin rounds corners by 0.4 of it in closest-point queries; without any, ray tests miss boxes.
+        pybullet.changeDynamics(bodies[-1], -1, collisionMargin=1e-5, physicsClientId=client)
+    return bodies

@@ -1,4 +1,4 @@
-"""Where images are taken from, and in which colours."""
+"""Where pictures are taken from, in which colours, and affine maps (2, 3) of the plane."""
 
 from __future__ import annotations
 
@@ -9,11 +9,16 @@ from numbers import Integral
 from typing import Literal, NamedTuple
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import move_to_scene
 from pedzoo.maps.grid import OccupancyGrid, Unknown
+
+Affine = NDArray[np.float64]
+"""A map of the plane (2, 3)."""
 
 FLOOR = (236, 236, 232)
 """RGB of free cells."""
@@ -39,7 +44,6 @@ _PEOPLE = (
     (140, 86, 75),
     (20, 60, 120),
 )
-
 
 VIEW_ANGLE = {"top": math.radians(8), "perspective": math.radians(50)}
 """Horizontal opening angles of pinholes: from the top a narrow one from high above, so walls hide little."""
@@ -184,3 +188,31 @@ def free_corners(grid: OccupancyGrid, unknown: Unknown) -> NDArray[np.float64]:
     left, right, top, bottom = left - 0.5, right + 0.5, top - 0.5, bottom + 0.5
     cells = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
     return grid.cells_to_map(cells)
+
+
+def after(second: Affine, first: Affine) -> Affine:
+    """Return the map that does ``first`` and then ``second``."""
+    return np.column_stack((second[:, :2] @ first[:, :2], second[:, :2] @ first[:, 2] + second[:, 2]))
+
+
+def inverse(affine: Affine) -> Affine:
+    """Return the map that undoes one."""
+    return np.linalg.inv(np.vstack((affine, [0, 0, 1])))[:2]
+
+
+def map_to_scene(pose: Tensor) -> Affine:
+    """Return the map of a pose (4,)."""
+    corners = torch.tensor([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], dtype=torch.float64)
+    zero, x, y = move_to_scene(corners[None], pose.detach().cpu().double()[None])[0].numpy()
+    return np.column_stack((x - zero, y - zero, zero))
+
+
+def scene_to_grid(pose: Tensor, grid: OccupancyGrid | None) -> Affine:
+    """Return the map from a scene to metres along a grid's axes, from the outer corner of its cell (0, 0).
+
+    It turns, mirrors and shifts, but does not stretch. Without a floor plan, scenes stay where they are.
+    """
+    if grid is None:
+        return np.eye(2, 3)
+    to_grid = (grid.map_to_cell() + np.array([[0, 0, 0.5], [0, 0, 0.5]])) * grid.resolution
+    return after(to_grid, inverse(map_to_scene(pose)))

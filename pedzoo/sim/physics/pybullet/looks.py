@@ -1,16 +1,26 @@
-"""Looks of a floor plan for pybullet's cameras, apart from the bodies of physics."""
+"""What pybullet's cameras see: walls of a floor plan, people and robots, apart from the bodies of physics."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pedzoo.sim.physics_parts.bullet.client import connect, egl_plugin, load_egl
-from pedzoo.sim.physics_parts.bullet.figure import Figure, Figures
-from pedzoo.sim.physics_parts.camera import FLOOR, OUTSIDE, WALL, Lens
+from pedzoo.core.types import BODY_RADIUS
+from pedzoo.sim.camera import FLOOR, OUTSIDE, ROBOT_BODY, ROBOT_FRONT, WALL, Lens, person_color
+from pedzoo.sim.drawing import HAIR, SKIN
+from pedzoo.sim.physics.pybullet.client import (
+    AWAY,
+    UPRIGHT,
+    about_z,
+    connect,
+    egl_plugin,
+    load_egl,
+    walls_over,
+)
 
 CUT_HEIGHT = 1.0
 """Metres at which walls are cut off in pictures from above, so that people behind them are seen."""
@@ -18,17 +28,55 @@ CUT_HEIGHT = 1.0
 _NEAREST = 0.05
 """Metres from which on robots see."""
 
-BODY_HEIGHT = 1.75
-"""Metres of a person's capsule in the scene of physics, with both round ends."""
+BROADER = (0.8, 1.4)
+"""Figures are broader where bodies are wider than usual, within these limits."""
 
-SHAPES = 16
-"""pybullet takes so many shapes per body and drops the others without a word."""
+ROBOT_HEIGHT = 0.6
+"""Metres."""
 
-AWAY = (0.0, 0.0, -100.0)
-"""Where unused bodies wait: below the floor."""
+_DARKER = 0.55
+"""Share of a person's colour that trousers have."""
 
-UPRIGHT = (0.0, 0.0, 0.0, 1.0)
-"""No rotation, as a quaternion."""
+_AXES = {
+    "x": (0.0, math.sqrt(0.5), 0.0, math.sqrt(0.5)),
+    "y": (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)),
+    "z": UPRIGHT,
+}
+"""Rotations of what lies along an axis, as quaternions."""
+
+_SIDE = (
+    ("trousers", 0.078, 0.74, "z", (0.0, 0.09, 0.46)),
+    ("trousers", 0.05, 0.12, "x", (0.05, 0.09, 0.05)),
+    ("shirt", 0.115, 0.36, "z", (0.0, 0.05, 1.17)),
+    ("shirt", 0.05, 0.42, "z", (0.0, 0.21, 1.15)),
+    ("skin", 0.04, 0.05, "z", (0.03, 0.215, 0.85)),
+)
+_MIDDLE = (
+    ("trousers", 0.11, 0.1, "y", (0.0, 0.0, 0.93)),
+    ("shirt", 0.08, 0.32, "y", (0.0, 0.0, 1.37)),
+    ("skin", 0.05, 0.1, "z", (0.01, 0.0, 1.48)),
+    ("skin", 0.085, 0.05, "z", (0.02, 0.0, 1.62)),
+    ("hair", 0.088, 0.05, "z", (-0.012, 0.0, 1.645)),
+)
+"""Capsules of a person, at most `SHAPES`: colour, radius, length, axis, middle; those of a side on both."""
+
+
+class Figure(NamedTuple):
+    """How an agent is drawn, in pybullet's frame.
+
+    Attributes:
+        x: Metres.
+        y: Metres.
+        radius: Of the body, metres.
+        heading: Where it faces, radians.
+        robot: Whether it is a robot.
+    """
+
+    x: float
+    y: float
+    radius: float
+    heading: float = 0.0
+    robot: bool = False
 
 
 class BulletLooks:
@@ -49,17 +97,14 @@ class BulletLooks:
         self._p, self.client = pybullet, client
         plugin = None if window else egl_plugin()
         self._egl = plugin is not None and load_egl(client, plugin)
-        for i in range(0, len(boxes), SHAPES):
-            part = boxes[i : i + SHAPES]
-            shape = pybullet.createVisualShapeArray(
-                shapeTypes=[pybullet.GEOM_BOX] * len(part),
-                halfExtents=half_extents(part, wall_height),
-                visualFramePositions=middles(part, wall_height),
-                rgbaColors=[_rgba(WALL)] * len(part),
-                physicsClientId=client,
-            )
-            pybullet.createMultiBody(0, -1, shape, physicsClientId=client)
-        self._figures = Figures(pybullet, client, AWAY)
+        for half, middle in walls_over(boxes, wall_height):
+            looks = {
+                "halfExtents": half,
+                "visualFramePositions": middle,
+                "rgbaColors": [_rgba(WALL)] * len(half),
+            }
+            self._body((0.0, 0.0, 0.0), shapeTypes=[pybullet.GEOM_BOX] * len(half), **looks)
+        self._bodies: dict[tuple[int, float, bool], int] = {}
 
     def look_at(self, low: Sequence[float], high: Sequence[float]) -> None:
         """Let the window show a rectangle from above, from its south.
@@ -145,7 +190,7 @@ class BulletLooks:
         The vertical opening angle ``upright`` is in radians, and ``limits``, the planes between which bodies
         are drawn, in metres.
         """
-        self._figures.show(figures)
+        self.place(figures)
         width, height = size
         image = self._p.getCameraImage(
             width,
@@ -168,18 +213,51 @@ class BulletLooks:
         return picture, buffer, np.asarray(image[4]).reshape(height, width) < 0
 
     def place(self, figures: dict[int, Figure]) -> None:
-        """Show these agents, see `render`, and no others."""
-        self._figures.show(figures)
+        """Show these agents, see `render`, and no others; the body of each is made when it is first shown."""
+        for agent, figure in figures.items():
+            key = agent, figure.radius, figure.robot
+            if key not in self._bodies:
+                self._bodies[key] = self._robot(figure.radius) if figure.robot else self._person(*key[:2])
+        for (agent, *looks), body in self._bodies.items():
+            figure = figures.get(agent)
+            place, heading = AWAY, 0.0
+            if figure and [figure.radius, figure.robot] == looks:
+                place, heading = (figure.x, figure.y, 0.0), figure.heading
+            self._p.resetBasePositionAndOrientation(
+                body, place, about_z(heading), physicsClientId=self.client
+            )
 
+    def _person(self, agent: int, radius: float) -> int:
+        shirt = person_color(agent)
+        dark = round(_DARKER * shirt[0]), round(_DARKER * shirt[1]), round(_DARKER * shirt[2])
+        colors = {"shirt": shirt, "trousers": dark, "skin": SKIN, "hair": HAIR}
+        broad = min(max(radius / BODY_RADIUS, BROADER[0]), BROADER[1])
+        right = [(*part, (x, -y, z)) for *part, (x, y, z) in _SIDE]
+        cloth, radii, lengths, axes, places = zip(*_SIDE, *right, *_MIDDLE, strict=True)
+        return self._body(
+            AWAY,
+            shapeTypes=[self._p.GEOM_CAPSULE] * len(cloth),
+            radii=[broad * value for value in radii],
+            lengths=lengths,
+            visualFramePositions=[(broad * x, broad * y, z) for x, y, z in places],
+            visualFrameOrientations=[_AXES[axis] for axis in axes],
+            rgbaColors=[_rgba(colors[name]) for name in cloth],
+        )
 
-def half_extents(part: NDArray[np.float64], height: float) -> list[list[float]]:
-    """Return the half sides (x, y, z) of walls over rectangles (M, 4)."""
-    return [[*half, height / 2] for half in ((part[:, 2:] - part[:, :2]) / 2).tolist()]
+    def _robot(self, radius: float) -> int:
+        return self._body(
+            AWAY,
+            shapeTypes=[self._p.GEOM_CYLINDER] * 2,
+            radii=[radius, 0.3 * radius],
+            lengths=[ROBOT_HEIGHT - 0.03, 0.11],
+            visualFramePositions=[(0.0, 0.0, ROBOT_HEIGHT / 2), (0.6 * radius, 0.0, ROBOT_HEIGHT - 0.045)],
+            rgbaColors=[_rgba(ROBOT_BODY), _rgba(ROBOT_FRONT)],
+        )
 
-
-def middles(part: NDArray[np.float64], height: float) -> list[list[float]]:
-    """Return the centres (x, y, z) of walls that stand on rectangles (M, 4)."""
-    return [[*middle, height / 2] for middle in ((part[:, :2] + part[:, 2:]) / 2).tolist()]
+    def _body(self, place: Sequence[float], **shapes: Any) -> int:
+        """Return a new body of some shapes; nothing can collide with it."""
+        looks = self._p.createVisualShapeArray(**shapes, physicsClientId=self.client)
+        return self._p.createMultiBody(0, -1, looks, place, physicsClientId=self.client)
 
 
 def _rgba(color: tuple[int, int, int]) -> list[float]:

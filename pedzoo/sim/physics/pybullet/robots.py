@@ -1,4 +1,4 @@
-"""Robots of a URDF file in a pybullet client: where they stand, how large they are, and their wheels."""
+"""Robots of a URDF file in pybullet: where they stand, how large they are, and how wheels drive them."""
 
 from __future__ import annotations
 
@@ -7,13 +7,34 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import expanded
-from pedzoo.sim.physics_parts.bullet.client import load_pybullet, quiet
-from pedzoo.sim.physics_parts.bullet.looks import AWAY, UPRIGHT
+from pedzoo.core.types import TRACE_SECONDS
+from pedzoo.sim.physics.pybullet.client import (
+    AWAY,
+    UPRIGHT,
+    about_z,
+    build_walls,
+    connect,
+    load_pybullet,
+    quiet,
+)
 
 _BOUNDS = 0.0025
 """Metres by which the bounds that pybullet tells of a wheel are wider than the wheel, about."""
+
+STEPS = 24
+"""Steps of every 0.1 s."""
+
+_SECONDS = TRACE_SECONDS / STEPS
+_FORCE = 1000.0
+"""N m that motors have at most: speeds are limited by the robot's acceleration."""
+
+_SETTLING = 120
+"""Steps in which a robot that is put down comes to rest."""
 
 
 def find_urdf(name: str) -> str:
@@ -92,8 +113,7 @@ class BulletRobots:
     def put(self, agent: int, place: Sequence[float], angle: float) -> int:
         """Let the body of an agent stand at (x, y), facing ``angle`` radians from x; returns the body."""
         body = self[agent]
-        turned = 0.0, 0.0, math.sin(angle / 2), math.cos(angle / 2)
-        pose = self._p.multiplyTransforms((*place, self._height), turned, *self._inertial)
+        pose = self._p.multiplyTransforms((*place, self._height), about_z(angle), *self._inertial)
         self._p.resetBasePositionAndOrientation(body, *pose, physicsClientId=self._client)
         return body
 
@@ -144,3 +164,101 @@ class BulletRobots:
         low, high = self._p.getAABB(body, joint, physicsClientId=self._client)
         _, along, _ = self._p.rotateVector(state[5], axis)
         return math.copysign(1 / max((high[2] - low[2]) / 2 - _BOUNDS, 1e-3), along)
+
+
+class WheelCommand(NamedTuple):
+    """What one robot does in a decision.
+
+    Attributes:
+        agent: Its number.
+        place: Where it stands (x, y), metres.
+        angle: Where it faces, radians.
+        speed: m/s.
+        turn: rad/s.
+        wanted_speed: What it is commanded, m/s.
+        wanted_turn: rad/s.
+        acceleration: m/s^2.
+        turn_acceleration: rad/s^2.
+        track: Distance between the wheels, metres.
+    """
+
+    agent: int
+    place: list[float]
+    angle: float
+    speed: float
+    turn: float
+    wanted_speed: float
+    wanted_turn: float
+    acceleration: float
+    turn_acceleration: float
+    track: float
+
+
+class DrivenRobots:
+    """One floor plan and its robots in a client of their own; people are not there, and push nothing."""
+
+    def __init__(self, boxes: NDArray[np.float64], file: str) -> None:
+        """Build walls over rectangles (M, 4), and let a robot come to rest.
+
+        Raises:
+            UserError: The file cannot be read, or it has no wheels.
+        """
+        self._p, self.client, self._finalizer = connect(self)
+        self._p.setGravity(0, 0, -9.81, physicsClientId=self.client)
+        self._p.setTimeStep(_SECONDS, physicsClientId=self.client)
+        self._robots = BulletRobots(self.client, file, fixed=False)
+        self._wheels = self._robots.wheels()
+        ground = self._p.createCollisionShape(self._p.GEOM_PLANE, physicsClientId=self.client)
+        self._p.createMultiBody(0, ground, physicsClientId=self.client)
+        self._settle()
+        build_walls(self.client, boxes)
+
+    def close(self) -> None:
+        """Disconnect; a second time does nothing."""
+        self._finalizer()
+
+    def _settle(self) -> None:
+        self._robots.put(0, (0.0, 0.0), 0.0)
+        self._spin(0, 0.0, 0.0, 1.0)
+        for _ in range(_SETTLING):
+            self._p.stepSimulation(physicsClientId=self.client)
+        self._robots.rest(0)
+
+    def run(self, drives: list[WheelCommand], ticks: int) -> NDArray[np.float64]:
+        """Return x, y and angle of robots (R, S * STEPS, 3) after every step of S ``ticks`` of 0.1 s."""
+        self._robots.clear()
+        speeds = np.array([[drive.speed, drive.turn] for drive in drives], dtype=np.float64)
+        wanted = np.array([[drive.wanted_speed, drive.wanted_turn] for drive in drives])
+        most = _SECONDS * np.array([[drive.acceleration, drive.turn_acceleration] for drive in drives])
+        for drive in drives:
+            self._begin(drive)
+        result = np.empty((len(drives), ticks * STEPS, 3))
+        for step in range(ticks * STEPS):
+            speeds += np.clip(wanted - speeds, -most, most)
+            for drive, (speed, turn) in zip(drives, speeds.tolist(), strict=True):
+                self._spin(drive.agent, speed, turn, drive.track)
+            self._p.stepSimulation(physicsClientId=self.client)
+            result[:, step] = [self._robots.where(drive.agent) for drive in drives]
+        return result
+
+    def _begin(self, drive: WheelCommand) -> None:
+        body = self._robots.put(drive.agent, drive.place, drive.angle)
+        along = drive.speed * math.cos(drive.angle), drive.speed * math.sin(drive.angle), 0.0
+        self._p.resetBaseVelocity(body, along, (0.0, 0.0, drive.turn), physicsClientId=self.client)
+        for joint, velocity in self._turning(drive.speed, drive.turn, drive.track):
+            self._p.resetJointState(body, joint, 0.0, velocity, physicsClientId=self.client)
+
+    def _spin(self, agent: int, speed: float, turn: float, track: float) -> None:
+        joints, velocities = zip(*self._turning(speed, turn, track), strict=True)
+        self._p.setJointMotorControlArray(
+            self._robots[agent],
+            joints,
+            self._p.VELOCITY_CONTROL,
+            targetVelocities=velocities,
+            forces=[_FORCE] * len(joints),
+            physicsClientId=self.client,
+        )
+
+    def _turning(self, speed: float, turn: float, track: float) -> list[tuple[int, Any]]:
+        """Return joints and how fast they turn, rad/s."""
+        return [(wheel.joint, (speed - wheel.side * turn * track / 2) * wheel.spin) for wheel in self._wheels]
