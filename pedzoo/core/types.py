@@ -31,3 +31,6 @@ GOAL_RADIUS = 0.3
 
 TOP_SPEED_RATIO = 1.3
 """No person walks faster than this many times the preferred speed."""
+
+TIMED = frozenset({"window_end"})
+"""Goal protocols whose goal is reached exactly at the last predicted step."""

@@ -10,8 +10,7 @@ import numpy as np
 from pedzoo.core.errors import UserError
 from pedzoo.core.size_limits import LARGEST_TABLE, MOST_POSITIONS, check_limit
 from pedzoo.core.types import STEP_SECONDS
-from pedzoo.data.columns import Source
-from pedzoo.data.text_format import TextFormat, is_sqlite
+from pedzoo.data.text_format import Source, TextFormat, is_sqlite
 
 TICK = 1e-6
 """Seconds: times of files are counted in these."""

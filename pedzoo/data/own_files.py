@@ -11,10 +11,9 @@ import numpy as np
 from pedzoo.core.errors import UserError
 from pedzoo.core.size_limits import LARGEST_CARD, read_text
 from pedzoo.core.types import STEP_SECONDS
-from pedzoo.data.plausible import doubts, rows_apart, say
 from pedzoo.data.recordings import Recording, Split
 from pedzoo.data.text_format import check_dt
-from pedzoo.data.tracks import Tracks
+from pedzoo.data.tracks import Tracks, doubts, rows_apart, say
 
 LARGEST = 20_000.0
 """Metres that a recording may extend; those that are larger are in pixels or in degrees times something."""

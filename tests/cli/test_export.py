@@ -19,7 +19,7 @@ import pedzoo
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import shipped
-from pedzoo.data.provenance import licence, provenance, together
+from pedzoo.data.recordings import licence, provenance, together
 from pedzoo.eval import cards as card_numbers
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.base import Forecaster

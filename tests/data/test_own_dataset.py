@@ -11,8 +11,7 @@ import pytest
 import pedzoo
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
-from pedzoo.data.provenance import provenance
-from pedzoo.data.recordings import find_fold, open_fold
+from pedzoo.data.recordings import find_fold, open_fold, provenance
 from pedzoo.eval import cards as card_numbers
 from pedzoo.eval.trained_on import has_seen
 from pedzoo.models.zoo.card import read_card

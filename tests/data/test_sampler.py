@@ -7,7 +7,7 @@ from itertools import pairwise
 import pytest
 import torch
 
-from pedzoo.data.sampler import BucketSampler, Draw
+from pedzoo.data.datamodule import BucketSampler, Draw
 
 SIZES = torch.randint(2, 40, (501,), generator=torch.Generator().manual_seed(0))
 SIZES[17] = 150  # 22500 ordered pairs: more than any cap here

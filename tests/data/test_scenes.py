@@ -14,9 +14,8 @@ from torch import Tensor
 from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.data.datasets.eth_ucy import EthUcy
 from pedzoo.data.recordings import Recording
-from pedzoo.data.scenes import SceneSet, augmentation
+from pedzoo.data.scenes import KeptPeople, SceneSet, augmentation
 from pedzoo.data.tracks import Tracks
-from pedzoo.data.windows import KeptPeople
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.formats import read_ros
 

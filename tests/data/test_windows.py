@@ -11,9 +11,8 @@ import pytest
 from pedzoo.core.errors import UserError
 from pedzoo.data.datasets.eth_ucy import EthUcy
 from pedzoo.data.recordings import Recording, Split
-from pedzoo.data.scenes import SceneSet
+from pedzoo.data.scenes import KeptPeople, SceneSet, WindowCounts, Windows, cut_windows
 from pedzoo.data.tracks import Tracks
-from pedzoo.data.windows import KeptPeople, WindowCounts, Windows, cut_windows
 from pedzoo.maps.bank import MapBank
 
 FRAMES = (0, 10, 20, 30, 40, 100)  # six steps; the hole before the last is not looked at

@@ -16,7 +16,7 @@ from helpers.runs import OPTIONS, PROTOCOL, make_run
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.data.datasets.eth_ucy import EthUcy
-from pedzoo.data.provenance import provenance
+from pedzoo.data.recordings import provenance
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.zoo.card import read_card
 from pedzoo.models.zoo.loading import load, save_weights

@@ -13,8 +13,7 @@ from torch import Tensor
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS
 from pedzoo.data.own_files import OwnFiles
-from pedzoo.data.plausible import WALKED, brisk, check_walks, distance, rows_apart, say
-from pedzoo.data.tracks import Tracks
+from pedzoo.data.tracks import WALKED, Tracks, brisk, check_walks, distance, rows_apart, say
 from pedzoo.eval.scoring.crowds import ScoredCrowd, scored_crowd
 from pedzoo.sim.replay.people import CONTROLLED, SHORT, RecordedPeople, without_goals
 from pedzoo.sim.scenarios.replay import PreparedReplay, Replay

@@ -14,8 +14,7 @@ from torch import Tensor, nn
 
 from pedzoo.core.batch import agents_of, goals_of, maps_of
 from pedzoo.core.errors import UserError
-from pedzoo.core.types import PRED_LEN, STEP_SECONDS, GoalProtocol
-from pedzoo.data.goals import TIMED
+from pedzoo.core.types import PRED_LEN, STEP_SECONDS, TIMED, GoalProtocol
 from pedzoo.models.base import Forecaster, Walking
 from pedzoo.models.blocks.map_encoders import AlexNetEncoder, PatchEncoder, RingEncoder
 from pedzoo.models.blocks.mlp import ContextNoise, init_like_sgan, init_with_zeros, mlp

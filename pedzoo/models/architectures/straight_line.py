@@ -5,8 +5,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from pedzoo.core.batch import goals_of
-from pedzoo.core.types import GoalProtocol
-from pedzoo.data.goals import TIMED
+from pedzoo.core.types import TIMED, GoalProtocol
 from pedzoo.models.base import Forecaster, for_all_samples
 from pedzoo.models.blocks.people import linear_extrapolation
 

@@ -18,8 +18,7 @@ from torch.nn import functional
 
 from pedzoo.core.batch import agents_of, goals_of
 from pedzoo.core.errors import UserError
-from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, GoalProtocol
-from pedzoo.data.goals import TIMED
+from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TIMED, GoalProtocol
 from pedzoo.models.base import Forecaster, known_displacements
 from pedzoo.models.blocks.mixture import FutureMixture
 from pedzoo.models.blocks.people import ego_frame, linear_extrapolation

@@ -17,8 +17,7 @@ from pedzoo.core.paths import WEIGHTS, weight_files
 from pedzoo.core.registry import names_code
 from pedzoo.core.size_limits import read_mapping
 from pedzoo.core.types import PRED_LEN
-from pedzoo.data.provenance import licence, provenance, together
-from pedzoo.data.recordings import find_fold
+from pedzoo.data.recordings import find_fold, licence, provenance, together
 from pedzoo.models.zoo.card import (
     ModelCard,
     Training,
