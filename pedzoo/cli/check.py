@@ -115,8 +115,9 @@ def trained_class(argv: list[str]) -> str:
     """Return the class that a training's config names, or that of the run it resumes; '' where none does."""
     resumed = Path(given(argv, "--resume") or "", "config.yaml")
     name = resumed if given(argv, "--resume") else given(argv, "--config") or given(argv, "-c")
-    found = name and (name != resumed or resumed.is_file())
-    model: Any = load_config(name).get("model") if found else None
+    model: Any = None
+    if name and (name != resumed or resumed.is_file()):
+        model = load_config(name).get("model")
     path = model.get("class_path") if isinstance(model, dict) else None
     return path if isinstance(path, str) else ""
 

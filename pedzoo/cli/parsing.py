@@ -51,17 +51,19 @@ def call(command: ModuleType, argv: list[str]) -> int:
 
 def parser_of(command: ModuleType, function: Callable[..., Any] | None = None) -> ArgumentParser:
     """Return the parser of a command's file; its options are the arguments of ``run``, or of ``function``."""
-    function, name = function or command.run, command.__name__.rpartition(".")[2]
+    takes: Callable[..., Any] = function or command.run
+    name = command.__name__.rpartition(".")[2]
     parser = ArgumentParser(
         prog=f"pedzoo {name}",
         usage=f"%(prog)s %s[options]\nexample: {command.EXAMPLE}",
         description=command.HELP,
         **PARSER_SETTINGS,
     )
-    about = {one.arg_name: one.description for one in parse_from_object(function).params}
+    about = {one.arg_name: one.description for one in parse_from_object(takes).params}
     words = ""
-    for item in inspect.signature(function, eval_str=True).parameters.values():
-        kind, settings = item.annotation, {"help": about.get(item.name)}
+    for item in inspect.signature(takes, eval_str=True).parameters.values():
+        kind = item.annotation
+        settings: dict[str, Any] = {"help": about.get(item.name)}
         if item.name == "argv" or item.kind is item.VAR_KEYWORD:
             continue
         required = item.default is item.empty

@@ -115,7 +115,8 @@ def run(
     settings |= {"rollouts": rollouts, "device": device, "keep_episodes": keep_episodes, "root": data_root}
     settings |= {"clearance": clearance, "deadline": deadline, "own": own if own.files else None}
     lists = {"maps": maps, "metrics": metrics, "folds": data_fold, "people": split_names(people)}
-    options = EvaluationOptions(**settings, **{key: tuple(value or ()) for key, value in lists.items()})
+    settings |= {key: tuple(value or ()) for key, value in lists.items()}
+    options = EvaluationOptions(**settings)
     numbers = whole_numbers("--seeds", seeds)
     evaluation = Evaluation(policies, suites, options, numbers, deterministic, resume or beside)
     if evaluation.resumed:
