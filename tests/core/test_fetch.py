@@ -54,16 +54,12 @@ def test_a_file_is_downloaded_once(site: Site, tmp_path: Path, checksum: str | N
     assert [file.name for file in path.parent.iterdir()] == ["file.bin"]
 
 
-def test_another_folder_than_the_cache(site: Site, tmp_path: Path) -> None:
-    path = fetch(site.put("file.bin", CONTENT), SUM, "a/b.bin", folder=tmp_path / "mine")
-    assert path == tmp_path / "mine" / "a" / "b.bin"
-    assert path.read_bytes() == CONTENT
-
-
-def test_a_cached_file_with_another_sum_is_downloaded_again(site: Site, place: Path) -> None:
-    place.parent.mkdir()
+def test_a_file_with_another_sum_is_downloaded_again(site: Site, tmp_path: Path) -> None:
+    place = tmp_path / "mine" / "a" / "b.bin"
+    place.parent.mkdir(parents=True)
     place.write_bytes(b"damaged")
-    assert fetch(site.put("file.bin", CONTENT), SUM, "file.bin").read_bytes() == CONTENT
+    assert fetch(site.put("file.bin", CONTENT), SUM, "a/b.bin", folder=tmp_path / "mine") == place
+    assert place.read_bytes() == CONTENT
 
 
 @pytest.mark.parametrize("content", [b"other", CONTENT[:-1] + b"\0"])

@@ -193,10 +193,6 @@ def test_weights_of_another_architecture_are_refused(model: Forecaster, tmp_path
         load(written(init={**OPTIONS, "bottleneck_dim": 0}))
     with pytest.raises(UserError, match="another architecture"):
         load(written(architecture="constant_velocity", init={}))
-    with pytest.raises(UserError, match="unknown model 'sgam': did you mean 'sgan'"):
-        load(written(architecture="sgam"))
-    with pytest.raises(UserError, match=r"'sgan' cannot be built .*'wings'.*another version"):
-        load(written(init={"wings": 2}))
 
 
 def test_checkpoints_of_others_are_refused_and_not_run(tmp_path: Path) -> None:
@@ -251,14 +247,6 @@ def test_shipped_weights_are_listed_loaded_by_name_and_checked(model: Forecaster
     (checkpoints / "sgan.zara1" / "card.yaml").unlink()
     with pytest.raises(UserError, match=r"unknown model 'sgan\.zara1': did you mean 'sgan_goal\.zara1'"):
         load("sgan.zara1")
-
-
-def test_really_shipped_weights_load_and_answer() -> None:
-    batch = make_batch((3, 2))
-    for name in list_models():
-        result = load(name)
-        assert result.sample(batch, 2, 8).isfinite().all()
-        assert zoo.architecture_of(result) in zoo.MODELS.names()
 
 
 def test_own_models_take_their_settings_behind_the_name(own: Path, tmp_path: Path) -> None:
