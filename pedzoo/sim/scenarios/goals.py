@@ -21,8 +21,7 @@ SPACING = 0.8
 """Metres between any two starts."""
 
 NEAREST = 2 * MIN_INITIAL_PATH
-"""Least way to the next goal, metres: so it is `MIN_INITIAL_PATH` even from as far before the last one."""
-
+"""Minimum path length to the next goal, metres: `MIN_INITIAL_PATH` even from as far before the last one."""
 
 MORE = 4
 """Later goals of an agent that is finished early, beside those that it has to reach; then they begin anew."""
@@ -100,17 +99,14 @@ class Goals(Scenario):
             goals.append(prepared.planner.add_goals(row, spread[: self.pool]))
         counts = torch.tensor([len(spread) for spread in places])
         self._check_room(prepared.bank, counts)
-        choices = []
-        for starts in (places, [spread[: self.pool] for spread in places]):
-            pairs = zip(prepared.bank.grids, starts, goals, strict=True)
-            choices.append(_Choice([_far(prepared.planner, *given) for given in pairs]))
+        pairs = zip(prepared.bank.grids, places, goals, strict=True)
+        far = [_far(prepared.planner, *given) for given in pairs]
         tables = _Candidates(
             map_id=torch.tensor([grid.map_id for grid in prepared.bank.grids]),
             places=_padded(places, float("nan")),
             counts=counts,
             goals=_padded(goals, -1),
-            first=choices[0],
-            following=choices[1],
+            far=_padded(far, 0),
             row_of_goal=torch.cat([torch.full_like(ids, row) for row, ids in enumerate(goals)]),
             place_of_goal=torch.cat([torch.arange(len(ids)) for ids in goals]),
         )
@@ -127,28 +123,26 @@ class Goals(Scenario):
 
     def layout(self, prepared: PreparedScenario, draws: Draws) -> Layout:
         """Return people at places of their own, each with a goal that is some way off."""
-        device, tables = draws.key.device, prepared.tables
-        row = draws.integers("map", len(tables.map_id)).to(device)
+        tables = prepared.tables.to(draws.key.device)
+        row = draws.integers("map", len(tables.map_id)).to(draws.key.device)
         # each person gets another place: those with the smallest numbers of a whole row of them
         slots = tables.places.shape[1]
-        absent = torch.arange(slots, device=device) >= tables.counts.to(device)[row].unsqueeze(1)
+        absent = torch.arange(slots, device=row.device) >= tables.counts[row].unsqueeze(1)
         lottery = draws.uniform("place", slots).masked_fill(absent, 2.0)
         place = lottery.topk(self.people, largest=False).indices
-        start = tables.places.to(device)[row.unsqueeze(1), place]
+        start = tables.places[row.unsqueeze(1), place]
         number = self.fewest + draws.integers("people", self.people - self.fewest + 1)
-        mask = torch.arange(self.people, device=device) < number.unsqueeze(1)
-        chosen = tables.first(row.unsqueeze(1), place, draws.uniform("goal", self.people))
-        goal = tables.goals.to(device)[row.unsqueeze(1), chosen]
-        return Layout(tables.map_id.to(device)[row], start.float(), mask, self.speeds(draws), goal)
+        mask = torch.arange(self.people, device=row.device) < number.unsqueeze(1)
+        goal = tables.goal(row.unsqueeze(1), place, draws.uniform("goal", self.people))
+        return Layout(tables.map_id[row], start.float(), mask, self.speeds(draws), goal)
 
     def next_goal(
         self, prepared: PreparedScenario, draws: Draws, agent: Tensor, number: Tensor, last: Tensor
     ) -> Tensor:
         """Return another goal that is some way off the last one."""
-        tables = prepared.tables
-        row, place = (table.to(last.device)[last] for table in (tables.row_of_goal, tables.place_of_goal))
-        lot = draws.uniform_at("goal", agent, number)
-        return tables.goals.to(last.device)[row, tables.following(row, place, lot)]
+        tables = prepared.tables.to(last.device)
+        row, place = tables.row_of_goal[last], tables.place_of_goal[last]
+        return tables.goal(row, place, draws.uniform_at("goal", agent, number))
 
 
 def _far(planner: Planner, grid: OccupancyGrid, places: Tensor, goals: Tensor) -> Tensor:
@@ -163,32 +157,15 @@ def _far(planner: Planner, grid: OccupancyGrid, places: Tensor, goals: Tensor) -
     return far
 
 
-class _Choice:
-    """Draws among the admissible columns of a table of rows."""
-
-    def __init__(self, allowed: list[Tensor]) -> None:
-        """Take the allowed goals (S, G) bool, for each floor plan."""
-        columns = [table.int().argsort(dim=1, descending=True, stable=True) for table in allowed]
-        self._columns = _padded(columns, 0)
-        self._counts = _padded([table.sum(1) for table in allowed], 1)
-
-    def __call__(self, row: Tensor, place: Tensor, lot: Tensor) -> Tensor:
-        """Return the column that ``lot`` in (0, 1) falls on, among those allowed at ``place``."""
-        count = self._counts.to(lot.device)[row, place]
-        index = (lot * count).long().clamp_max(count - 1)
-        return self._columns.to(lot.device)[row, place, index]
-
-
 class _Candidates(NamedTuple):
-    """Candidates of the draws, for M floor plans with at most S places and G goals.
+    """Candidates of the draws, for M floor plans with at most S places, of which the first G are goals.
 
     Attributes:
         map_id: The floor plans (M,) long.
         places: Starts (M, S, 2), metres; NaN where there are fewer.
         counts: How many places there are (M,) long.
         goals: The planner's numbers of goals (M, G) long, -1 where there are fewer.
-        first: The goals that are some way off each place.
-        following: The goals that are some way off each goal.
+        far: Which goals are some way off each place (M, S, G) bool.
         row_of_goal: Floor plan of every goal of the planner.
         place_of_goal: Its place on that.
     """
@@ -197,16 +174,26 @@ class _Candidates(NamedTuple):
     places: Tensor
     counts: Tensor
     goals: Tensor
-    first: _Choice
-    following: _Choice
+    far: Tensor
     row_of_goal: Tensor
     place_of_goal: Tensor
+
+    def to(self, device: torch.device) -> _Candidates:
+        """Return the tables on a device."""
+        return _Candidates(*(table.to(device) for table in self))
+
+    def goal(self, row: Tensor, place: Tensor, lot: Tensor) -> Tensor:
+        """Return the goal (...) that ``lot`` (...) from 0 to 1 falls on, of those some way off places."""
+        allowed = self.far[row, place]
+        count = allowed.sum(-1)
+        index = (lot * count).long().minimum(count - 1)
+        return self.goals[row, (allowed.cumsum(-1) > index.unsqueeze(-1)).int().argmax(-1)]
 
 
 def _padded(tables: list[Tensor], value: float) -> Tensor:
     """Stack tables of different shapes."""
     shape = [max(sizes) for sizes in zip(*(table.shape for table in tables), strict=True)]
-    whole = tables[0].new_full((len(tables), *shape), value)
+    result = tables[0].new_full((len(tables), *shape), value)
     for row, table in enumerate(tables):
-        whole[(row, *(slice(length) for length in table.shape))] = table
-    return whole
+        result[(row, *(slice(length) for length in table.shape))] = table
+    return result

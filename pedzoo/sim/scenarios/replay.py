@@ -245,11 +245,9 @@ class PreparedReplay(PreparedScenario):
 
 def _all_simulated(people: RecordedPeople, recordings: int) -> tuple[Tensor, ScriptScenes]:
     """Return which person is in which slot, and the scenes, with all people simulated that can be."""
-    frames = int(people.removal.max()) + 1
-    slot, scene_rows = torch.full_like(people.first, -1), []
+    scene_rows = []
     for recording in range(recordings):
         mine = (people.recording == recording).nonzero()[:, 0]
-        slot[mine] = slots(people.first[mine], people.removal[mine])
         for piece in pieces(people.first[mine], people.removal[mine]):
             group = mine[piece]
             scored = group[people.controlled[group]]
@@ -257,18 +255,11 @@ def _all_simulated(people: RecordedPeople, recordings: int) -> tuple[Tensor, Scr
                 origin = people.first[group].min() + OBS_LEN - 1
                 last, left = people.handover[scored].max(), people.last[scored].max()
                 scene_rows.append((recording, origin, people.removal[group].max(), last, left, -1, True))
-    occupants = _occupants(people, slot, people.removal, frames, int(slot.max()) + 1, recordings)
-    return occupants, _scenes_of(scene_rows)
+    return _occupants(people, people.removal, recordings, 1), _scenes_of(scene_rows)
 
 
 def _one_simulated(people: RecordedPeople, recordings: int, around: bool) -> tuple[Tensor, ScriptScenes]:
     """Return the same with a scene for each person, ordered by how long they stay."""
-    until = people.removal if around else people.last
-    frames = int(until.max()) + 1
-    slot = torch.full_like(people.first, -1)
-    for recording in range(recordings):
-        mine = (people.recording == recording).nonzero()[:, 0]
-        slot[mine] = slots(people.first[mine], until[mine])
     leads = people.controlled.nonzero()[:, 0]
     leads = leads[(people.last - people.first)[leads].argsort(stable=True)].tolist()
     scene_rows = [
@@ -283,15 +274,25 @@ def _one_simulated(people: RecordedPeople, recordings: int, around: bool) -> tup
         )
         for p in leads
     ]
-    occupants = _occupants(people, slot, until, frames, int(slot.max()) + 2, recordings)
+    occupants = _occupants(people, people.removal if around else people.last, recordings, 2)
     return occupants, _scenes_of(scene_rows)
 
 
-def _occupants(
-    people: RecordedPeople, slot: Tensor, end: Tensor, frames: int, most: int, recordings: int
-) -> Tensor:
-    mine = (people.recording == number for number in range(recordings))
-    return torch.stack([table(torch.where(m, slot, -1), people.first, end, frames, most) for m in mine])
+def _occupants(people: RecordedPeople, end: Tensor, recordings: int, more: int) -> Tensor:
+    """Return the person in each slot in each frame (recordings, A, frames) long, -1 for none.
+
+    Args:
+        people: The recorded people.
+        end: Frame from which on their slots are free (P,) long.
+        recordings: How many there are.
+        more: A, beyond the largest number of a slot.
+    """
+    frames, slot = int(end.max()) + 1, torch.full_like(people.first, -1)
+    own = [people.recording == recording for recording in range(recordings)]
+    for mine in own:
+        slot[mine] = slots(people.first[mine], end[mine])
+    most = int(slot.max()) + more
+    return torch.stack([table(torch.where(m, slot, -1), people.first, end, frames, most) for m in own])
 
 
 def _scenes_of(rows: list[tuple[Any, ...]]) -> ScriptScenes:
