@@ -359,7 +359,7 @@ class Pictures:
                 here, radius = state.position[scene, slot], state.radius[scene, slot]
                 front = here + radius * direction_of(state.heading[scene, slot])
                 points = torch.stack((here, front)).detach().cpu().double().numpy()
-                here, front = np.round(camera.floor_pixels(points, size)).astype(int).tolist()
+                here, front = map(tuple, np.round(camera.floor_pixels(points, size)).astype(int).tolist())
                 wide = max(3, round(float(radius) * size[0] / (camera.width or 1.0)))
                 cv2.circle(image, here, wide, (0, 0, 0), 2, cv2.LINE_AA)
                 cv2.line(image, here, front, (0, 0, 0), 2, cv2.LINE_AA)
