@@ -157,7 +157,7 @@ class Scenario(ABC):
     def check(self, valid: bool, given: str, expected: str) -> None:
         """Raise the error of settings ``given`` that are not as ``expected``, unless they are valid."""
         if not valid:
-            raise UserError(f"{self.name}: {given}: expected {expected}")
+            raise UserError(f"{name_of_class(type(self).__name__)}: {given}: expected {expected}")
 
     @property
     def fastest(self) -> float:
