@@ -8,10 +8,13 @@ mixing function is SplitMix64's (Steele et al., OOPSLA 2014).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from zlib import crc32
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.core.errors import as_integer
@@ -25,6 +28,7 @@ def signed(value: int) -> int:
 _GOLDEN = signed(0x9E3779B97F4A7C15)
 _FIRST = signed(0xBF58476D1CE4E5B9)
 _SECOND = signed(0x94D049BB133111EB)
+_ARRAY = np.array([_GOLDEN, _FIRST, _SECOND]).view(np.uint64)
 
 
 def _shifted(x: Tensor, bits: int) -> Tensor:
@@ -41,11 +45,38 @@ def mix(x: Tensor) -> Tensor:
 
 def join(key: Tensor, *parts: Tensor | int | str) -> Tensor:
     """Return keys of their own for ``key`` int64 and anything that broadcasts against it."""
+    if all(isinstance(part, int | str) or _is_array(part) for part in (key, *parts)):
+        return _joined_arrays(key, parts)
     for part in parts:
         number = crc32(part.encode()) if isinstance(part, str) else part
         mixed = _mixed(number) if isinstance(number, int) else mix(torch.as_tensor(number) * _GOLDEN + 1)
         key = mix((key + _GOLDEN) ^ mixed)
     return key
+
+
+def _is_array(x: Tensor) -> bool:
+    """Return whether NumPy may hash a tensor: on the CPU it takes half the time for the few of a scene."""
+    plain = type(x) is Tensor and x.device.type == "cpu" and x.dtype == torch.int64 and x.dim() > 0
+    return plain and not torch.compiler.is_compiling()
+
+
+def _joined_arrays(key: Tensor, parts: Sequence[Tensor | int | str]) -> Tensor:
+    """Do what `join` does in NumPy, whose integers have no sign."""
+    result: NDArray[np.uint64] = key.numpy().view(np.uint64)
+    for part in parts:
+        number = crc32(part.encode()) if isinstance(part, str) else part
+        if isinstance(number, Tensor):
+            mixed = _mix_array(number.numpy().view(np.uint64) * _ARRAY[0] + np.uint64(1))
+        else:
+            mixed = np.uint64(_mixed(int(number)) % 2**64)
+        result = _mix_array((result + _ARRAY[0]) ^ mixed)
+    return torch.from_numpy(result.view(np.int64)) if parts else key
+
+
+def _mix_array(x: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    x = (x ^ (x >> np.uint64(30))) * _ARRAY[1]
+    x = (x ^ (x >> np.uint64(27))) * _ARRAY[2]
+    return x ^ (x >> np.uint64(31))
 
 
 @lru_cache(4096)

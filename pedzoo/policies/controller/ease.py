@@ -211,8 +211,8 @@ def _room(
     when = -(away * move).sum(-1) / np.maximum((move**2).sum(-1), 1e-9)
     nearest = _length(away + np.clip(when, 0.0, seconds)[:, None] * move)
     np.minimum.at(result, me[when > 0], (nearest - radius[me] - radius[them])[when > 0])
-    if bank.grids:
-        mine = which.nonzero()[0]
+    mine = (which & own.any(1)).nonzero()[0]
+    if bank.grids and len(mine):
         ways = torch.from_numpy(np.stack((place[mine], place[mine] + dt * own[mine]))).float().unsqueeze(0)
         walls, _ = bank.closest_wall(ways, torch.tensor([bank.grids[0].map_id]), identity_pose(1))
         now, then = walls[0].numpy()

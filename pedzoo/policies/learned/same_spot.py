@@ -26,10 +26,9 @@ def led_apart(batch: TensorDictBase) -> Tensor:
     agents = agents_of(batch)
     here, mask = cast("Tensor", agents["history"])[:, :, -1], cast("Tensor", agents["mask"])
     if mask.device.type == "cpu" and mask.shape[1] <= ALL_PAIRS:
-        x, y = torch.where(mask.unsqueeze(-1), here, torch.nan).unbind(-1)
-        squared = (x.unsqueeze(1) - x.unsqueeze(2)).square() + (y.unsqueeze(1) - y.unsqueeze(2)).square()
-        close = squared < SPOT**2
-        if int(close.sum()) <= int(mask.sum()):  # each is close to nobody but themselves
+        there = torch.where(mask.unsqueeze(-1), here, torch.nan)
+        apart = torch.cdist(there, there, compute_mode="donot_use_mm_for_euclid_dist")
+        if int((apart < 1.01 * SPOT).sum()) <= int(mask.sum()):  # each is close to nobody but themselves
             return torch.zeros_like(here)
     other, near = nearest(here, mask, SPOT, None)
     near = torch.ones_like(other, dtype=torch.bool) if near is None else near

@@ -43,6 +43,8 @@ def setting_out(batch: TensorDictBase) -> TensorDictBase:
     way = cast("Tensor", agents["desired_velocity"]).unsqueeze(2) * STEP_SECONDS
     slow = (start - before).square().sum(-1) < (way / 2).square().sum(-1)
     stood = new & is_walking(batch) & slow[..., 0]
+    if new.device.type == "cpu" and not bool(stood.any()):
+        return batch
     line = start - way * (begin - place).unsqueeze(-1)
     result = copied(batch)
     seen = agents_of(result)
