@@ -12,8 +12,8 @@ from pedzoo.metrics.arrival import arrived_in_time, finish_seconds
 from pedzoo.metrics.closed_loop import closed_loop, named, own_metrics, time_ratio_median
 from pedzoo.metrics.contacts import contact_events, least_distance, nearest
 from pedzoo.metrics.ratios import Ratio, summarised
-from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.policy import Policy
+from pedzoo.policies.walker import Walker
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import CLEARANCE, make_scenario, usual_physics
 from pedzoo.sim.rollout import Rollout, joined

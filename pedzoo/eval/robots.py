@@ -17,7 +17,7 @@ from pedzoo.eval.rollout import Recorder, ShareDone, in_parts
 from pedzoo.metrics.ratios import summarised
 from pedzoo.metrics.robots import robot_metrics
 from pedzoo.policies.load import load_robot_policy
-from pedzoo.policies.robot_policy import RobotPolicy
+from pedzoo.policies.robots._base import RobotPolicy
 from pedzoo.sim.make import physics_class
 from pedzoo.sim.robots.env import SENSES, RobotEnv, clearance_of, make_robot_env
 from pedzoo.sim.robots.rollout import RobotRollout, joined_robots

@@ -16,10 +16,10 @@ from pedzoo.core.geometry import limit_speed
 from pedzoo.core.machine import usable
 from pedzoo.core.spec import Spec
 from pedzoo.core.types import TOP_SPEED_RATIO
-from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.policy import Policy
 from pedzoo.policies.teams import Teams
+from pedzoo.policies.walker import Walker
 from pedzoo.sim.arrival import planned
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env, physics_class, usual_physics

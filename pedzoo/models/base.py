@@ -16,7 +16,7 @@ from pedzoo.core.spec import build_ungrouped, flattened
 from pedzoo.core.types import PRED_LEN, GoalProtocol
 
 Noise = Literal["episode", "step", "scene", "mixed"]
-"""How often noise is drawn for people who walk; see `pedzoo.policies.learned.walker.Walker`."""
+"""How often noise is drawn for people who walk; see `pedzoo.policies.walker.Walker`."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Walking:
 
     Attributes:
         safety: Keep clear of others and walls, see `pedzoo.policies.safety_layer.layer`.
-        extend_goal: Do not slow down round corners, see `pedzoo.policies.learned.walker.extend_goals`.
+        extend_goal: Do not slow down round corners, see `pedzoo.policies.walker.extend_goals`.
         keep_speed: Alone, walk at the preferred speed, see `pedzoo.models.blocks.people.own_speed`.
     """
 
@@ -44,7 +44,7 @@ class Forecaster(nn.Module):
         noise_dim: Width of the noise of one person that `next_steps` takes; 0 where it takes none.
         noise_periods: How often each number of the noise is drawn when it walks, seconds, see
             `pedzoo.models.blocks.timed_noise`; empty where `walking_noise` says it for all.
-        remembers: Whether its policy keeps how people began, see `pedzoo.policies.learned.first_seen`.
+        remembers: Whether its policy keeps how people began, see `pedzoo.policies.memory`.
         keeps_distance: Whether its people keep more room than their bodies need, so that the safety layer
             need not.
         mode_at_zero: The most likely future is that of noise zero.
@@ -52,7 +52,7 @@ class Forecaster(nn.Module):
         walking_safety: Whether its steps are kept clear of people and walls when it walks, by default;
             see `pedzoo.policies.safety_layer.layer`.
         walking_extend_goal: Whether nearer goals are moved out when it walks, likewise; see
-            `pedzoo.policies.learned.walker.extend_goals`.
+            `pedzoo.policies.walker.extend_goals`.
         walking_keep_speed: Whether it walks at the preferred speed alone, likewise.
         goal_protocol: The goal protocol that it was trained on; None where it does not matter.
         config: The settings that it was built with, as plain values without groups: with the weights, all

@@ -14,15 +14,13 @@ from pedzoo.models.base import Forecaster, Noise
 from pedzoo.models.zoo.loading import baselines, list_models, untrained
 from pedzoo.models.zoo.loading import load as load_model
 from pedzoo.models.zoo.store import find, is_file, no_model, robots
-from pedzoo.policies.base import NamedPolicy
 from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.crowd_names import is_crowd, is_policy, members, parts
-from pedzoo.policies.learned.walker import Walker
-from pedzoo.policies.local_planner import load_local_planner
-from pedzoo.policies.policy import Policy
-from pedzoo.policies.robot_policy import LocalPlannerPolicy, PedestrianRobotPolicy, RobotPolicy
-from pedzoo.policies.robot_weights import load_robot_weights
+from pedzoo.policies.policy import NamedPolicy, Policy
+from pedzoo.policies.robots._base import LocalPlannerPolicy, PedestrianRobotPolicy, RobotPolicy
+from pedzoo.policies.robots._weights import load_local_planner, load_robot_weights
 from pedzoo.policies.teams import Crowd, Teams
+from pedzoo.policies.walker import Walker
 
 ROBOT_SECONDS = 0.2
 """Seconds between two decisions of a robot, where nothing else is said."""
@@ -76,7 +74,7 @@ def policy(
 ) -> NamedPolicy:
     """Return a model, or the one of a name, as a TorchRL policy; what is a policy stays as it is.
 
-    Arguments of models as of `pedzoo.policies.learned.walker.Walker`; errors as of `load`.
+    Arguments of models as of `pedzoo.policies.walker.Walker`; errors as of `load`.
     """
     loaded = load(model) if isinstance(model, str | Path) else model
     return Walker(loaded, noise, execute_steps) if isinstance(loaded, Forecaster) else loaded

@@ -1,9 +1,15 @@
-"""The interface of policies."""
+"""The interface of policies: what all have, and the class of those that are no models."""
 
-from typing import Any, ClassVar, cast
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, ClassVar, Self, cast
 
 import torch
 from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from tensordict.nn.probabilistic import InteractionType as ExplorationType
+from tensordict.nn.probabilistic import interaction_type as exploration_type
 from torch import Tensor
 from torch.nn.functional import normalize
 
@@ -11,8 +17,43 @@ from pedzoo.core import randomness
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import direction_of, rotate
-from pedzoo.policies.base import NamedPolicy
-from pedzoo.policies.learned.walker import Walker
+from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.policies.controller.controller import Controller
+
+_DETERMINISTIC = (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN)
+
+
+def deterministic() -> bool:
+    """Return whether policies are asked for their answers without noise, by TorchRL's exploration type."""
+    return exploration_type() in _DETERMINISTIC
+
+
+class NamedPolicy(TensorDictModuleBase):
+    """A module that decides the velocities of a scene batch.
+
+    Attributes:
+        name: As it was loaded, ``orca:radius=0.3``.
+        decision_dt: Seconds between its decisions.
+    """
+
+    name: str = ""
+    decision_dt: float
+
+    def policy(self) -> Self:
+        """Return itself, as models return their policy."""
+        return self
+
+    def fresh(self) -> Self:
+        """Return the policy as it is before its first scene: itself, for policies that remember nothing."""
+        return self
+
+    def controller(self, map: OccupancyGrid | str | Path | None = None, **settings: Any) -> Controller:
+        """Return the policy as a controller for the people of any simulator; arguments as of `Controller`."""
+        return Controller(self, map, **settings)
+
+    def __repr__(self) -> str:
+        name = f"{self.name!r}, " if self.name else ""
+        return f"{type(self).__name__}({name}decides every {self.decision_dt:g} s)"
 
 
 class Policy(NamedPolicy):
@@ -60,13 +101,3 @@ def drawn_vectors(scenes: TensorDictBase, key: Tensor) -> Tensor:
     pose, way = scenes["scene_pose"], normalize(cast("Tensor", agents_of(scenes)["desired_velocity"]), dim=-1)
     frame = torch.where(scenes["map_id"].unsqueeze(-1) < 0, way, direction_of(pose[:, :1]))
     return rotate(torch.stack((x, y * pose[:, 1:2]), -1), frame)
-
-
-def walkers(policy: Policy | Walker) -> list[Walker]:
-    """Return the learned policies that are in a policy: itself, or those of its teams."""
-    return [part for part in policy.modules() if isinstance(part, Walker)]
-
-
-def has_noise(policy: Policy | Walker) -> bool:
-    """Return whether the learned policies in a policy draw noise."""
-    return any(walker.model.noise_dim > 0 for walker in walkers(policy))

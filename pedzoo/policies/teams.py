@@ -13,9 +13,9 @@ from pedzoo.core.batch import PERSON, ROBOT, actions_of, agents_of, ids_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import blended, limit_speed
 from pedzoo.core.types import TRACE_SECONDS
-from pedzoo.policies.learned.walker import Walker, check_interval
+from pedzoo.policies.memory import SceneMemory
 from pedzoo.policies.policy import Policy
-from pedzoo.policies.scene_memory import SceneMemory
+from pedzoo.policies.walker import Walker, check_interval
 
 _ROUNDING = 1e-3
 """Seconds: clocks are sums of decisions."""
@@ -26,7 +26,7 @@ Crowd: TypeAlias = list[tuple[Policy | Walker, float]]
 
 
 class PlannedVelocities(NamedTuple):
-    """Velocities that are being walked in S scenes of A slots; see `pedzoo.policies.scene_memory`.
+    """Velocities that are being walked in S scenes of A slots; see `pedzoo.policies.memory`.
 
     Attributes:
         key: Of the scenes (S,) long.

@@ -17,9 +17,8 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.geometry import closest_fraction, direction_of, limit_speed
-from pedzoo.policies.local_planner import ObservedPeople, Robot
-from pedzoo.policies.orca.settings import OrcaSettings
-from pedzoo.policies.orca.velocity import orca_velocity
+from pedzoo.policies.orca import OrcaSettings, orca_velocity
+from pedzoo.policies.robots._base import ObservedPeople, Robot
 from pedzoo.policies.robots.crowdnav_orca import toward
 
 TIME_STEP = 0.25

@@ -23,8 +23,8 @@ from pedzoo.models.zoo import store
 from pedzoo.models.zoo.card import read_config
 from pedzoo.models.zoo.loading import list_models, load, save_weights, saved_config
 from pedzoo.models.zoo.publish import describe
-from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.load import load_policy, load_robot_policy
+from pedzoo.policies.walker import Walker
 
 OPTIONS: dict[str, Any] = {
     "bottleneck_dim": 8,

@@ -12,7 +12,7 @@ from torch import Tensor
 from pedzoo.core.geometry import rotate
 from pedzoo.eval.rollout import rollout
 from pedzoo.metrics.closed_loop import ClosedLoopScore
-from pedzoo.policies.learned.walker import extend_goals
+from pedzoo.policies.walker import extend_goals
 
 
 def scene(goal: Tensor, desired: Tensor, position: Tensor) -> TensorDict:

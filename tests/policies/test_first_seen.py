@@ -8,7 +8,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from pedzoo.core.batch import agents_of
-from pedzoo.policies.learned.first_seen import FirstSeenMemory
+from pedzoo.policies.memory import FirstSeenMemory
 from tests.helpers.batches import make_batch
 
 FIRST = make_batch((2, 2), padding=0.0)

@@ -18,8 +18,8 @@ from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.plans import load_plan
 from pedzoo.models.blocks.people.crowd import share_seen
 from pedzoo.policies.controller.controller import Controller
-from pedzoo.policies.learned.same_spot import ROOM, led_apart
 from pedzoo.policies.load import load_policy
+from pedzoo.policies.neighbours import ROOM, separation_push
 
 WEIGHTS = ("sgan.zara1", "sgan_pool.zara1", "sgan_goal.indoor", "sgan_goal_map.indoor", "social_vrnn.zara1")
 BASELINES = ("constant_velocity", "straight_line", "bent_line", "go_to_goal:safety=true")
@@ -149,14 +149,14 @@ def test_one_who_begins_on_a_robot_leaves_it() -> None:
         assert np.linalg.norm(path[-1]) > 1
 
 
-def test_people_with_spots_of_their_own_are_not_led_apart() -> None:
+def test_people_with_spots_of_their_own_are_not_separation_push() -> None:
     """Two on one spot leave it to either side of their ways; absent ones and robots take no part."""
     position = torch.tensor([[[0.0, 1.0], [-0.0, 1.0], [0.0, 1.1], [0.0, 0.0], [0.0, 0.0]]])
     still = torch.zeros_like(position)
     controlled = torch.tensor([[True, True, True, True, False]])
     batch = scene(position, still, still + torch.tensor([1.0, 0.0]), controlled=controlled)
     batch["agents", "mask"][0, 3] = False
-    away = led_apart(batch)[0]
+    away = separation_push(batch)[0]
     assert away[0].tolist() == pytest.approx([0.0, BODY_RADIUS + ROOM / 2], abs=1e-6)
     assert torch.equal(away[1], -away[0]) or torch.allclose(away[1], -away[0], atol=1e-6)
     assert (away[2:] == 0).all()

@@ -10,8 +10,8 @@ import torch
 
 from pedzoo.models.blocks.people.own_speed import at_own_speed
 from pedzoo.policies.controller.controller import Controller
-from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.load import load_policy
+from pedzoo.policies.walker import Walker
 from pedzoo.sim.make import make_env
 from pedzoo.sim.scenarios.custom import Custom
 

@@ -18,12 +18,12 @@ from pedzoo.maps.plans import rectangles, room, wall
 from pedzoo.maps.walls.local_walls import LocalWalls
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.loading import load
-from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.policy import Policy
 from pedzoo.policies.safety_layer.clearance import MARGIN, SHOULDERS, ProposedSteps
 from pedzoo.policies.safety_layer.layer import kept_clear, kept_clear_in_torch, safe
 from pedzoo.policies.safety_layer.precedence import SPREAD
+from pedzoo.policies.walker import Walker
 from pedzoo.sim.make import make_env
 
 ROOM = rectangles(

@@ -13,8 +13,8 @@ from torchrl.envs import step_mdp
 import pedzoo
 from pedzoo.core.batch import agents_of
 from pedzoo.policies.controller.controller import Controller
-from pedzoo.policies.learned.setting_out import setting_out
 from pedzoo.policies.load import load_policy
+from pedzoo.policies.walker import setting_out
 from pedzoo.sim.make import make_env
 from tests.helpers.batches import make_batch
 

@@ -22,17 +22,18 @@ from pedzoo.maps.walls import segment_table
 from pedzoo.maps.walls.outlines import outlines
 from pedzoo.maps.walls.segment_table import SegmentTable, edges
 from pedzoo.policies.load import load_policy
-from pedzoo.policies.rule_based.social_force import SocialForce
-from pedzoo.policies.social_force.borders import WallPoints, wall_points
-from pedzoo.policies.social_force.forces import (
+from pedzoo.policies.rule_based.social_force import (
+    SocialForce,
+    SocialForceSettings,
+    WallPoints,
     driving_force,
     repulsion,
     smooth_weight,
+    social_force_velocity,
     view_weight,
     wall_force,
+    wall_points,
 )
-from pedzoo.policies.social_force.settings import SocialForceSettings
-from pedzoo.policies.social_force.velocity import social_force_velocity
 
 PAPER = SocialForceSettings()
 NEAREST = 50.0  # U0 / R of the paper: what a wall does at distance 0, m/s^2

@@ -25,8 +25,9 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.crowd_names import Member, is_crowd, members, parts
 from pedzoo.policies.load import load_policy, teams
-from pedzoo.policies.policy import Policy, has_noise, walkers
+from pedzoo.policies.policy import Policy
 from pedzoo.policies.teams import Teams
+from pedzoo.policies.walker import has_noise, walkers
 from pedzoo.sim.make import make_env
 from pedzoo.sim.rollout import Rollout
 

@@ -15,7 +15,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.types import PRED_LEN
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.loading import load
-from pedzoo.policies.learned.walker import Walker, lasting
+from pedzoo.policies.walker import Walker, lasting
 from pedzoo.sim.make import make_env
 
 

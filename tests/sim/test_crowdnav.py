@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.errors import UserError
-from pedzoo.policies.local_planner import ObservedPeople, Robot, load_local_planner
+from pedzoo.policies.robots._base import ObservedPeople, Robot
+from pedzoo.policies.robots._weights import load_local_planner
 from pedzoo.policies.robots.straight import Straight
 from pedzoo.sim.crowdnav import (
     COLLISION,

@@ -22,9 +22,9 @@ from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from pedzoo.maps.planning.planner import Planner
 from pedzoo.metrics.realism.crowds import crowd
 from pedzoo.metrics.realism.features import every_step
-from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.rule_based.go_to_goal import GoToGoal
+from pedzoo.policies.walker import Walker
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
 from pedzoo.sim.replay.people import REASONS

@@ -15,7 +15,7 @@ from pedzoo.data.tracks import Tracks
 from pedzoo.eval.rollout import rollout
 from pedzoo.maps.formats import write_ros
 from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
-from pedzoo.policies.learned.holding import holding_places
+from pedzoo.policies.walker import holding_places
 from pedzoo.sim.replay.stops import Stops, stops_of
 from pedzoo.sim.robots.env import make_robot_env
 from pedzoo.sim.rollout import Rollout

@@ -23,8 +23,8 @@ from pedzoo.eval.rollout import rollout
 from pedzoo.maps.formats import read_plan, write_ros
 from pedzoo.maps.plans import flat
 from pedzoo.models.zoo.loading import baselines, list_models, load, save_weights
-from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.load import load_policy
+from pedzoo.policies.walker import Walker
 from pedzoo.sim.make import make_env, make_scenario
 from pedzoo.sim.scenario import MIN_INITIAL_PATH
 from pedzoo.sim.scenarios.goals import Goals

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from pedzoo.core.batch import ROBOT
 from pedzoo.models.zoo.loading import load
-from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.load import load_policy
+from pedzoo.policies.walker import Walker
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
 

@@ -18,7 +18,7 @@ from pedzoo.maps.planning.planner import Planner
 from pedzoo.metrics.realism import clips as score_clips
 from pedzoo.metrics.realism import features as score_features
 from pedzoo.models.architectures.social_walker import SocialWalker
-from pedzoo.policies.learned.walker import Walker
+from pedzoo.policies.walker import Walker
 from pedzoo.train.closed_loop.distribution_distances import wasserstein
 from pedzoo.train.crowds.comparison import MANNER_DIM, coarse, compared, parted, summaries
 from pedzoo.train.crowds.crowd_walk import CrowdWalk, recorded, walked_on

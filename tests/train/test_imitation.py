@@ -26,7 +26,7 @@ from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.base import true_displacements
 from pedzoo.models.blocks.discriminator import Discriminator
 from pedzoo.models.blocks.people.crowd import Crowd
-from pedzoo.policies.learned.walker import Walker
+from pedzoo.policies.walker import Walker
 from pedzoo.sim.make import make_env
 from pedzoo.sim.scenarios.replay import Replay
 from pedzoo.train.closed_loop.distribution_distances import SPREADS, features, tail, wasserstein

@@ -25,7 +25,7 @@ from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.core.spec import grouped
 from pedzoo.models.architectures.sgan import SGAN
-from pedzoo.policies.learned.walker import Walker
+from pedzoo.policies.walker import Walker
 from pedzoo.sim.make import make_env
 from pedzoo.train.closed_loop.courses import Course
 from pedzoo.train.closed_loop.imitation import Imitation

@@ -24,7 +24,7 @@ from pedzoo.core.geometry import rotate
 from pedzoo.core.spec import build_ungrouped
 from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.models.architectures.sgan import SGAN
-from pedzoo.policies.learned.walker import Walker
+from pedzoo.policies.walker import Walker
 from pedzoo.sim.make import make_env, prepare_scenario
 from pedzoo.train.rl.actor import Spread, actor
 from pedzoo.train.rl.critic import Critic

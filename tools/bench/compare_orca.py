@@ -33,10 +33,8 @@ from pedzoo.maps.formats import read_plan
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
 from pedzoo.maps.walls.segment_table import NOWHERE, SegmentTable, edges
 from pedzoo.maps.walls.segments import WallSegments
-from pedzoo.policies.orca.programs import nearest
-from pedzoo.policies.orca.settings import OrcaSettings
-from pedzoo.policies.orca.velocity import orca_velocity
-from pedzoo.policies.orca.wall_lines import wall_lines
+from pedzoo.policies import orca as wall_lines
+from pedzoo.policies.orca import OrcaSettings, nearest_permitted, orca_velocity
 from tools.bench.rvo2_peer import Rvo2
 
 SPEED, TOP_SPEED = 1.3, 1.69
@@ -175,7 +173,7 @@ def blocked(state: State, walls: WallSegments) -> Tensor:
         state.near(walls), velocity, velocity.new_full(velocity.shape[1:], SETTINGS.radius), SETTINGS
     )
     speed = torch.full(velocity.shape[1:], TOP_SPEED)
-    failed = nearest(lines, preferred, preferred, speed, towards=False)[1]
+    failed = nearest_permitted(lines, preferred, preferred, speed, towards=False)[1]
     return (failed < lines.shape[1]).view(state.position.shape[:2])
 
 

@@ -12,7 +12,7 @@ from pedzoo.core.fetch import sha256_of
 from pedzoo.eval.results import ResultTable
 from pedzoo.eval.work_units import fingerprint
 from pedzoo.metrics.ratios import Ratio, mean, of_sums, ratio, share, summarised
-from pedzoo.policies.robot_weights import load_planner
+from pedzoo.policies.robots._weights import load_planner
 from pedzoo.sim.crowdnav import COLLISION, FAILED, SUCCESS, TIME_STEP, TIMEOUT, cases
 from tools.paper.base import Jobs
 from tools.paper.crowdnav_published import PUBLISHED

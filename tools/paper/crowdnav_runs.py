@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from pedzoo.policies.local_planner import LocalPlanner, ObservedPeople, Robot
+from pedzoo.policies.robots._base import LocalPlanner, ObservedPeople, Robot
 from pedzoo.sim.crowdnav import GOES_ON, Setting, State, step
 
 DISCOUNT = 0.9

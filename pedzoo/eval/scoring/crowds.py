@@ -19,7 +19,7 @@ from pedzoo.metrics.realism.crowds import CrowdSums, crowd, together
 from pedzoo.metrics.realism.features import SampledRollout, coarse, every_step, to_millimetres
 from pedzoo.metrics.realism.groups import PersonSums, added, main_axis, measured
 from pedzoo.policies.load import load_policy
-from pedzoo.policies.policy import has_noise
+from pedzoo.policies.walker import has_noise
 from pedzoo.sim.replay.people import RecordedPeople
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.scenarios.replay import PreparedReplay

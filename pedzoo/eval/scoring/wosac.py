@@ -24,7 +24,7 @@ from pedzoo.metrics.realism.wosac import (
     measured_likelihood,
 )
 from pedzoo.policies.load import load_policy
-from pedzoo.policies.policy import has_noise
+from pedzoo.policies.walker import has_noise
 
 BINS_FILE = "bins_v1.yaml"
 """Ends of bins, made by ``python -m tools.zoo.score_bins``; never changed, a new version is another file."""

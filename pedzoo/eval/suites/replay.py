@@ -28,7 +28,7 @@ from pedzoo.maps.plans import load_plan
 from pedzoo.metrics.realism.crowds import TAIL
 from pedzoo.metrics.realism.features import FEATURES
 from pedzoo.policies.load import load_policy
-from pedzoo.policies.policy import has_noise
+from pedzoo.policies.walker import has_noise
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.scenarios.replay import PreparedReplay
 

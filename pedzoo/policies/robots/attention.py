@@ -12,7 +12,7 @@ from torch.nn.functional import normalize
 from pedzoo.core.bodies import HOLONOMIC, Fleet
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import rotate, unrotate
-from pedzoo.policies.robot_policy import RobotPolicy, bodies_of
+from pedzoo.policies.robots._base import RobotPolicy, bodies_of
 
 FAR = 6.0
 """Metres: what is farther away is all alike."""

@@ -5,10 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pedzoo.policies.local_planner import ObservedPeople, Robot
-from pedzoo.policies.orca.agent_lines import agent_lines
-from pedzoo.policies.orca.programs import solve
-from pedzoo.policies.orca.settings import OrcaSettings
+from pedzoo.policies import orca as agent_lines
+from pedzoo.policies.orca import OrcaSettings, solve
+from pedzoo.policies.robots._base import ObservedPeople, Robot
 
 
 class CrowdnavOrca:

@@ -8,7 +8,7 @@ from torch.nn.functional import normalize
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import limit_speed
-from pedzoo.policies.local_planner import ObservedPeople, Robot
+from pedzoo.policies.robots._base import ObservedPeople, Robot
 
 
 class CrowdnavSocialForce:

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import direction_of, heading_of
-from pedzoo.policies.local_planner import Clearance, DriveState, ObservedPeople, Robot
+from pedzoo.policies.robots._base import Clearance, DriveState, ObservedPeople, Robot
 
 
 @dataclass(frozen=True)

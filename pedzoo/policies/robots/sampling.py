@@ -14,7 +14,7 @@ from torch.nn.functional import normalize
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import direction_of, rotate
-from pedzoo.policies.local_planner import Clearance, ObservedPeople, Robot
+from pedzoo.policies.robots._base import Clearance, ObservedPeople, Robot
 
 ROUNDING = 1e-5
 """Metres by which a distance may be wrong in single precision."""

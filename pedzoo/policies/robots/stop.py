@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pedzoo.policies.local_planner import ObservedPeople, Robot
+from pedzoo.policies.robots._base import ObservedPeople, Robot
 
 
 class Stop:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from pedzoo.policies.local_planner import ObservedPeople, Robot
+from pedzoo.policies.robots._base import ObservedPeople, Robot
 
 
 class Straight:

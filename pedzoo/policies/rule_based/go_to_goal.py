@@ -4,7 +4,7 @@ from tensordict import TensorDictBase
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import STEP_SECONDS
-from pedzoo.policies.learned.same_spot import led_apart
+from pedzoo.policies.neighbours import separation_push
 from pedzoo.policies.policy import Policy
 from pedzoo.policies.safety_layer.layer import safe
 
@@ -34,7 +34,7 @@ class GoToGoal(Policy):
         velocity = tensordict["agents", "desired_velocity"]
         if self.safety:
             tensordict["agents", "asked"] = velocity
-            step = velocity * STEP_SECONDS + led_apart(tensordict)
+            step = velocity * STEP_SECONDS + separation_push(tensordict)
             velocity = safe(tensordict, step) / STEP_SECONDS
         tensordict["agents", "action"] = velocity
         return tensordict

@@ -9,11 +9,9 @@ from pedzoo.core import randomness
 from pedzoo.core.batch import ROBOT, ids_of, maps_of
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.maps.walls.segments import FASTEST, WallSegments
-from pedzoo.policies.base import deterministic
-from pedzoo.policies.learned.same_spot import led_apart
-from pedzoo.policies.orca.settings import OrcaSettings
-from pedzoo.policies.orca.velocity import orca_velocity
-from pedzoo.policies.policy import Policy, drawn_vectors
+from pedzoo.policies.neighbours import separation_push
+from pedzoo.policies.orca import OrcaSettings, orca_velocity
+from pedzoo.policies.policy import Policy, deterministic, drawn_vectors
 
 OFF_SPOT = 0.05
 """Of the way by which people leave the spot of others: so far off it they are seen."""
@@ -38,7 +36,7 @@ class Orca(Policy):
         """Write the velocities of all agents."""
         agents: Any = tensordict["agents"]
         mask = agents["mask"]
-        position = agents["history"][:, :, -1] + OFF_SPOT * led_apart(tensordict)
+        position = agents["history"][:, :, -1] + OFF_SPOT * separation_push(tensordict)
         scenes, slots = mask.shape
         top_speed = agents["pref_speed"][..., 0] * self.settings.top_speed_ratio
         wanted = agents["desired_velocity"]

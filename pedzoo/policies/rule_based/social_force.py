@@ -1,7 +1,13 @@
-"""Baseline: the social force model (Helbing and Molnar, Phys. Rev. E 51, 1995), walls or not."""
+"""Baseline: the social force model (Helbing and Molnar, Phys. Rev. E 51, 1995), walls or not.
 
+An acceleration in m/s^2 is called a force; equations are those of the paper, 4282 (1995). Coordinates come
+first, (2, K, N) for K others of N people: on a CPU several times faster than pairs. All is differentiable.
+"""
+
+import math
 from collections.abc import Callable
-from typing import Any, cast
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple, cast, get_args
 
 import torch
 from tensordict import TensorDictBase
@@ -9,14 +15,406 @@ from torch import Tensor
 
 from pedzoo.core import randomness
 from pedzoo.core.batch import ROBOT, agents_of, ids_of, is_person_sized, maps_of
+from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.geometry import move_to_map, turn_to_scene
 from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
-from pedzoo.policies.base import deterministic
-from pedzoo.policies.policy import Policy, drawn_vectors
-from pedzoo.policies.social_force.borders import wall_points
-from pedzoo.policies.social_force.forces import closer, wall_force
-from pedzoo.policies.social_force.settings import SocialForceSettings
-from pedzoo.policies.social_force.velocity import social_force_velocity
+from pedzoo.maps.walls.segment_table import SegmentTable
+from pedzoo.policies.neighbours import Neighbors, nearest
+from pedzoo.policies.orca import cross, dot, right
+from pedzoo.policies.policy import Policy, deterministic, drawn_vectors
+
+Anisotropy = Literal["view", "smooth", "none"]
+"""How the weight of others depends on their direction; see `SocialForceSettings`."""
+
+NEGLIGIBLE = 0.01
+"""Acceleration below which a wall is left out, m/s^2; walking people accelerate by 1 or more."""
+
+OF_PRESET: Any = None
+"""Default of a setting that has the value of the preset."""
+
+
+@dataclass(frozen=True)
+class SocialForceSettings:
+    """Settings of the social force model; the symbols are those of the paper.
+
+    Helbing and Molnar, "Social force model for pedestrian dynamics", Phys. Rev. E 51, 4282 (1995),
+    arXiv:cond-mat/9805244. Every default but those of ``behind`` and the last three is the paper's. The
+    paper's desired speed (normally distributed, 1.34 and 0.26 m/s) is each person's ``pref_speed`` here. The
+    ellipse around a person (eq. 4) lies along their velocity, which others can see; in the paper it lies
+    along their desired direction, with the length of their speed.
+
+    Helbing et al. 2005 is Helbing, Buzna, Johansson and Werner, "Self-organized pedestrian crowd dynamics:
+    experiments, simulations, and design solutions", Transportation Science 39, 1-24.
+
+    Attributes:
+        tau: Relaxation time in which people take up their desired velocity, seconds (tau, eq. 2).
+        walls: Whether walls are avoided.
+        dt: Seconds between decisions, at most ``tau``; forces are integrated in steps of 0.1 s or less.
+        preset: ``1995`` for the paper's parameters, ``indoor`` for doors, see `PRESETS`.
+        strength: Of the potential around people, m^2/s^2 (V0, eq. 3).
+        sigma: Its range, metres (sigma).
+        step_time: How far the potential's ellipses reach ahead of a walking person, seconds (Delta t, eq.
+            4).
+        wall_strength: Of the potential of walls, m^2/s^2 (U0, eq. 5).
+        wall_range: Its range, metres (R).
+        anisotropy: Weight of others' forces. ``view``: 1 within ``view_angle`` of the desired direction,
+            ``out_of_view`` beyond, by the direction that the force comes from (eq. 8). ``smooth``: lambda +
+            (1 - lambda) (1 + cos) / 2, by the angle to the other person (Helbing et al. 2005). ``none``: 1.
+            Walls always count in full, as in the paper.
+        view_angle: Half of the angle of sight, degrees (phi; the paper gives 2 phi = 200).
+        out_of_view: Weight of people out of sight (c).
+        behind: Weight of a person straight behind when the weight is ``smooth`` (lambda; 0.75 in Helbing et
+            al. 2005).
+        top_speed_ratio: Top speed, divided by the preferred one (eq. 11).
+        neighbor_dist: Metres between centres beyond which others are ignored. From 5 m away a person who
+            approaches at 1.7 m/s accelerates another by less than 0.001 m/s^2, at 2.2 m/s by 0.04 m/s^2.
+            People faster than ``neighbor_dist / step_time`` act later than in the paper.
+        max_neighbors: Nearest others that act; None: all within ``neighbor_dist``.
+        fluctuation: Standard deviation of a random acceleration, drawn for every decision, m/s^2. The paper
+            leaves its size open; without it, people who meet exactly head-on never make way.
+    """
+
+    tau: float = 0.5
+    walls: bool = True
+    dt: float = TRACE_SECONDS
+    preset: str = "1995"
+    strength: float = 2.1
+    sigma: float = 0.3
+    step_time: float = OF_PRESET
+    wall_strength: float = OF_PRESET
+    wall_range: float = OF_PRESET
+    anisotropy: Anisotropy = "view"
+    view_angle: float = 100.0
+    out_of_view: float = 0.5
+    behind: float = 0.75
+    top_speed_ratio: float = 1.3
+    neighbor_dist: float = 5.0
+    max_neighbors: int | None = None
+    fluctuation: float = 0.1
+
+    def __post_init__(self) -> None:
+        """Take missing values from the preset, and check all.
+
+        Raises:
+            UserError: There is no such preset, or a value is out of its range.
+        """
+        if self.preset not in PRESETS:
+            raise unknown("preset of social_force", self.preset, PRESETS)
+        for name, value in PRESETS[self.preset].items():
+            if getattr(self, name) is OF_PRESET:
+                object.__setattr__(self, name, value)
+        for name in ("tau", "sigma", "wall_range", "top_speed_ratio", "neighbor_dist"):
+            self._expect(name, "a number above 0", above=0.0)
+        for name in ("strength", "step_time", "wall_strength", "fluctuation"):
+            self._expect(name, "a number, 0 or more")
+        for name in ("out_of_view", "behind"):
+            self._expect(name, "a weight from 0 to 1", most=1.0)
+        self._expect("view_angle", "degrees from 0 to 180", most=180.0)
+        if self.max_neighbors is not None and self.max_neighbors < 0:
+            raise UserError(f"social_force: max_neighbors {self.max_neighbors}: expected 0 or more, or none")
+        if self.anisotropy not in get_args(Anisotropy):
+            raise unknown("anisotropy of social_force", self.anisotropy, get_args(Anisotropy))
+        if self.dt > self.tau:
+            raise UserError(
+                f"social_force: dt {self.dt}: expected at most tau, {self.tau} s: a velocity that is held "
+                "for longer than it takes to change it follows no forces"
+            )
+
+    def _expect(self, name: str, what: str, most: float = math.inf, above: float | None = None) -> None:
+        value = getattr(self, name)
+        if not (math.isfinite(value) and 0 <= value <= most) or value == above:
+            raise UserError(f"social_force: {name} {value}: expected {what}")
+
+    @property
+    def wall_reach(self) -> float:
+        """Metres beyond which a wall accelerates a person by less than `NEGLIGIBLE`; 1.70 by default."""
+        nearest = self.wall_strength / self.wall_range
+        return self.wall_range * math.log(max(nearest / NEGLIGIBLE, 1.0))
+
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "1995": {"step_time": 2.0, "wall_strength": 10.0, "wall_range": 0.2},
+    "indoor": {
+        # walls of Helbing et al. 2005, fitted to a bottleneck: A exp((r - d) / B) with A = 5 m/s^2, B = 0.1 m
+        # and r, a body's radius, as here
+        "wall_strength": 5 * 0.1 * math.exp(BODY_RADIUS / 0.1),
+        "wall_range": 0.1,
+        # one step of 0.65 m at 1.3 m/s, the paper's meaning of Delta t; with its 2 s people in single file
+        # push the one in front aside
+        "step_time": 0.5,
+    },
+}
+"""Settings of the presets.
+
+In the middle of a door of 0.85 m the two jambs' potential is 2.4 m^2/s^2 with the walls of 1995 and 0.06
+with ``indoor``; a person at 1.3 m/s has a kinetic energy of 0.85 m^2/s^2.
+"""
+
+
+CLOSEST = 0.01
+"""Metres: people are never closer than this to the centre of a potential, where its gradient is infinite."""
+
+EXACT, OFF_LINE = 1e-5, 0.02
+"""Shares of the distance: others so little off the line ahead are on it, and count as so much off it."""
+
+
+def length(vector: Tensor, least: float) -> Tensor:
+    """Return the lengths (...) of vectors (2, ...), and ``least`` for shorter ones, with gradient zero."""
+    return dot(vector, vector).clamp_min(least * least).sqrt()
+
+
+def direction(vector: Tensor) -> Tensor:
+    """Return the directions (2, ...) of vectors; that of a zero vector is zero."""
+    return vector / length(vector, 1e-6)
+
+
+def closer(offset: Tensor, by: Tensor) -> Tensor:
+    """Return offsets (2, ...) that are shorter ``by`` (...) metres, but not shorter than a hundredth."""
+    share = (by / length(offset, CLOSEST)).clamp_max(0.99)
+    return offset * (1 - share)
+
+
+def off_line(offset: Tensor, heading: Tensor) -> Tensor:
+    """Return offsets from others (2, K, N); those exactly ahead count as a little to the left.
+
+    Else two who meet head-on make way to no side. ``heading`` (2, N) are the desired directions.
+    """
+    ahead = -dot(offset, heading.unsqueeze(1))
+    tie = (cross(heading.unsqueeze(1).expand_as(offset), offset).abs() < EXACT * ahead).to(offset.dtype)
+    return offset + tie * OFF_LINE * ahead * right(heading).unsqueeze(1)
+
+
+def driving_force(velocity: Tensor, desired_velocity: Tensor, tau: float) -> Tensor:
+    """Return the force from velocity to desired velocity (2, N), m/s, in ``tau`` seconds (eq. 2)."""
+    return (desired_velocity - velocity) / tau
+
+
+def repulsion(offset: Tensor, step: Tensor, strength: float, sigma: float) -> tuple[Tensor, Tensor]:
+    """Return how strongly others repel (K, N), and in which direction (2, K, N) (eqs. 3 and 4).
+
+    Lines of equal potential V0 exp(-b / sigma) around a person are ellipses with the foci p, where they are,
+    and q, where their next step ends. With the distances r and s to p and q, unit vectors m and n away from
+    them, and the ellipse's semi-minor axis b, 2 b = sqrt((r + s)^2 - |pq|^2), one finds b = sqrt(r s) |m +
+    n| / 2: no small difference of large numbers. The gradient of b is (r + s) / (2 sqrt(r s)) long, never
+    below 1, and bisects the angle between m and n.
+
+    On the line between the foci, exactly in front of an approaching person, the direction is 0. At the foci
+    the gradient is infinite; distances to them count as `CLOSEST` at least.
+
+    Args:
+        offset: From each other person to oneself (2, K, N), metres.
+        step: From each other person to where their step ends (2, K, N), metres: Delta t times the velocity.
+        strength: V0, m^2/s^2.
+        sigma: Range, metres.
+    """
+    beyond = offset - step
+    near, far = length(offset, CLOSEST), length(beyond, CLOSEST)
+    both = offset / near + beyond / far
+    size = length(both, 1e-6)
+    mean = (near * far).sqrt()
+    fall = (mean * size * (-0.5 / sigma)).exp()
+    return fall * (near + far) / mean * (0.5 * strength / sigma), both / size
+
+
+def view_weight(force: Tensor, heading: Tensor, angle: float, out_of_view: float) -> Tensor:
+    """Return the weight (K, N) of forces (2, K, N) that come from in front or from behind (eq. 8).
+
+    In view is what comes from within ``angle`` degrees of the heading (2, N), and all for a heading of 0.
+    """
+    seen = -dot(force, heading.unsqueeze(1)) >= math.cos(math.radians(angle))
+    return out_of_view + (1 - out_of_view) * seen.to(force.dtype)
+
+
+def smooth_weight(offset: Tensor, heading: Tensor, behind: float) -> Tensor:
+    """Return weights (K, N) that fall from 1 in front to ``behind`` behind (Helbing et al. 2005)."""
+    cosine = -dot(direction(offset), heading.unsqueeze(1))
+    return behind + (1 - behind) * 0.5 * (1 + cosine)
+
+
+def wall_force(offset: Tensor, weight: Tensor, strength: float, reach: float) -> Tensor:
+    """Return the sum of the walls' forces on each person (2, N) (eq. 5), of points at offsets (2, M, N).
+
+    Each counts with ``weight`` (M, N); ``strength`` is U0, m^2/s^2, and ``reach`` R, metres.
+    """
+    if not len(weight):
+        return offset.new_zeros(2, weight.shape[1])
+    distance = length(offset, 1e-6)
+    force = offset * (weight * (distance * (-1 / reach)).exp() * (strength / reach) / distance)
+    # one after the other: a sum's rounding would depend on how many points act on others
+    return force.cumsum(1)[:, -1]
+
+
+class WallPoints(NamedTuple):
+    """M points of walls for each of N people.
+
+    Attributes:
+        offset: From the point to the person (2, M, N), metres, in the frame of the floor plan.
+        weight: 1 for minima of the distance, down to -1 for maxima, 0 for points that do not act (M, N).
+    """
+
+    offset: Tensor
+    weight: Tensor
+
+
+def wall_points(table: SegmentTable, place: Tensor, row: Tensor) -> WallPoints:
+    """Return the points of walls, within the table's reach, that act on people at ``place`` (2, N), metres.
+
+    The paper lets every border act with its nearest point (eq. 5), and leaves open what one border is. On a
+    floor plan one wall is many cells, a room is one outline, and the nearest point of a doorway flips from
+    jamb to jamb. Here every *local minimum* of the distance along the outlines acts: a straight wall once, in
+    however many pieces, a convex corner once, both jambs of a doorway, both sides of a corridor, both walls
+    of a room's corner. Borders do not hide each other, and two obstacles are two for every gap between them.
+
+    Where an outline bends a little towards the person there are two minima in almost the same place. One of
+    them vanishes as the person walks on, in the corner between them, a local *maximum*. The maximum acts with
+    the opposite sign, so that the force neither doubles nor jumps there: both have the same distance and
+    direction when they vanish. It counts in full while the nearest points of its two segments lie within 60
+    degrees of each other, as seen by the person, and not at all from 90 degrees on.
+
+    Differentiable with respect to ``place``. Without a map, row -1, there are none.
+    """
+    number, valid = table.nearest(place, row, place.new_full(row.shape, table.reach))
+    wall = table.segments.index_select(1, number.flatten()).unflatten(1, number.shape)
+    start, along, own, end, before, after, length_before = wall.split((2, 2, 7, 2, 2, 2, 1))
+    length, convex = own[0], own[5]
+    seen = valid > 0
+    off, off_end = (torch.where(seen, place.unsqueeze(1) - corner, 0) for corner in (start, end))
+    # the end of a segment is the start of the next, to the last bit: so are these of both
+    t, t_end, past = dot(off, along), dot(off_end, along), dot(off, before)
+    offset = off - along * t.clamp_min(0).minimum(length)
+    near = seen & (dot(offset, offset) < table.reach**2)
+
+    # A foot inside the segment; or its start, where the segment before has no foot either. A pointed end
+    # may be seen from one side only: then it is the start of no segment that the person is outside of.
+    foot, first = (t > 0) & (t_end < 0), (t <= 0) & (past >= 0)
+    last = (t_end >= 0) & (dot(off_end, after) <= 0) & (cross(after, off_end) >= 0)
+    acts = near & (foot | first | last)
+
+    hollow = near & (convex == 0) & (t > 0) & (past < 0) & (cross(before, off) < 0)
+    nearest_before = off + before * (-past).minimum(length_before[0])
+    likeness = dot(*(direction(torch.where(hollow, part, 0)) for part in (offset, nearest_before)))
+    weight = torch.where(hollow, -(2 * likeness).clamp(0, 1), 0)
+    return WallPoints(torch.cat((offset, off), dim=1), torch.cat((acts.to(weight.dtype), weight)))
+
+
+LONGEST_STEP = 0.1
+"""Seconds: longer decisions are integrated in equal parts. Near walls the forces change within 0.2 s."""
+
+
+def social_force_velocity(
+    position: Tensor,
+    velocity: Tensor,
+    desired_velocity: Tensor,
+    pref_speed: Tensor,
+    mask: Tensor,
+    settings: SocialForceSettings,
+    seconds: float,
+    identity: Tensor,
+    walls: Callable[[Tensor, Tensor | None], Tensor] | None = None,
+    fluctuation: Tensor | None = None,
+    radius: Tensor | None = None,
+) -> Tensor:
+    """Return the velocities (B, A, 2) that the forces lead to after ``seconds``, m/s; 0 for absent people.
+
+    Differentiable with respect to positions, velocities, desired velocities and speeds. ``velocity`` is the
+    one walked (eq. 10 keeps another, not cut off at the top speed).
+
+    Args:
+        position: Positions (B, A, 2), metres.
+        velocity: Current velocities (B, A, 2), m/s.
+        desired_velocity: Only the direction counts (B, A, 2); 0: to stand still.
+        pref_speed: Preferred speeds (B, A), m/s.
+        mask: Which people are present (B, A) bool: they act on the others and get a velocity.
+        settings: The model's parameters.
+        seconds: For which the velocities are held.
+        identity: A number of its own for each person (B, A) long: people at the same place are pushed apart
+            in a direction drawn by both.
+        walls: Gives the walls' forces (2, N) on people at places (2, N), ``rows`` (N,) of all B * A; None:
+            no walls.
+        fluctuation: A further acceleration (B, A, 2), m/s^2.
+        radius: Radii of the bodies (B, A), metres, None for `BODY_RADIUS`. Forces are those between people
+            of that radius, at the distance less what both are wider.
+    """
+    wider = torch.zeros_like(pref_speed) if radius is None else radius - BODY_RADIUS
+    rows = None if mask.all() else mask.flatten().nonzero()[:, 0]
+    if rows is not None:  # placeholders of absent people
+        position, velocity = (torch.where(mask[..., None], part, 0) for part in (position, velocity))
+    others = nearest(position, mask, settings.neighbor_dist, settings.max_neighbors, rows)
+    place, speed = (part.flatten(0, 1).T.contiguous() for part in (position, velocity))
+    heading = direction(_of(desired_velocity.flatten(0, 1).T, rows))
+    liked = _of(pref_speed.flatten()[None], rows)
+    top_speed, desired = liked * settings.top_speed_ratio, liked * heading
+    parts = max(1, math.ceil(seconds / LONGEST_STEP - 1e-6))
+    for part in range(parts):
+        own_place, own_speed = _of(place, rows), _of(speed, rows)
+        force = driving_force(own_speed, desired, settings.tau)
+        if len(others.index):
+            force = force + _people(
+                place, speed, heading, others, rows, identity.flatten(), wider.flatten(), settings
+            )
+        if walls is not None:
+            force = force + walls(own_place, rows)
+        if fluctuation is not None:
+            force = force + _of(fluctuation.flatten(0, 1).T, rows)
+        own_speed = own_speed + force * (seconds / parts)
+        own_speed = own_speed * (top_speed / length(own_speed, 1e-6)).clamp_max(1)
+        speed = own_speed if rows is None else speed.index_copy(1, rows, own_speed)
+        if part + 1 < parts:
+            place = place + speed * (seconds / parts)
+    speed = speed.T.reshape(position.shape)
+    return speed if rows is None else torch.where(mask[..., None], speed, 0)
+
+
+def _of(values: Tensor, rows: Tensor | None) -> Tensor:
+    return values if rows is None else values.index_select(1, rows)
+
+
+def _people(
+    place: Tensor,
+    speed: Tensor,
+    heading: Tensor,
+    others: Neighbors,
+    rows: Tensor | None,
+    identity: Tensor,
+    wider: Tensor,
+    settings: SocialForceSettings,
+) -> Tensor:
+    """Return the sum of the others' forces (2, N)."""
+    index, near = others
+    theirs = torch.cat((place, speed * settings.step_time))
+    theirs = theirs.index_select(1, index.flatten()).view(4, *index.shape)
+    offset = _of(place, rows).unsqueeze(1) - theirs[:2]
+    together = (offset == 0).all(0)
+    together = together if near is None else together & near
+    if bool(together.any()):
+        offset = offset + _apart(together, index, rows, identity, offset.dtype)
+    offset = off_line(offset, heading)
+    more = wider.index_select(0, index.flatten()).view(index.shape) + _of(wider[None], rows)
+    offset = closer(offset, more)
+    force, away = repulsion(offset, theirs[2:], settings.strength, settings.sigma)
+    if settings.anisotropy == "view":
+        force = force * view_weight(away, heading, settings.view_angle, settings.out_of_view)
+    elif settings.anisotropy == "smooth":
+        force = force * smooth_weight(offset, heading, settings.behind)
+    if near is not None:
+        force = force * near
+    # one after the other: a sum's rounding would depend on how many people there are in other scenes
+    return (force * away).cumsum(1)[:, -1]
+
+
+def _apart(
+    together: Tensor, index: Tensor, rows: Tensor | None, identity: Tensor, dtype: torch.dtype
+) -> Tensor:
+    """Return offsets (2, K, N) for people at the same place: `CLOSEST` long, opposite for both of a pair."""
+    other, own = together.nonzero(as_tuple=True)
+    theirs = identity[index[other, own]]
+    mine = identity[own if rows is None else rows[own]]
+    key = randomness.join(torch.minimum(mine, theirs), "apart", torch.maximum(mine, theirs))
+    angle = 2 * math.pi * randomness.uniform(key)
+    way = CLOSEST * torch.stack((angle.cos(), angle.sin())) * torch.where(mine < theirs, 1, -1)
+    offset = torch.zeros(2, *together.shape, dtype=dtype, device=together.device)
+    offset[:, other, own] = way.to(dtype)
+    return offset
 
 
 class SocialForce(Policy):

@@ -19,10 +19,10 @@ from pedzoo.core.registry import ROBOTS, SENSORS
 from pedzoo.core.spec import Spec, build
 from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
 from pedzoo.maps.planning.guidance import Guidance
-from pedzoo.policies.learned.walker import Walker
 from pedzoo.policies.load import crowd_of
 from pedzoo.policies.policy import Policy
 from pedzoo.policies.teams import Crowd, Teams
+from pedzoo.policies.walker import Walker
 from pedzoo.sim import kernel
 from pedzoo.sim import observation as specs
 from pedzoo.sim.env import PedestrianEnv

@@ -16,7 +16,7 @@ from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import function_in_file
 from pedzoo.models.base import Forecaster
-from pedzoo.policies.learned.walker import Walker
+from pedzoo.policies.walker import Walker
 from pedzoo.train.closed_loop.courses import Course, CourseSampler
 from pedzoo.train.closed_loop.imitation import Imitation
 from pedzoo.train.closed_loop.loop_losses import LoopLosses, mean_cost

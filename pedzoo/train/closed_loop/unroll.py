@@ -66,7 +66,7 @@ def unroll(walk: Walk, batch: TensorDict, steps: int, key: Tensor | None = None)
         walk: The policy.
         batch: Recorded windows with the goal protocol ``destination`` and at least ``steps`` of future.
         steps: N.
-        key: Keys (B,) long, by which a `pedzoo.policies.learned.walker.Walker` draws noise; 0 to B - 1 if
+        key: Keys (B,) long, by which a `pedzoo.policies.walker.Walker` draws noise; 0 to B - 1 if
             None.
 
     Raises:

@@ -13,7 +13,7 @@ from pedzoo.core.types import AHEAD_SECONDS, OBS_LEN, STEP_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.maps.planning.planner import Planner
-from pedzoo.policies.learned.attempts import Attempts, walks
+from pedzoo.policies.memory import Attempts, walks
 from pedzoo.sim.replay.people import top_speed_of
 from pedzoo.train.crowds.excerpts import Excerpts
 
@@ -58,7 +58,7 @@ def walked_on(policy: Policy, real: Excerpts, planner: Planner, key: Tensor, bef
     ``before`` steps have no gradients and are not scored: the crowd is one that has walked on for a while.
 
     Args:
-        policy: The policy, in most cases a `pedzoo.policies.learned.walker.Walker`.
+        policy: The policy, in most cases a `pedzoo.policies.walker.Walker`.
         real: The recorded crowd.
         planner: Of their ways to their goals.
         key: Keys of the scenes' draws (B,) long.

@@ -13,7 +13,7 @@ from pedzoo.core.types import OBS_LEN
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planning.planner import Planner
 from pedzoo.models.base import Forecaster
-from pedzoo.policies.learned.walker import Walker
+from pedzoo.policies.walker import Walker
 from pedzoo.sim.make import CLEARANCE
 from pedzoo.sim.scenarios.replay import CELL, SHARE
 from pedzoo.train.closed_loop.courses import Course, CourseSampler

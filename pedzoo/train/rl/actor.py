@@ -10,7 +10,7 @@ from torch import nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import IndependentNormal, ProbabilisticActor
 
-from pedzoo.policies.learned.walker import Walker
+from pedzoo.policies.walker import Walker
 
 
 class Spread(nn.Module):

@@ -14,7 +14,7 @@ from torchrl.objectives.value import GAE
 
 from pedzoo.core.errors import UserError, at_least_zero
 from pedzoo.models.base import Forecaster
-from pedzoo.policies.learned.walker import Noise, Walker
+from pedzoo.policies.walker import Noise, Walker
 from pedzoo.sim.make import make_scenario, prepare_scenario
 from pedzoo.sim.scenario import PreparedScenario
 from pedzoo.train.modules.module import ForecastModule

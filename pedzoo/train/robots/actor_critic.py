@@ -11,7 +11,7 @@ from tensordict.nn import InteractionType, TensorDictModule, TensorDictModuleBas
 from torch import nn
 from torchrl.modules import IndependentNormal, ProbabilisticActor
 
-from pedzoo.policies.robot_policy import bodies_of
+from pedzoo.policies.robots._base import bodies_of
 from pedzoo.policies.robots.attention import Attention, Encoder, head
 
 SEEN: list[Any] = [("robots", "observation"), ("robots", "body")]

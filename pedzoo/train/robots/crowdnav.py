@@ -18,7 +18,7 @@ from pedzoo.core.errors import as_integer, unknown
 from pedzoo.core.geometry import direction_of, unrotate
 from pedzoo.core.registry import ROBOTS
 from pedzoo.core.spec import build
-from pedzoo.policies.local_planner import ObservedPeople, Robot
+from pedzoo.policies.robots._base import ObservedPeople, Robot
 from pedzoo.sim.crowdnav import (
     CROWDNAV,
     CROWDNAV_PP,

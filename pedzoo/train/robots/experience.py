@@ -11,7 +11,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.objectives.value import GAE
 
-from pedzoo.policies.robot_policy import bodies_of
+from pedzoo.policies.robots._base import bodies_of
 from pedzoo.policies.robots.attention import as_action, frame_of
 from pedzoo.sim.robots.env import RobotEnv
 from pedzoo.train.robots.crowdnav import CrowdNavEnv

@@ -12,7 +12,7 @@ from torch import Tensor
 from pedzoo.core.bodies import HOLONOMIC
 from pedzoo.core.geometry import direction_of, unrotate
 from pedzoo.policies.load import load_robot_policy
-from pedzoo.policies.robot_policy import bodies_of
+from pedzoo.policies.robots._base import bodies_of
 from pedzoo.policies.robots.attention import TURN_GAIN, as_decision, frame_of
 from pedzoo.train.robots.experience import Teacher
 

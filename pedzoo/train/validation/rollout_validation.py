@@ -13,7 +13,7 @@ from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.types import OBS_LEN
 from pedzoo.metrics.closed_loop import ClosedLoopScore
 from pedzoo.models.base import Forecaster
-from pedzoo.policies.learned.walker import Walker
+from pedzoo.policies.walker import Walker
 from pedzoo.sim.make import make_env, make_scenario, physics_class
 from pedzoo.sim.scenario import PreparedScenario, Scenario
 from pedzoo.train.modules.module import ForecastModule

@@ -9,7 +9,7 @@ import torch
 from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.eval.rollout import walk
 from pedzoo.models.base import Forecaster
-from pedzoo.policies.learned.walker import Walker
+from pedzoo.policies.walker import Walker
 from pedzoo.sim.make import make_env, physics_class
 from pedzoo.sim.rollout import joined
 from pedzoo.sim.scenario import PreparedScenario, Scenario

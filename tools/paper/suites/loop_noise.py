@@ -16,7 +16,7 @@ from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, ShareDone, Suit
 from pedzoo.metrics.closed_loop import closed_loop
 from pedzoo.metrics.ratios import Ratio, ratio, summarised
 from pedzoo.policies.load import load_policy
-from pedzoo.policies.policy import has_noise, walkers
+from pedzoo.policies.walker import has_noise, walkers
 from pedzoo.sim.rollout import Rollout
 from tools.paper.choices import first_through, passing_side, varied
 from tools.paper.suites.loop_doors import DOORWAYS

@@ -70,7 +70,7 @@ class Situation(NamedTuple):
         """Return the situation of a scene batch, with walls or without.
 
         ``first_history``, ``elapsed``, ``progress``, ``called``, ``hindered`` and ``pressing`` are a policy's
-        memory, see `pedzoo.policies.learned.first_seen`. Without them people are seen for the first time.
+        memory, see `pedzoo.policies.memory`. Without them people are seen for the first time.
         """
         agents = agents_of(batch)
         there = agents["mask"]

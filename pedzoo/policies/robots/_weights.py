@@ -1,7 +1,7 @@
-"""Learned robots by name: weights of the zoo whose architecture is a policy of robots."""
+"""Robots' policies by name: local planners, and weights of the zoo whose architecture is a robot's."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from tensordict import TensorDict
@@ -10,12 +10,11 @@ from torch import Tensor
 from pedzoo.core.bodies import Fleet, RobotBody
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import ROBOT_POLICIES, names_code
-from pedzoo.core.spec import name_of
+from pedzoo.core.spec import make, name_of, parse
 from pedzoo.models.zoo.card import config_in, opened
 from pedzoo.models.zoo.loading import check_settings, check_shapes, check_tensors, read_checkpoint
 from pedzoo.models.zoo.store import check_scheme, find, weights_of
-from pedzoo.policies.local_planner import LocalPlanner, ObservedPeople, Robot, load_local_planner
-from pedzoo.policies.robot_policy import RobotPolicy
+from pedzoo.policies.robots._base import LocalPlanner, ObservedPeople, Robot, RobotPolicy
 
 PREFIX = "mean.policy."
 """Of a policy's parameters in a checkpoint of its training."""
@@ -89,7 +88,7 @@ def load_planner(name: str, time_step: float) -> LocalPlanner:
     """Return a local planner by its name, or a trained robot as one.
 
     Args:
-        name: As of `pedzoo.policies.local_planner.load_local_planner`, or weights: ``robot_ppo.circle``.
+        name: As of `pedzoo.policies.robots._weights.load_local_planner`, or weights: ``robot_ppo.circle``.
         time_step: Seconds between decisions.
 
     Raises:
@@ -113,3 +112,18 @@ def _filled(config: dict[str, Any], state: dict[str, Tensor], name: str) -> Robo
         line = str(error).strip().splitlines()[0]
         raise UserError(f"{name!r} holds weights of another architecture than it says: {line}") from error
     return policy.eval()
+
+
+def load_local_planner(name: str, time_step: float) -> LocalPlanner:
+    """Return a new local planner of a robot that decides every ``time_step`` seconds.
+
+    The name may have settings, ``crowdnav_orca:safety_space=0.15``, or be ``path/to/file.py:Class``.
+
+    Raises:
+        UserError: Unknown name, setting or file, or a class whose objects cannot be called.
+    """
+    spec = parse(name)
+    policy = make(ROBOT_POLICIES.get(spec.name), ROBOT_POLICIES.kind, spec, time_step=time_step)
+    if not callable(policy):
+        raise UserError(f"{name!r}: expected a class with __call__(robot, people) -> velocities (B, 2)")
+    return cast("LocalPlanner", policy)

@@ -1,10 +1,11 @@
-"""The interface of robots' policies, and how robots on wheels follow a wanted velocity."""
+"""The interface of robots' policies."""
 
 from __future__ import annotations
 
 import inspect
 from abc import abstractmethod
-from typing import Any, ClassVar, cast
+from collections.abc import Callable
+from typing import Any, ClassVar, NamedTuple, Protocol, cast
 
 import torch
 from tensordict import TensorDictBase
@@ -15,9 +16,77 @@ from pedzoo.core.batch import ROBOT, agents_of, maps_of, other_agents
 from pedzoo.core.bodies import HOLONOMIC, Fleet
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import direction_of, unrotate
-from pedzoo.policies.learned.walker import Walker
-from pedzoo.policies.local_planner import Clearance, DriveState, LocalPlanner, ObservedPeople, Robot
 from pedzoo.policies.policy import Policy
+from pedzoo.policies.walker import Walker
+
+
+class Robot(NamedTuple):
+    """One robot in each scene.
+
+    Attributes:
+        position: Centre (B, 2), metres.
+        velocity: Current velocity (B, 2), m/s.
+        goal: Where it shall go (B, 2), metres.
+        radius: Of its disc (B,), metres.
+        v_pref: The speed it likes, which is its top speed (B,), m/s.
+    """
+
+    position: Tensor
+    velocity: Tensor
+    goal: Tensor
+    radius: Tensor
+    v_pref: Tensor
+
+
+class DriveState(NamedTuple):
+    """How B differential drives move.
+
+    Attributes:
+        heading: Where they face (B,), radians from the x axis.
+        speed: Forwards (B,), m/s.
+        turn_rate: To the left (B,), rad/s.
+    """
+
+    heading: Tensor
+    speed: Tensor
+    turn_rate: Tensor
+
+
+class ObservedPeople(NamedTuple):
+    """The people that the robot knows of.
+
+    Attributes:
+        position: Centres (B, N, 2), metres; any numbers where there is no person.
+        velocity: Velocities (B, N, 2), m/s; likewise.
+        radius: Of their discs (B, N), metres; likewise.
+        mask: Which of them are there (B, N) bool.
+    """
+
+    position: Tensor
+    velocity: Tensor
+    radius: Tensor
+    mask: Tensor
+
+
+Clearance = Callable[[Tensor], Tensor]
+"""Distances (B, M) of points (B, M, 2) from the nearest walls, metres."""
+
+
+class LocalPlanner(Protocol):
+    """Anything that gives robots velocities; one object serves the same B scenes from their start.
+
+    A class takes its settings as arguments, and ``time_step`` if it wants it: the seconds for which its
+    velocities are held. A policy with memory starts with an empty one. Scenes that have ended stay in the
+    batch, and their velocities are ignored.
+
+    One that avoids walls takes them as a third argument, ``walls: Clearance | None``. One for wheels has a
+    method ``command`` beside, see `pedzoo.policies.robots.dwa.Dwa.command`.
+    """
+
+    def __call__(self, robot: Robot, people: ObservedPeople) -> Tensor:
+        """Return the next velocities (B, 2), m/s; longer ones than ``v_pref`` are shortened to it."""
+        ...
+
 
 TURN_GAIN = 4.0
 """Turning rate of a robot on wheels for each radian by which it faces away from where it should go, 1/s."""

@@ -10,18 +10,75 @@ from torch.nn import functional
 
 from pedzoo.core import randomness
 from pedzoo.core.adapters import copied
-from pedzoo.core.batch import agents_of, ids_of
+from pedzoo.core.batch import WAITING_SPEED_SHARE, agents_of, desired_speed_share, ids_of, is_walking
 from pedzoo.core.errors import UserError, as_integer, unknown
-from pedzoo.core.types import AHEAD_SECONDS, PRED_LEN, STEP_SECONDS, TRACE_SECONDS
+from pedzoo.core.types import AHEAD_SECONDS, OBS_LEN, PRED_LEN, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.models.base import Forecaster, Noise
 from pedzoo.models.blocks.timed_noise import timed_noise
-from pedzoo.policies.base import NamedPolicy, deterministic
-from pedzoo.policies.learned.first_seen import FirstSeenMemory
-from pedzoo.policies.learned.holding import holding_places
-from pedzoo.policies.learned.same_spot import led_apart
-from pedzoo.policies.learned.setting_out import setting_out
+from pedzoo.policies.memory import FirstSeenMemory
+from pedzoo.policies.neighbours import separation_push
+from pedzoo.policies.policy import NamedPolicy, deterministic
 from pedzoo.policies.safety_layer.clearance import SHOULDERS
 from pedzoo.policies.safety_layer.layer import safe
+
+
+def holding_places(batch: TensorDictBase, step: Tensor) -> Tensor:
+    """Return the steps (B, A, 2), metres, in which people who hold a place go to it instead.
+
+    People hold a place whose desired velocity is less than the speed that they like: it ends there in one
+    step. No model has learned to stand for as long as it is asked to.
+
+    Args:
+        batch: The scenes.
+        step: What the model says (B, A, 2), metres.
+    """
+    share = desired_speed_share(batch)
+    if share is None:
+        return step
+    there = cast("Tensor", agents_of(batch)["desired_velocity"]) * STEP_SECONDS
+    share = share.unsqueeze(-1)
+    return torch.where(share < WAITING_SPEED_SHARE, torch.lerp(there, step, share.clamp_max(1)), step)
+
+
+AT_FIRST = 1.0
+"""Seconds within which people set out."""
+
+_ROUNDING = 1e-3
+"""Of a step."""
+
+
+@torch.no_grad()
+def setting_out(batch: TensorDictBase) -> TensorDictBase:
+    """Return scenes in which people who stood when they were given their goal have walked until then.
+
+    An interface makes people stand: a static start, a host that places them, a scenario in which they wait.
+    No model has learned to set out when it is asked to: most take a history on the spot for a standing
+    person's. Places before that moment are on a straight line, at the desired velocity; later ones stay. So
+    new people of a controller begin, too. ``agents/sets_out`` (B, A, 1) bool says who did it in the last
+    second. Scenes without such people stay, as do those without ``agents/goal_since``.
+    """
+    agents = agents_of(batch)
+    if "goal_since" not in agents.keys():
+        return batch
+    age = cast("Tensor", batch["time"]) - cast("Tensor", agents["goal_since"])[..., 0]
+    new = age < (OBS_LEN - 1) * STEP_SECONDS - _ROUNDING
+    if new.device.type == "cpu" and not bool(new.any()):
+        return batch
+    history = cast("Tensor", agents["history"])
+    place = torch.arange(OBS_LEN, device=new.device)
+    begin = (OBS_LEN - 1 - (age / STEP_SECONDS + _ROUNDING).clamp(0, OBS_LEN - 2).long()).unsqueeze(2)
+    start, before = (history.gather(2, n[..., None].expand(-1, -1, -1, 2)) for n in (begin, begin - 1))
+    way = cast("Tensor", agents["desired_velocity"]).unsqueeze(2) * STEP_SECONDS
+    slow = (start - before).square().sum(-1) < (way / 2).square().sum(-1)
+    stood = new & is_walking(batch) & slow[..., 0]
+    if new.device.type == "cpu" and not bool(stood.any()):
+        return batch
+    line = start - way * (begin - place).unsqueeze(-1)
+    result = copied(batch)
+    seen = agents_of(result)
+    seen["history"] = torch.where((stood.unsqueeze(2) & (place < begin)).unsqueeze(-1), line, history)
+    seen["sets_out"] = (stood & (age < AT_FIRST)).unsqueeze(-1)
+    return result
 
 
 class StoredPrediction(NamedTuple):
@@ -125,7 +182,7 @@ class Walker(NamedPolicy):
             step, wish = self.model.step_and_wish(self._seen(tensordict), self.noise_of(tensordict))
         else:
             step = wish = self._of_stored(tensordict)
-        apart = led_apart(tensordict)
+        apart = separation_push(tensordict)
         step = holding_places(tensordict, step) + apart
         if self.model.keeps_distance:
             wish = holding_places(tensordict, wish) + apart
@@ -235,3 +292,13 @@ def extend_goals(batch: TensorDictBase) -> TensorDictBase:
     scenes = copied(batch)
     scenes["agents", "goal"] = goal + torch.where(lacking > 0, lacking * ahead, 0.0)
     return scenes
+
+
+def walkers(policy: NamedPolicy) -> list[Walker]:
+    """Return the learned policies that are in a policy: itself, or those of its teams."""
+    return [part for part in policy.modules() if isinstance(part, Walker)]
+
+
+def has_noise(policy: NamedPolicy) -> bool:
+    """Return whether the learned policies in a policy draw noise."""
+    return any(walker.model.noise_dim > 0 for walker in walkers(policy))

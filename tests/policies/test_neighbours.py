@@ -10,21 +10,20 @@ from torch import Tensor
 
 from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
-from pedzoo.policies import nearest_agents
-from pedzoo.policies.nearest_agents import nearest
-from pedzoo.policies.orca.settings import OrcaSettings
-from pedzoo.policies.orca.velocity import orca_velocity
+from pedzoo.policies import neighbours
+from pedzoo.policies.neighbours import nearest
+from pedzoo.policies.orca import OrcaSettings, orca_velocity
 from pedzoo.sim.physics._base import Bodies
 from pedzoo.sim.physics.compiled import Compiled
 
-WAYS = pytest.mark.parametrize("all_pairs", [10_000, 0], ids=["all pairs", "cells"])
+WAYS = pytest.mark.parametrize("all_pairs", [10_000, 0], ids=["all pairs", "trees"])
 
 
 @pytest.fixture(autouse=True)
 def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Search in the way of the parameter."""
     if "all_pairs" in request.fixturenames:
-        monkeypatch.setattr(nearest_agents, "ALL_PAIRS", request.getfixturevalue("all_pairs"))
+        monkeypatch.setattr(neighbours, "ALL_PAIRS", request.getfixturevalue("all_pairs"))
 
 
 def scene(kind: str, scenes: int = 3, agents: int = 24) -> tuple[Tensor, Tensor]:
@@ -80,18 +79,6 @@ def test_the_nearest_are_the_oracles(all_pairs: int, kind: str, reach: float, mo
 
 
 @WAYS
-@pytest.mark.parametrize("axis", [0, 1])
-def test_cells_are_as_wide_as_the_reach(all_pairs: int, axis: int) -> None:
-    """The last two are nearer than the reach of 3 m, and two cells apart where cells are 1 % narrower."""
-    position = torch.zeros(1, 3, 2)
-    position[0, :, axis] = torch.tensor([0.0, 2.96, 2.96 + 3.0 - 1e-4])
-    mask = torch.ones(1, 3, dtype=torch.bool)
-    index, near = nearest(position, mask, 3.0, None)
-    assert near is not None
-    assert [index[near[:, i], i].tolist() for i in range(3)] == [[1], [0, 2], [1]]
-
-
-@WAYS
 @pytest.mark.parametrize("shape", [(0, 3), (3, 0), (2, 1)])
 def test_no_people_have_no_neighbours(all_pairs: int, shape: tuple[int, int]) -> None:
     position, mask = torch.rand(*shape, 2), torch.ones(shape, dtype=torch.bool)
@@ -111,25 +98,6 @@ def test_a_scene_finds_the_same_alone(all_pairs: int) -> None:
     some = slice(24, 48)
     assert torch.equal(near[: len(close), some], close)
     assert torch.equal((whole[: len(close), some] - 24)[close], alone[close])
-
-
-@KINDS
-@pytest.mark.parametrize("agents", [2, 3, 5, 8, 9])
-def test_a_network_sorts_small_scenes_in_the_same_order(
-    agents: int, kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    position, mask = scene(kind, 150, agents)
-    assert agents <= nearest_agents.NETWORK
-    for rows in (None, mask.flatten().nonzero()[:, 0]):
-        result = []
-        for least in (1, 10**9):
-            monkeypatch.setattr(nearest_agents, "NETWORK_PEOPLE", least)
-            result.append(nearest(position, mask, 5.0, 4, rows))
-        network, sort = result
-        assert torch.equal(network.index, sort.index)
-        assert (network.near is None) == (sort.near is None)
-        if network.near is not None and sort.near is not None:
-            assert torch.equal(network.near, sort.near)
 
 
 @WAYS
@@ -164,7 +132,7 @@ def test_a_crowd_of_500_walks_and_touches_the_same_in_both_ways(monkeypatch: pyt
     path = position[:, :, None, None] + velocity[:, :, None, None] * steps
     result = []
     for all_pairs in (10_000, 0):
-        monkeypatch.setattr(nearest_agents, "ALL_PAIRS", all_pairs)
+        monkeypatch.setattr(neighbours, "ALL_PAIRS", all_pairs)
         for most in (10, None):
             settings = OrcaSettings(max_neighbors=most or 500)
             result.append(orca_velocity(position, velocity, wish, speed, mask, settings))

@@ -1,1 +1,0 @@
-"""Optimal reciprocal collision avoidance, batched."""

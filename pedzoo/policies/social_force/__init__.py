@@ -1,1 +1,0 @@
-"""The social force model, batched."""
