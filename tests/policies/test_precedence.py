@@ -18,9 +18,14 @@ from pedzoo.maps.plans import rectangles, room, wall
 from pedzoo.metrics.arrival import deadlock, success
 from pedzoo.models.architectures import social_walker
 from pedzoo.policies.load import load_policy
-from pedzoo.policies.safety_layer.clearance import MARGIN, ProposedSteps
-from pedzoo.policies.safety_layer.layer import kept_clear, kept_clear_in_torch
-from pedzoo.policies.safety_layer.precedence import LEAST_SHARE, precedence
+from pedzoo.policies.safety_layer.clearance import (
+    LEAST_SHARE,
+    MARGIN,
+    ProposedSteps,
+    kept_clear_in_torch,
+    precedence,
+)
+from pedzoo.policies.safety_layer.layer import kept_clear
 from pedzoo.sim.make import make_env
 
 NARROW = rectangles(

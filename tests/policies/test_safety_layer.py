@@ -20,9 +20,14 @@ from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.loading import load
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.policy import Policy
-from pedzoo.policies.safety_layer.clearance import MARGIN, SHOULDERS, ProposedSteps
-from pedzoo.policies.safety_layer.layer import kept_clear, kept_clear_in_torch, safe
-from pedzoo.policies.safety_layer.precedence import SPREAD
+from pedzoo.policies.safety_layer.clearance import (
+    MARGIN,
+    SHOULDERS,
+    SPREAD,
+    ProposedSteps,
+    kept_clear_in_torch,
+)
+from pedzoo.policies.safety_layer.layer import kept_clear, safe
 from pedzoo.policies.walker import Walker
 from pedzoo.sim.make import make_env
 

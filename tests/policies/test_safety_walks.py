@@ -15,8 +15,8 @@ from pedzoo.core.geometry import blended, identity_pose, limit_speed, limited
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.walls.local_walls import LocalWalls
-from pedzoo.policies.safety_layer.clearance import ProposedSteps
-from pedzoo.policies.safety_layer.layer import kept_clear, kept_clear_in_torch, safe
+from pedzoo.policies.safety_layer.clearance import ProposedSteps, kept_clear_in_torch
+from pedzoo.policies.safety_layer.layer import kept_clear, safe
 from pedzoo.sim.make import make_env
 
 PART = math.sqrt(0.5)

@@ -19,7 +19,7 @@ from pedzoo.maps.plans import rectangles, room
 from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.safety_layer.clearance import ProposedSteps
-from pedzoo.policies.safety_layer.yielding import yielding
+from pedzoo.policies.safety_layer.layer import yielding
 
 CORRIDOR = rectangles(room((-8.0, -1.2), (8.0, 1.2), 0.2), resolution=0.05)
 

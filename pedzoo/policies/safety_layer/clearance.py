@@ -1,8 +1,12 @@
-"""Room kept between people and to walls: steps that lack it, ways out, and contacts.
+"""Room kept between people and to walls: who goes first, steps that lack room, ways out, and contacts.
 
 Coordinates come first and people last, (2, ..., B, A): on the CPU several times faster than pairs. Nothing
-is read back to the host. `pedzoo.policies.safety_layer.clearance_loops` says the same in compiled loops, and
-`pedzoo.policies.safety_layer.clearance_slopes` has their gradients.
+is read back to the host. `pedzoo.policies.safety_layer.loops` says the same in compiled loops.
+
+Of two people, the one who is ahead where both want to go goes first. People who press towards one place so
+have an order, by their distance from it, and the first of them is held up by none of the others: no arch of
+people holds itself. Of two who wait and are equally far, as where two groups meet, a number drawn for each
+decides.
 """
 
 from __future__ import annotations
@@ -12,15 +16,71 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from pedzoo.core.geometry import limit_speed
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.maps.walls.local_walls import LocalWalls
-from pedzoo.policies.safety_layer.precedence import LEAST_SHARE, SPREAD, passing, precedence
+
+LEAST_ASKED = 0.05
+"""Metres: a shorter step that is asked for has less of a direction."""
+
+AHEAD = 0.2
+"""Metres ahead of another from which on precedence is full."""
+
+TIE = 0.05
+"""The same for two who wait; it is also the lead of the one with the higher rank."""
+
+LEAD_SECONDS = 0.2
+"""A person who comes forward faster than another counts as ahead by so many seconds of the difference.
+
+So a person who stepped back for another goes on to make way, until that one is through.
+"""
+
+SPREAD = 0.04
+"""Metres beyond what bodies need that people who wait keep, if they can: a crowd that has it can give way."""
+
+LEAST_SHARE = 0.05
+"""Share of a correction that a person with full precedence makes."""
+
+
+@torch.no_grad()
+def precedence(
+    step: Tensor, away: Tensor, wait: Tensor, rank: Tensor | None, velocity: Tensor | None = None
+) -> Tensor:
+    """Return how clearly the first of two goes before the second (B, A, A): 1, or -1 for behind, 0: neither.
+
+    Args:
+        step: Where people want to go (B, A, 2), metres.
+        away: From each to each other's place (2, B, A, A): mine less theirs, metres.
+        wait: Which pairs wait, both of them (B, A, A) bool.
+        rank: Numbers of the people (B, A); None for equal ones.
+        velocity: Of the people (B, A, 2), m/s; None: not heeded.
+    """
+    step = step.movedim(-1, 0)
+    toward = step / step.norm(dim=0).clamp_min(LEAST_ASKED)
+    ahead = 0.5 * (away * (toward.unsqueeze(3) + toward.unsqueeze(2))).sum(0)
+    if velocity is not None:
+        forward = LEAD_SECONDS * (toward * velocity.movedim(-1, 0)).sum(0)
+        ahead = ahead + forward.unsqueeze(2) - forward.unsqueeze(1)
+    tie = 0.0 if rank is None else TIE * (rank.unsqueeze(2) - rank.unsqueeze(1)).sign()
+    return torch.where(wait, (ahead + tie) / TIE, ahead / AHEAD).clamp(-1, 1)
+
+
+@torch.no_grad()
+def passing(step: Tensor, away: Tensor) -> Tensor:
+    """Return how near the step of one leads to the place of the other (B, A, A), metres; see `precedence`.
+
+    Infinite where it leads away.
+    """
+    step = step.movedim(-1, 0).unsqueeze(3)
+    part = (-(away * step).sum(0) / step.square().sum(0).clamp_min(1e-9)).clamp_max(1)
+    return torch.where(part > 0, (away + part * step).norm(dim=0), torch.inf)
+
 
 ROUNDS = 8
 """Corrections at most: each may undo a part of another."""
 
 SHARES = 1.0, 0.5, 0.15, 0.0
-"""Parts of a step that are tried, one after the other, if more of it would touch something."""
+"""Step fractions of the backtracking search."""
 
 NARROW = 0.5
 """Metres to a wall, before or after the step: in the open people turn a shoulder and pass closer."""
@@ -38,7 +98,7 @@ insights into pedestrian flow through bottlenecks", 2009).
 """
 
 FIRST = 0.125
-"""Metres by which the place after 0.1 s moves with a metre of the step: half of it is the old velocity's."""
+"""d(position at 0.1 s) / d(step): half of it is the old velocity's."""
 
 BEYOND = 1.125
 """Part of a step that is to be clear: a body that turns off afterwards still goes on for half of 0.1 s."""
@@ -294,3 +354,67 @@ def _limited(move: Tensor, longest: Tensor) -> Tensor:
 def _plus(radius: Tensor, margin: float, usual: float) -> Tensor:
     """Return radii (...) plus a margin, metres; the ``usual`` one gives exactly the sum of both constants."""
     return (radius - usual) + (usual + margin)
+
+
+def kept_clear_in_torch(
+    steps: ProposedSteps, walls: LocalWalls | None, shoulders: float = SHOULDERS
+) -> Tensor:
+    """`kept_clear` on any device and in any precision."""
+    narrow = wall_constraints = None
+    if walls is not None:
+        walls = walls.per_scene()
+        ends = torch.stack((steps.position, steps.position + steps.step), 2).detach().movedim((3, 2), (0, 1))
+        gap, away = walls.look(ends, edges=False)
+        narrow = (gap < NARROW).any(0)
+        here = steps.position.movedim(-1, 0)
+        wall_constraints = WallConstraints.of(
+            steps, walls, gap[0] + ((here - here.detach()) * away[:, 0]).sum(0)
+        )
+    step = _capped(steps, steps.step)
+    pairs = PairConstraints.of(steps._replace(step=step.detach()), narrow, shoulders)
+    step = torch.where(pairs.stands.unsqueeze(-1), 0.0, step)
+    for _ in range(ROUNDS):
+        step = step + pairs.correction(steps.integrate(step)).movedim(0, -1)
+        if wall_constraints is not None:
+            step = step + wall_constraints.correction(steps.integrate(step)).movedim(0, -1)
+        step = _capped(steps, step)
+    return step * _kept_share(steps, step.detach(), pairs, wall_constraints).unsqueeze(-1)
+
+
+@torch.no_grad()
+def _kept_share(
+    steps: ProposedSteps, step: Tensor, pairs: PairConstraints, wall_constraints: WallConstraints | None
+) -> Tensor:
+    """Return which part of their steps (B, A) people walk: less of it if they would touch something.
+
+    A person that others run into goes on: in a jam those in front have to get away first.
+    """
+    walks = [steps.integrate(share * step) for share in SHARES]
+    kinds = len(walks)
+    # contacts of a pair depend on both shares: they are known for all of them before an agent stops
+    upper = {(i, j): pairs.touching(walks[i], walks[j]) for i in range(kinds - 1) for j in range(i, kinds)}
+    upper[kinds - 1, kinds - 1] = torch.zeros_like(upper[0, 0])
+    touch = torch.stack(
+        [upper[i, j] if i <= j else upper[j, i].mT for i in range(kinds) for j in range(kinds)]
+    )
+    wall = torch.zeros(kinds, *steps.moved.shape, dtype=torch.bool, device=step.device)
+    if wall_constraints is not None:
+        wall = torch.stack([*(wall_constraints.touching(walk) for walk in walks[:-1]), wall[-1]])
+    chosen = torch.zeros_like(steps.moved, dtype=torch.long)
+    # less at every turn; later ones all stop some agent, and agents that all stand do not touch
+    for turn in range(step.shape[1] + kinds - 1):
+        mine, theirs = chosen.unsqueeze(2), chosen.unsqueeze(1)
+        none = torch.full_like(chosen, kinds - 1)
+        both, alone, other = (
+            touch.gather(0, (kinds * i + j).expand(touch.shape[1:]).unsqueeze(0))[0]
+            for i, j in ((mine, theirs), (mine, none.unsqueeze(1)), (none.unsqueeze(2), theirs))
+        )
+        # where both have to walk for a touch, who goes first need not stop
+        stops = (both & (alone | (~other & (pairs.mine >= 0.5))) & (pairs.mine > 0)).any(2)
+        stops = stops | wall.gather(0, chosen.unsqueeze(0))[0]
+        chosen = torch.where(stops, min(turn + 1, kinds - 1), chosen)
+    return torch.stack([step.new_full((), share) for share in SHARES])[chosen]
+
+
+def _capped(steps: ProposedSteps, step: Tensor) -> Tensor:
+    return torch.where(steps.moved.unsqueeze(-1), limit_speed(step, steps.longest), steps.step)

@@ -2,10 +2,16 @@
 
 In the spirit of the safety layer of Dalal et al., "Safe exploration in continuous action spaces", 2018. The
 network decides where to go, and its answer is projected on what can be walked without a contact. The layer
-looks one step ahead and no farther: it plans nothing, does not wait and finds no way around. Only robots,
-which leave all of the avoidance to people, are seen from afar: `pedzoo.policies.safety_layer.yielding`.
+looks one step ahead and no farther: it plans nothing, does not wait and finds no way around.
+
+Only robots, which leave all of the avoidance to people, are seen from afar. Of the steps that their course
+leaves room for, the one nearest to what is asked for is taken. Velocities are sampled, and each is judged by
+how far it is from that, and by when it leads to a contact: van den Berg, Lin and Manocha, "Reciprocal
+velocity obstacles for real-time multi-agent navigation" (ICRA 2008), section V. Here obstacles leave all of
+the avoidance to people.
 """
 
+import math
 from typing import cast
 
 import torch
@@ -13,21 +19,125 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from pedzoo.core import randomness
-from pedzoo.core.batch import ROBOT, agents_of, ids_of, maps_of
-from pedzoo.core.geometry import limit_speed
+from pedzoo.core.batch import ROBOT, agents_of, ids_of, is_person_sized, maps_of
+from pedzoo.core.machine import compiles
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.maps.walls.local_walls import LocalWalls
 from pedzoo.policies.safety_layer.clearance import (
-    NARROW,
-    ROUNDS,
-    SHARES,
+    MARGIN,
     SHOULDERS,
-    PairConstraints,
     ProposedSteps,
-    WallConstraints,
+    kept_clear_in_torch,
 )
-from pedzoo.policies.safety_layer.compiled_clearance import kept_clear_compiled, loops_take
-from pedzoo.policies.safety_layer.yielding import yielding
+
+HORIZON = 4.0
+"""Seconds within which a contact with a robot counts."""
+
+ROOM = 0.1
+"""Metres that are kept beyond a contact with a robot: between two decisions velocities blend."""
+
+WEIGHT = 3.0
+"""Metres: a contact after t seconds costs WEIGHT / t in m/s, less the same at the horizon."""
+
+DIRECTIONS, SPEEDS, PLACES = 24, 4, 8
+"""Sampled directions, speeds, and places on the way at which walls are asked for."""
+
+_SOONEST = 0.1
+"""Seconds: a contact is not sooner than this."""
+
+_LEAST_VIEW = 0.8
+"""Seconds within which a contact with a wall counts at least."""
+
+
+def yielding(steps: ProposedSteps, walls: LocalWalls | None) -> Tensor:
+    """Return steps (B, A, 2): those that are asked for, and others where they lead into a robot's course.
+
+    Robots, and bodies of another radius than people's, count if the policy at hand does not move them. They
+    are expected to go on as they do. Among people of the usual body nothing changes. The gradient is that of
+    what is asked for.
+    """
+    avoided = steps.present & ~steps.moved & (steps.robot | ~is_person_sized(steps.radius))
+    if avoided.device.type == "cpu" and not bool(avoided.any()):
+        return steps.step
+    with torch.no_grad():
+        chosen = _chosen(steps, avoided, walls)
+    return steps.step + (chosen - steps.step).detach()
+
+
+def _chosen(steps: ProposedSteps, avoided: Tensor, walls: LocalWalls | None) -> Tensor:
+    away = steps.position.unsqueeze(2) - steps.position.unsqueeze(1)
+    velocity = steps.step / STEP_SECONDS
+    apart = away.norm(dim=-1)
+    least = steps.radius.unsqueeze(2) + steps.radius.unsqueeze(1)
+    room = (apart - MARGIN).minimum(least + ROOM).maximum(least + MARGIN)
+    others = avoided.unsqueeze(1)
+    move = (velocity.unsqueeze(2) - velocity.unsqueeze(1)).unsqueeze(3)
+    soon = _contact(away.unsqueeze(3), move, room.unsqueeze(3))[..., 0] < HORIZON
+    threatened = (soon & others).any(2) & steps.moved
+    # on the CPU few agents are looked at, elsewhere all of them: nothing is read back from there
+    scenes, agents = (torch.arange(size, device=threatened.device) for size in threatened.shape)
+    which = threatened.flatten().nonzero()[:, 0] if threatened.device.type == "cpu" else slice(None)
+    scene = scenes.repeat_interleave(len(agents))[which]
+    agent = agents.repeat(len(scenes))[which]
+    if not len(scene):
+        return steps.step
+    asked = velocity[scene, agent]
+    samples = _samples(asked, away[scene, agent], steps.longest[scene, agent] / STEP_SECONDS)
+    move = samples.unsqueeze(1) - velocity[scene].unsqueeze(2)
+    times = _contact(away[scene, agent].unsqueeze(2), move, room[scene, agent].unsqueeze(2))
+    times = torch.where(avoided[scene].unsqueeze(2), times, torch.inf).amin(1)
+    cost = (samples - asked.unsqueeze(1)).norm(dim=-1) + _cost(times)
+    if walls is not None:
+        # the way has to be free of walls until the robot is passed
+        passed = -(away[scene, agent].unsqueeze(2) * move).sum(-1) / move.square().sum(-1).clamp_min(1e-9)
+        passed = torch.where((soon & others)[scene, agent].unsqueeze(2), passed, 0.0).amax(1)
+        seen = walls.select(scene)
+        place, radius = steps.position[scene, agent], steps.radius[scene, agent]
+        cost = cost + _cost(_wall_contact(seen, place, samples, radius, passed.clamp(_LEAST_VIEW, HORIZON)))
+    best = samples[torch.arange(len(scene), device=scene.device), cost.argmin(1)]
+    chosen = torch.where(threatened[scene, agent].unsqueeze(1), best * STEP_SECONDS, steps.step[scene, agent])
+    return steps.step.index_put((scene, agent), chosen)
+
+
+def _samples(asked: Tensor, away: Tensor, fastest: Tensor) -> Tensor:
+    """Return velocities (N, V, 2), m/s: the one asked for, none, and others all around it."""
+    # an agent that stands turns away from the others as a whole: its samples turn with the scene
+    ahead = torch.where(asked.norm(dim=-1, keepdim=True) > 1e-3, asked, away.sum(1))
+    ahead = torch.nn.functional.normalize(ahead, dim=-1)
+    angle = torch.arange(DIRECTIONS, device=asked.device) * (2 * math.pi / DIRECTIONS)
+    aside = torch.stack((-ahead[:, 1], ahead[:, 0]), -1)
+    around = angle.cos().view(-1, 1) * ahead.unsqueeze(1) + angle.sin().view(-1, 1) * aside.unsqueeze(1)
+    speed = torch.arange(1, SPEEDS + 1, device=asked.device) / SPEEDS * fastest.unsqueeze(1)
+    rest = (around.unsqueeze(2) * speed.view(-1, 1, SPEEDS, 1)).flatten(1, 2)
+    return torch.cat((asked.unsqueeze(1), torch.zeros_like(asked).unsqueeze(1), rest), dim=1)
+
+
+def _contact(away: Tensor, move: Tensor, room: Tensor) -> Tensor:
+    """Return after how many seconds (...) a pair that moves straight is nearer than ``room``; inf: never.
+
+    Relative places (..., 2), metres, and velocities (..., 2), m/s.
+    """
+    closing = -(away * move).sum(-1)
+    speed2 = move.square().sum(-1).clamp_min(1e-9)
+    beyond = away.square().sum(-1) - room.square()
+    root = closing.square() - speed2 * beyond
+    time = ((closing - root.clamp_min(0).sqrt()) / speed2).clamp_min(0)
+    return torch.where((closing > 0) & (root > 0), time, torch.inf)
+
+
+def _wall_contact(walls: LocalWalls, place: Tensor, velocity: Tensor, radius: Tensor, view: Tensor) -> Tensor:
+    """Return after how many seconds (N, V) people at (N, 2) run into a wall; inf: not in ``view`` (N, V)."""
+    when = view.unsqueeze(2) * torch.arange(1, PLACES + 1, device=place.device) / PLACES
+    points = place.view(-1, 1, 1, 2) + velocity.unsqueeze(2) * when.unsqueeze(3)
+    gap, _ = walls.closest(torch.cat((place.unsqueeze(1), points.flatten(1, 2)), 1))
+    least = gap[:, :1].minimum(radius.unsqueeze(1) + MARGIN) - 1e-3
+    hit = gap[:, 1:].view(points.shape[:-1]) < least.unsqueeze(2)
+    return torch.where(hit, when, torch.inf).amin(2)
+
+
+def _cost(time: Tensor) -> Tensor:
+    return WEIGHT * (1 / time.clamp_min(_SOONEST) - 1 / HORIZON).clamp_min(0)
+
 
 WAITED = 0.4
 """Metres within the observed steps, 2.8 s, below which a person waits.
@@ -48,8 +158,11 @@ def kept_clear(steps: ProposedSteps, walls: LocalWalls | None = None, shoulders:
     Differentiable. Walls are those of `MapBank.walls_around`; ``shoulders`` is the room in narrow places,
     metres: 0 for bodies alone.
     """
-    compiled = loops_take(steps)
-    return (kept_clear_compiled if compiled else kept_clear_in_torch)(steps, walls, shoulders)
+    if not loops_take(steps):
+        return kept_clear_in_torch(steps, walls, shoulders)
+    from pedzoo.policies.safety_layer.slopes import KeptClear
+
+    return KeptClear.apply(steps.position, steps.step, steps.velocity, steps, walls, shoulders)
 
 
 def safe(batch: TensorDictBase, step: Tensor, shoulders: float = SHOULDERS) -> Tensor:
@@ -89,65 +202,8 @@ def scene_keys(batch: TensorDictBase) -> Tensor:
     return torch.zeros_like(batch["map_id"]) if keys is None else cast("Tensor", keys)
 
 
-def kept_clear_in_torch(
-    steps: ProposedSteps, walls: LocalWalls | None, shoulders: float = SHOULDERS
-) -> Tensor:
-    """`kept_clear` on any device and in any precision."""
-    narrow = wall_constraints = None
-    if walls is not None:
-        walls = walls.per_scene()
-        ends = torch.stack((steps.position, steps.position + steps.step), 2).detach().movedim((3, 2), (0, 1))
-        gap, away = walls.look(ends, edges=False)
-        narrow = (gap < NARROW).any(0)
-        here = steps.position.movedim(-1, 0)
-        wall_constraints = WallConstraints.of(
-            steps, walls, gap[0] + ((here - here.detach()) * away[:, 0]).sum(0)
-        )
-    step = _capped(steps, steps.step)
-    pairs = PairConstraints.of(steps._replace(step=step.detach()), narrow, shoulders)
-    step = torch.where(pairs.stands.unsqueeze(-1), 0.0, step)
-    for _ in range(ROUNDS):
-        step = step + pairs.correction(steps.integrate(step)).movedim(0, -1)
-        if wall_constraints is not None:
-            step = step + wall_constraints.correction(steps.integrate(step)).movedim(0, -1)
-        step = _capped(steps, step)
-    return step * _kept_share(steps, step.detach(), pairs, wall_constraints).unsqueeze(-1)
-
-
-@torch.no_grad()
-def _kept_share(
-    steps: ProposedSteps, step: Tensor, pairs: PairConstraints, wall_constraints: WallConstraints | None
-) -> Tensor:
-    """Return which part of their steps (B, A) people walk: less of it if they would touch something.
-
-    A person that others run into goes on: in a jam those in front have to get away first.
-    """
-    walks = [steps.integrate(share * step) for share in SHARES]
-    kinds = len(walks)
-    # contacts of a pair depend on both shares: they are known for all of them before an agent stops
-    upper = {(i, j): pairs.touching(walks[i], walks[j]) for i in range(kinds - 1) for j in range(i, kinds)}
-    upper[kinds - 1, kinds - 1] = torch.zeros_like(upper[0, 0])
-    touch = torch.stack(
-        [upper[i, j] if i <= j else upper[j, i].mT for i in range(kinds) for j in range(kinds)]
-    )
-    wall = torch.zeros(kinds, *steps.moved.shape, dtype=torch.bool, device=step.device)
-    if wall_constraints is not None:
-        wall = torch.stack([*(wall_constraints.touching(walk) for walk in walks[:-1]), wall[-1]])
-    chosen = torch.zeros_like(steps.moved, dtype=torch.long)
-    # less at every turn; later ones all stop some agent, and agents that all stand do not touch
-    for turn in range(step.shape[1] + kinds - 1):
-        mine, theirs = chosen.unsqueeze(2), chosen.unsqueeze(1)
-        none = torch.full_like(chosen, kinds - 1)
-        both, alone, other = (
-            touch.gather(0, (kinds * i + j).expand(touch.shape[1:]).unsqueeze(0))[0]
-            for i, j in ((mine, theirs), (mine, none.unsqueeze(1)), (none.unsqueeze(2), theirs))
-        )
-        # where both have to walk for a touch, who goes first need not stop
-        stops = (both & (alone | (~other & (pairs.mine >= 0.5))) & (pairs.mine > 0)).any(2)
-        stops = stops | wall.gather(0, chosen.unsqueeze(0))[0]
-        chosen = torch.where(stops, min(turn + 1, kinds - 1), chosen)
-    return torch.stack([step.new_full((), share) for share in SHARES])[chosen]
-
-
-def _capped(steps: ProposedSteps, step: Tensor) -> Tensor:
-    return torch.where(steps.moved.unsqueeze(-1), limit_speed(step, steps.longest), steps.step)
+def loops_take(steps: ProposedSteps) -> bool:
+    """Return whether the compiled loops may take these: top speeds and radii have gradients in torch only."""
+    numbers = [part for part in steps if part is not None and part.is_floating_point()]
+    constants = torch.is_grad_enabled() and (steps.longest.requires_grad or steps.radius.requires_grad)
+    return not constants and compiles(*numbers)
