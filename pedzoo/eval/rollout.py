@@ -162,9 +162,9 @@ def _changed(scenes: TensorDictBase, decision_dt: float) -> Tensor | None:
     None where there is no layer.
     """
     agents = agents_of(scenes)
-    if "asked" not in agents.keys():
+    if "unconstrained_action" not in agents.keys():
         return None
-    asked, pref_speed = cast("Tensor", agents["asked"]), cast("Tensor", agents["pref_speed"])
+    asked, pref_speed = cast("Tensor", agents["unconstrained_action"]), cast("Tensor", agents["pref_speed"])
     possible = limit_speed(asked, TOP_SPEED_RATIO * pref_speed[..., 0])
     return decision_dt * (cast("Tensor", agents["action"]) - possible).norm(dim=-1)
 

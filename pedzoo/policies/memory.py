@@ -15,98 +15,99 @@ from pedzoo.core.types import OBS_LEN, STEP_SECONDS
 MOST = 1024
 """Most stored scenes beside those of the last batch; four times the last batch, if that is more."""
 
+_WALKS = 0.1
+"""m/s: slower people stand."""
+
+_OTHER_GOAL = 1.0
+"""Metres by which a path gets longer from one decision to the next if it leads to another goal."""
+
+_ABSENT = OBS_LEN * STEP_SECONDS
+"""Seconds: agents who were away for as long as a history lasts are seen for the first time."""
+
 Record = TypeVar("Record", bound=tuple[Any, ...])
 """A NamedTuple of tensors: ``key`` (S,) long names the scenes, ``person`` (S, A) long the agent in each slot,
 -1 for none. All other fields are of scenes (S,) or of agents (S, A, ...)."""
 
 
 class SceneMemory(Generic[Record]):
-    """The records of the last batch, and of other scenes for a while."""
+    """Values of agents that a policy stores between its decisions: of the last batch, and of recent scenes.
+
+    Scenes are known by their key and floor plan, agents by their number. So resets, other environments,
+    partial batches and changed slots do not mix them up.
+    """
 
     def __init__(self) -> None:
         """Keep nothing yet."""
-        self._last: Record | None = None
-        self._others: Record | None = None
+        self._last: Any = None
+        self._others: Any = None
 
     def recall(self, like: Record, person: Tensor) -> Record:
         """Return what is known of scenes, for the agents ``person`` (S, A) long, -1 where one is unknown.
 
         ``like`` has the scenes' keys, and the values that scenes begin with.
         """
+        begin: Any = like
         if self._last is None:
             return like
-        self._move(_key(like).device)
-        if _same(_key(self._last), _key(like)):
-            return _seated(self._last, person)
+        self._move(begin.key.device)
+        if torch.equal(self._last.key, begin.key):
+            return _align_slots(self._last, person)
         stored = self._all()
-        order = _key(stored).argsort()
-        place = torch.searchsorted(_key(stored)[order], _key(like)).clamp_max(len(order) - 1)
+        order = stored.key.argsort()
+        place = torch.searchsorted(stored.key[order], begin.key).clamp_max(len(order) - 1)
         result = _rows(stored, order[place])
-        known = _key(result) == _key(like)
+        known = result.key == begin.key
         values = [
             torch.where(known, value, new) if value.dim() == 1 else value
-            for value, new in zip(result, like, strict=True)
+            for value, new in zip(result, begin, strict=True)
         ]
-        result = _made(like, values)._replace(person=torch.where(known.unsqueeze(1), _person(result), -1))
-        return _seated(result, person)
+        seated = torch.where(known.unsqueeze(1), result.person, -1)
+        return _align_slots(type(begin)(*values)._replace(person=seated), person)
 
     def keep(self, record: Record) -> None:
         """Keep the record of a batch, and those of other scenes for a while."""
-        self._move(_key(record).device)
-        if self._last is not None and not _same(_key(self._last), _key(record)):
+        now: Any = record
+        self._move(now.key.device)
+        if self._last is not None and not torch.equal(self._last.key, now.key):
             stored = self._all()
-            others = _rows(stored, ~torch.isin(_key(stored), _key(record)))
-            self._others = _rows(others, slice(max(MOST, 4 * len(_key(record)))))
-        self._last = record
+            others = _rows(stored, ~torch.isin(stored.key, now.key))
+            self._others = _rows(others, slice(max(MOST, 4 * len(now.key))))
+        self._last = now
 
     def _move(self, device: torch.device) -> None:
         """Take all records to a device, where the policy goes on with scenes of another one."""
-        if self._last is not None and _key(self._last).device != device:
-            self._last = _made(self._last, [value.to(device) for value in self._last])
-            if self._others is not None:
-                self._others = _made(self._others, [value.to(device) for value in self._others])
+        for name in ("_last", "_others"):
+            record = getattr(self, name)
+            if record is not None and record.key.device != device:
+                setattr(self, name, type(record)(*(value.to(device) for value in record)))
 
-    def _all(self) -> Record:
+    def _all(self) -> Any:
         """Return the records of all scenes, the latest first."""
-        assert self._last is not None
-        if self._others is None or not len(_key(self._others)):
+        if self._others is None or not len(self._others.key):
             return self._last
-        slots = max(_person(self._last).shape[1], _person(self._others).shape[1])
+        slots = max(self._last.person.shape[1], self._others.person.shape[1])
         pairs = zip(_padded(self._last, slots), _padded(self._others, slots), strict=True)
-        return _made(self._last, [torch.cat(pair) for pair in pairs])
-
-
-def _key(record: Any) -> Tensor:
-    return cast("Tensor", record.key)
-
-
-def _person(record: Any) -> Tensor:
-    return cast("Tensor", record.person)
-
-
-def _made(like: Any, values: list[Tensor]) -> Any:
-    return type(like)(*values)
+        return type(self._last)(*(torch.cat(pair) for pair in pairs))
 
 
 def _rows(record: Any, index: Any) -> Any:
     """Return some of the scenes."""
-    return _made(record, [value[index] for value in record])
+    return type(record)(*(value[index] for value in record))
 
 
 def _padded(record: Any, slots: int) -> Any:
     """Return the scenes with empty slots up to so many."""
-    more = slots - _person(record).shape[1]
+    more = slots - record.person.shape[1]
     values = [
         value if value.dim() == 1 else functional.pad(value, (*(0, 0) * (value.dim() - 2), 0, more))
-        for value in record._replace(person=_person(record) + 1)
+        for value in record
     ]
-    result = _made(record, values)
-    return result._replace(person=_person(result) - 1)
+    return type(record)(*values)._replace(person=functional.pad(record.person, (0, more), value=-1))
 
 
-def _seated(record: Any, person: Tensor) -> Any:
-    """Return the scenes with agents in the slots that they have among ``person`` (S, A') long."""
-    mine = _person(record)
+def _align_slots(record: Any, person: Tensor) -> Any:
+    """Return the scenes with slots reordered to match ``person`` (S, A') long."""
+    mine = record.person
     if mine.shape == person.shape and not bool(((mine >= 0) & (mine != person)).any()):
         return record
     same = (person.unsqueeze(2) == mine.unsqueeze(1)) & (person >= 0).unsqueeze(2)
@@ -119,19 +120,11 @@ def _seated(record: Any, person: Tensor) -> Any:
         )
         for value in record
     ]
-    return _made(record, values)._replace(person=torch.where(same.any(2), person, -1))
-
-
-def _same(one: Tensor, other: Tensor) -> bool:
-    return one.shape == other.shape and bool((one == other).all())
-
-
-_WALKS = 0.1
-"""m/s: slower people stand."""
+    return type(record)(*values)._replace(person=torch.where(same.any(2), person, -1))
 
 
 class Attempts(NamedTuple):
-    """What B scenes of A people tried.
+    """What B scenes of A people tried: whether they walked when they wished to, or were asked to.
 
     Attributes:
         tried: Whether they have wished to walk since they walked last (B, A) bool.
@@ -150,7 +143,7 @@ class Attempts(NamedTuple):
         return cls(never > 0, never > 0, never)
 
     def seen(self, stands: Tensor) -> Self:
-        """Return the attempts of people of whom these stand (B, A) bool; others begin anew."""
+        """Reset people who move; count failed attempts of those who stand (B, A) bool."""
         in_vain = stands & self.asked
         pressing = (self.pressing + 1).where(in_vain, 0.0)
         return type(self)(stands & self.tried, torch.zeros_like(in_vain), pressing)
@@ -165,15 +158,8 @@ def walks(step: Tensor) -> Tensor:
     return step.square().sum(-1) >= (_WALKS * STEP_SECONDS) ** 2
 
 
-_OTHER_GOAL = 1.0
-"""Metres by which a path gets longer from one decision to the next if it leads to another goal."""
-
-_ABSENT = OBS_LEN * STEP_SECONDS
-"""Seconds: agents who were away for as long as a history lasts are seen for the first time."""
-
-
 class FirstSeen(NamedTuple):
-    """How agents began in S scenes of A slots; see `pedzoo.policies.memory`.
+    """How agents began in S scenes of A slots; see `SceneMemory`.
 
     Attributes:
         key: Of the scenes (S,) long.
@@ -184,7 +170,7 @@ class FirstSeen(NamedTuple):
         left: Length of the rest at the last decision (S, A), metres.
         last: When that was (S, A), seconds.
         goes_on: Whether the policy moved it on then (S, A) bool; not where it held a place.
-        tried: See `pedzoo.policies.memory.Attempts`, (S, A) bool, ...
+        tried: See `Attempts`, (S, A) bool, ...
         asked: ... (S, A) bool, ...
         pressing: ... and (S, A).
     """
@@ -227,7 +213,7 @@ class FirstSeenMemory:
         self._memory = SceneMemory[FirstSeen]()
         self._last: FirstSeen | None = None
 
-    def added(self, scenes: TensorDictBase) -> TensorDictBase:
+    def add(self, scenes: TensorDictBase) -> TensorDictBase:
         """Return the scenes with the keys."""
         agents = agents_of(scenes)
         if "first_history" in agents.keys():
@@ -275,7 +261,7 @@ class FirstSeenMemory:
         seen["pressing"] = attempts.pressing.unsqueeze(-1)
         return result
 
-    def asked(self, wish: Tensor, step: Tensor) -> None:
+    def remember(self, wish: Tensor, step: Tensor) -> None:
         """Remember the steps (B, A, 2), metres, that people wish for, and those that they are asked for."""
         if self._last is not None:
             self._memory.keep(self._last._replace(**self._last.attempts.trying(wish, step)._asdict()))

@@ -26,7 +26,7 @@ Crowd: TypeAlias = list[tuple[Policy | Walker, float]]
 
 
 class PlannedVelocities(NamedTuple):
-    """Velocities that are being walked in S scenes of A slots; see `pedzoo.policies.memory`.
+    """Velocities that are being walked in S scenes of A slots; see `pedzoo.policies.memory.SceneMemory`.
 
     Attributes:
         key: Of the scenes (S,) long.

@@ -22,7 +22,7 @@ from pedzoo.policies.safety_layer.clearance import SHOULDERS
 from pedzoo.policies.safety_layer.layer import safe
 
 
-def holding_places(batch: TensorDictBase, step: Tensor) -> Tensor:
+def stay_in_place(batch: TensorDictBase, step: Tensor) -> Tensor:
     """Return the steps (B, A, 2), metres, in which people who hold a place go to it instead.
 
     People hold a place whose desired velocity is less than the speed that they like: it ends there in one
@@ -48,7 +48,7 @@ _ROUNDING = 1e-3
 
 
 @torch.no_grad()
-def setting_out(batch: TensorDictBase) -> TensorDictBase:
+def with_walked_history(batch: TensorDictBase) -> TensorDictBase:
     """Return scenes in which people who stood when they were given their goal have walked until then.
 
     An interface makes people stand: a static start, a host that places them, a scenario in which they wait.
@@ -143,8 +143,8 @@ class Walker(NamedPolicy):
             execute_steps: How many steps of a prediction are walked before the next one is asked for.
             noise_seed: Other seeds give other noise for the same scenes.
             safety: Whether steps are led off others and walls where they would touch them, see
-                `pedzoo.policies.safety_layer`; what the model asked for is then written too, as ``asked``
-                (B, A, 2) in m/s. None: as the model says.
+                `pedzoo.policies.safety_layer`; the velocities before that are then written, too, as
+                ``unconstrained_action`` (B, A, 2) in m/s. None: as the model says.
             extend_goal: Whether goals are moved out to where people are 3.2 s later, also where the way bends
                 before, see `extend_goals`. None: as the model says.
 
@@ -183,15 +183,15 @@ class Walker(NamedPolicy):
         else:
             step = wish = self._of_stored(tensordict)
         apart = separation_push(tensordict)
-        step = holding_places(tensordict, step) + apart
+        step = stay_in_place(tensordict, step) + apart
         if self.model.keeps_distance:
-            wish = holding_places(tensordict, wish) + apart
-            tensordict["agents", "wished"] = wish / STEP_SECONDS
+            wish = stay_in_place(tensordict, wish) + apart
+            tensordict["agents", "raw_action"] = wish / STEP_SECONDS
         else:
             wish = step
-        self._first_seen.asked(wish, step)
+        self._first_seen.remember(wish, step)
         if self.safety:
-            tensordict["agents", "asked"] = step / STEP_SECONDS
+            tensordict["agents", "unconstrained_action"] = step / STEP_SECONDS
             step = safe(tensordict, step, 0.0 if self.model.keeps_distance else SHOULDERS)
         tensordict["agents", "action"] = step / STEP_SECONDS
         return tensordict
@@ -218,9 +218,9 @@ class Walker(NamedPolicy):
 
     def _seen(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Return the scenes as the model sees them."""
-        scenes = setting_out(tensordict)
+        scenes = with_walked_history(tensordict)
         scenes = extend_goals(scenes) if self.extend_goal else scenes
-        return self._first_seen.added(scenes) if self.model.remembers else scenes
+        return self._first_seen.add(scenes) if self.model.remembers else scenes
 
     def noise_of(self, tensordict: TensorDictBase) -> Tensor | None:
         """Return each person's noise (B, A, noise_dim) in scenes as they are now, None for none."""
@@ -249,12 +249,12 @@ class Walker(NamedPolicy):
         if self.noise in ("step", "mixed"):
             step = (time / STEP_SECONDS).round().long()
             now = randomness.join(key, step.unsqueeze(-1))
-            lasts = dims < (lasting(self.model.noise_dim) if self.noise == "mixed" else 0)
+            lasts = dims < (episode_noise_dim(self.model.noise_dim) if self.noise == "mixed" else 0)
             key = torch.where(lasts, key, now)
         return randomness.normal(randomness.join(key, dims))
 
 
-def lasting(noise_dim: int) -> int:
+def episode_noise_dim(noise_dim: int) -> int:
     """Return how many of the numbers of ``mixed`` noise last for an episode."""
     return (noise_dim + 1) // 2
 

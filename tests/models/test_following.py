@@ -237,9 +237,9 @@ def test_walker_remembers_raw_and_constrained_actions() -> None:
     batch["scene_key"], batch["time"] = torch.tensor([[5]]), torch.zeros(1, 1)
     for follows in (True, False):
         seen = agents_of(Walker(follower(follows), safety=False)(batch.clone()))
-        assert ("wished" in seen.keys()) == follows
+        assert ("raw_action" in seen.keys()) == follows
         if follows:
-            assert (length(seen["wished"], dim=-1) >= length(seen["action"], dim=-1) - 1e-5).all()
+            assert (length(seen["raw_action"], dim=-1) >= length(seen["action"], dim=-1) - 1e-5).all()
 
 
 @pytest.mark.parametrize("shoulders", [0.0, 0.71])

@@ -29,11 +29,11 @@ def scenes(step: int, left: Tensor, key: int = 5, ids: tuple[int, int] = (0, 1))
 
 def test_the_first_history_stays_and_progress_adds_up() -> None:
     memory, left = FirstSeenMemory(), torch.tensor([9.0, 6.0])
-    begun = agents_of(memory.added(scenes(0, left)))
+    begun = agents_of(memory.add(scenes(0, left)))
     assert torch.equal(begun["first_history"], agents_of(FIRST)["history"])
     assert not begun["elapsed"].any() and not begun["progress"].any()
-    memory.added(scenes(1, left - 0.5))
-    later = agents_of(memory.added(scenes(2, left - 1.2)))
+    memory.add(scenes(1, left - 0.5))
+    later = agents_of(memory.add(scenes(2, left - 1.2)))
     assert torch.equal(later["first_history"], begun["first_history"])
     torch.testing.assert_close(later["elapsed"], torch.full((2, 2, 1), 0.8))
     torch.testing.assert_close(later["progress"], torch.full((2, 2, 1), 1.2))
@@ -41,23 +41,23 @@ def test_the_first_history_stays_and_progress_adds_up() -> None:
 
 def test_people_who_change_their_slots_keep_their_own() -> None:
     memory, left = FirstSeenMemory(), torch.tensor([9.0, 6.0])
-    begun = agents_of(memory.added(scenes(0, left)))
-    later = agents_of(memory.added(scenes(1, left - 0.5, ids=(1, 0))))
+    begun = agents_of(memory.add(scenes(0, left)))
+    later = agents_of(memory.add(scenes(1, left - 0.5, ids=(1, 0))))
     assert torch.equal(later["first_history"], begun["first_history"][:, [1, 0]])
 
 
 def test_other_scenes_in_between_change_nothing() -> None:
     memory, left = FirstSeenMemory(), torch.tensor([9.0, 6.0])
-    begun = agents_of(memory.added(scenes(0, left)))
-    memory.added(scenes(7, left, key=90))
-    later = agents_of(memory.added(scenes(1, left - 0.5)))
+    begun = agents_of(memory.add(scenes(0, left)))
+    memory.add(scenes(7, left, key=90))
+    later = agents_of(memory.add(scenes(1, left - 0.5)))
     assert torch.equal(later["first_history"], begun["first_history"])
 
 
 def test_a_new_goal_begins_a_new_way_but_not_a_new_style() -> None:
     memory, left = FirstSeenMemory(), torch.tensor([3.0, 6.0])
-    begun = agents_of(memory.added(scenes(0, left)))
-    later = agents_of(memory.added(scenes(1, torch.tensor([12.0, 5.0]))))
+    begun = agents_of(memory.add(scenes(0, left)))
+    later = agents_of(memory.add(scenes(1, torch.tensor([12.0, 5.0]))))
     assert torch.equal(later["first_history"], begun["first_history"])
     assert later["elapsed"][0, :, 0].tolist() == [0.0, torch.tensor(0.4).item()]
     assert later["progress"][0, :, 0].tolist() == [0.0, 1.0]
@@ -66,8 +66,8 @@ def test_a_new_goal_begins_a_new_way_but_not_a_new_style() -> None:
 
 def test_a_scene_that_is_walked_again_begins_anew() -> None:
     memory, left = FirstSeenMemory(), torch.tensor([9.0, 6.0])
-    memory.added(scenes(3, left))
-    again = agents_of(memory.added(scenes(0, left)))
+    memory.add(scenes(3, left))
+    again = agents_of(memory.add(scenes(0, left)))
     assert torch.equal(again["first_history"], agents_of(FIRST)["history"])
     assert not again["elapsed"].any()
 
@@ -76,8 +76,8 @@ def test_people_who_are_not_known_for_eight_rows_wait_for_them() -> None:
     memory, left = FirstSeenMemory(), torch.tensor([9.0, 6.0])
     new = scenes(0, left)
     agents_of(new)["valid"][:, 0, :3] = False
-    memory.added(new)
-    later = agents_of(memory.added(scenes(1, left)))
+    memory.add(new)
+    later = agents_of(memory.add(scenes(1, left)))
     history = agents_of(scenes(1, left))["history"]
     assert torch.equal(later["first_history"][:, 0], history[:, 0])
     assert torch.equal(later["first_history"][:, 1], agents_of(FIRST)["history"][:, 1])
@@ -89,7 +89,7 @@ def test_people_who_are_moved_from_now_on_are_called() -> None:
     for step, expected in ((0, [False, False]), (1, [False, False]), (2, [True, False]), (3, [False, False])):
         batch = scenes(step, left)
         agents_of(batch)["controlled"] = torch.tensor([step >= 2, True]).expand(2, -1)
-        seen = agents_of(memory.added(batch))
+        seen = agents_of(memory.add(batch))
         assert seen["called"][0, :, 0].tolist() == expected
     assert seen["elapsed"][0, :, 0].tolist() == pytest.approx([0.4, 1.2])
 
@@ -102,7 +102,7 @@ def test_people_who_held_a_place_and_move_on_are_called() -> None:
         agents = agents_of(batch)
         agents["desired_velocity"] = agents["pref_speed"] * torch.tensor([1.0, 0.0])
         agents["desired_velocity"][:, 0] *= 0.3 if holds else 1.0
-        assert agents_of(memory.added(batch))["called"][0, :, 0].tolist() == [step == 2, False]
+        assert agents_of(memory.add(batch))["called"][0, :, 0].tolist() == [step == 2, False]
 
 
 def test_people_are_hindered_who_stand_though_they_were_asked_to_walk() -> None:
@@ -117,8 +117,8 @@ def test_people_are_hindered_who_stand_though_they_were_asked_to_walk() -> None:
         place[:, 0] = 0.0
         place[:, 0, :, 0] = torch.tensor([1.0, 1, 1, 1, 1, 1, 1, 2]) if step < 2 else 2.0
         place[:, 1, :, 0] = torch.arange(8.0) + step
-        seen = agents_of(memory.added(batch))
-        memory.asked(asked, asked)
+        seen = agents_of(memory.add(batch))
+        memory.remember(asked, asked)
         hindered.append(seen["hindered"][0, :, 0].tolist())
     # at the second decision both were asked to stand, so the first one does that of its own accord
     assert hindered == [[False, False]] * 3 + [[True, False]] * 2
@@ -134,8 +134,8 @@ def test_people_whom_the_policy_holds_back_are_hindered_and_those_whom_it_asks_i
         batch = scenes(0, left)
         batch["time"] = torch.full((2, 1), 0.4 * step)
         agents_of(batch)["history"][:] = 2.0
-        seen = agents_of(memory.added(batch))
-        memory.asked(wish, asked if step < 2 else torch.zeros_like(wish))
+        seen = agents_of(memory.add(batch))
+        memory.remember(wish, asked if step < 2 else torch.zeros_like(wish))
         hindered.append(seen["hindered"][0, :, 0].tolist())
         pressing.append(seen["pressing"][0, :, 0].tolist())
     assert hindered == [[False, False]] + [[True, True]] * 3
@@ -145,11 +145,11 @@ def test_people_whom_the_policy_holds_back_are_hindered_and_those_whom_it_asks_i
 def test_a_clock_that_went_back_and_a_long_absence_begin_anew() -> None:
     memory, left = FirstSeenMemory(), torch.tensor([9.0, 6.0])
     for step in range(3):
-        memory.added(scenes(step, left - 0.5 * step))
+        memory.add(scenes(step, left - 0.5 * step))
     again = scenes(0, left)
     agents_of(again)["history"] += 3.0
-    seen = agents_of(memory.added(again))
+    seen = agents_of(memory.add(again))
     assert torch.equal(seen["first_history"], agents_of(again)["history"])
     late = scenes(20, left)
-    seen = agents_of(memory.added(late))
+    seen = agents_of(memory.add(late))
     assert torch.equal(seen["first_history"], agents_of(late)["history"]) and not seen["elapsed"].any()

@@ -149,7 +149,7 @@ def test_one_who_begins_on_a_robot_leaves_it() -> None:
         assert np.linalg.norm(path[-1]) > 1
 
 
-def test_people_with_spots_of_their_own_are_not_separation_push() -> None:
+def test_people_with_spots_of_their_own_are_not_pushed() -> None:
     """Two on one spot leave it to either side of their ways; absent ones and robots take no part."""
     position = torch.tensor([[[0.0, 1.0], [-0.0, 1.0], [0.0, 1.1], [0.0, 0.0], [0.0, 0.0]]])
     still = torch.zeros_like(position)

@@ -329,5 +329,5 @@ def test_the_walker_says_what_was_asked_for_and_can_do_without() -> None:
     seen = env.reset(seed=0)
     for walker, held in ((Walker(Dash(True)), True), (Walker(Dash(True), safety=False), False)):
         assert walker.safety is held
-        assert (("agents", "asked") in walker(seen.clone()).keys(True)) is held
+        assert (("agents", "unconstrained_action") in walker(seen.clone()).keys(True)) is held
     assert Walker(load("sgan_goal.zara1")).safety is False

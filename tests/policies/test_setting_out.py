@@ -14,7 +14,7 @@ import pedzoo
 from pedzoo.core.batch import agents_of
 from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.load import load_policy
-from pedzoo.policies.walker import setting_out
+from pedzoo.policies.walker import with_walked_history
 from pedzoo.sim.make import make_env
 from tests.helpers.batches import make_batch
 
@@ -103,7 +103,7 @@ def test_what_people_see_of_themselves_when_they_set_out() -> None:
     agents["desired_velocity"] = torch.tensor([1.0, 0.0]).expand(1, 4, 2)
     agents["goal_since"] = torch.tensor([-torch.inf, 4.0, 3.2, 3.6]).view(1, 4, 1)
     batch["time"] = torch.full((1, 1), 4.0)
-    result = agents_of(setting_out(batch))
+    result = agents_of(with_walked_history(batch))
     came = 0.4 * torch.arange(-7.0, 1.0)
     assert torch.equal(result["history"][0, [0, 3]], here[0, [0, 3]])
     torch.testing.assert_close(result["history"][0, 1], torch.stack((came, torch.zeros(8)), 1))
@@ -111,7 +111,7 @@ def test_what_people_see_of_themselves_when_they_set_out() -> None:
     torch.testing.assert_close(result["history"][0, 2], torch.cat((ended, here[0, 2, 6:])))
     assert result["sets_out"][0, :, 0].tolist() == [False, True, True, False]
     agents["goal_since"] -= 3.0
-    assert setting_out(batch) is batch
+    assert with_walked_history(batch) is batch
 
 
 def test_recorded_people_who_stand_have_no_new_goal() -> None:

@@ -15,7 +15,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.types import PRED_LEN
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.loading import load
-from pedzoo.policies.walker import Walker, lasting
+from pedzoo.policies.walker import Walker, episode_noise_dim
 from pedzoo.sim.make import make_env
 
 
@@ -93,7 +93,7 @@ def test_mixed_noise_is_what_people_are_like_and_what_they_happen_to_do(numbers:
     )
     assert torch.equal(late[..., stay:], now[..., stay:])
     assert not (late[..., stay:] == early[..., stay:]).any()
-    assert lasting(numbers) == stay
+    assert episode_noise_dim(numbers) == stay
 
 
 @pytest.mark.parametrize("noise", ["episode", "step", "scene", "mixed"])

@@ -15,7 +15,7 @@ from pedzoo.data.tracks import Tracks
 from pedzoo.eval.rollout import rollout
 from pedzoo.maps.formats import write_ros
 from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
-from pedzoo.policies.walker import holding_places
+from pedzoo.policies.walker import stay_in_place
 from pedzoo.sim.replay.stops import Stops, stops_of
 from pedzoo.sim.robots.env import make_robot_env
 from pedzoo.sim.rollout import Rollout
@@ -140,11 +140,11 @@ def test_waiting_people_go_to_their_place_and_others_by_the_model() -> None:
     )
     step = torch.tensor([[[0.1, 0.2], [0.4, 0.0], [0.3, 0.3]]])
     # half of the usual speed: half of the model's step and half of what leads to the place
-    assert holding_places(batch, step)[0].tolist() == [
+    assert stay_in_place(batch, step)[0].tolist() == [
         pytest.approx([0.1, 0.2]), pytest.approx([0.2, 0.13]), [0, 0]
     ]  # fmt: skip
     without = TensorDict({"agents": {"pref_speed": torch.ones(1, 3, 1)}}, [1])
-    assert torch.equal(holding_places(without, step), step)
+    assert torch.equal(stay_in_place(without, step), step)
 
 
 def test_robots_are_refused(folder: Path) -> None:

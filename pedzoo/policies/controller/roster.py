@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import torch
@@ -69,24 +69,7 @@ class Roster(NamedTuple):
     @classmethod
     def empty(cls, length: int, ticks: int) -> Roster:
         """Return an empty roster, with room for ``length`` positions and ``ticks`` trace steps."""
-        return cls(
-            row={},
-            number=torch.zeros(0, dtype=torch.long),
-            past=torch.zeros(0, length, 2),
-            pref_speed=torch.zeros(0),
-            radius=torch.zeros(0),
-            group=torch.zeros(0, dtype=torch.long),
-            other=torch.zeros(0, dtype=torch.bool),
-            goal=torch.zeros(0, 2, dtype=torch.float64),
-            goal_point=torch.zeros(0, 2),
-            goal_id=torch.zeros(0, dtype=torch.long),
-            goal_since=torch.zeros(0),
-            stands=torch.zeros(0, dtype=torch.bool),
-            heading=torch.zeros(0),
-            trace=torch.zeros(0, ticks, 2),
-            told=torch.zeros(0, 2, dtype=torch.float64),
-            eases=torch.zeros(0, dtype=torch.bool),
-        )
+        return cls({}, **_newcomers(0, length, ticks))
 
     @property
     def ids(self) -> list[Hashable]:
@@ -132,36 +115,16 @@ class Roster(NamedTuple):
         before = torch.tensor([self.row[ids[i]] for i in known], dtype=torch.long)
         order = torch.tensor(known + new, dtype=torch.long).argsort()
 
-        def merged(mine: Tensor, added: Tensor) -> Tensor:
-            return torch.cat((mine[before], added))[order]
-
-        def nothing(mine: Tensor) -> Tensor:
-            return mine.new_full((len(new), *mine.shape[1:]), float("nan"))
-
-        def flags(values: list[bool]) -> Tensor:
-            return torch.tensor(values, dtype=torch.bool)
-
-        speeds = torch.tensor([speed_of(ids[i], pref_speed) for i in new])
-        others = [isinstance(ids[i], DiscKey) for i in new]
-        radius = torch.tensor([OTHER_RADIUS if other else BODY_RADIUS for other in others])
-        return Roster(
-            row={one: i for i, one in enumerate(ids)},
-            number=torch.tensor([number[one] for one in ids], dtype=torch.long),
-            past=merged(self.past, nothing(self.past)),
-            pref_speed=merged(self.pref_speed, speeds),
-            radius=merged(self.radius, radius),
-            group=merged(self.group, torch.full((len(new),), -1)),
-            other=merged(self.other, flags(others)),
-            goal=merged(self.goal, nothing(self.goal)),
-            goal_point=merged(self.goal_point, nothing(self.goal_point)),
-            goal_id=merged(self.goal_id, torch.full((len(new),), -1)),
-            goal_since=merged(self.goal_since, torch.full((len(new),), -torch.inf)),
-            stands=merged(self.stands, flags([False] * len(new))),
-            heading=merged(self.heading, nothing(self.heading)),
-            trace=merged(self.trace, nothing(self.trace)),
-            told=merged(self.told, nothing(self.told)),
-            eases=merged(self.eases, flags([False] * len(new))),
-        )
+        added = _newcomers(len(new), self.past.shape[1], self.trace.shape[1])
+        added["pref_speed"] = torch.tensor([speed_of(ids[i], pref_speed) for i in new])
+        added["other"] = torch.tensor([isinstance(ids[i], DiscKey) for i in new], dtype=torch.bool)
+        added["radius"] = torch.where(added["other"], OTHER_RADIUS, BODY_RADIUS)
+        merged = {
+            name: torch.cat((cast("Tensor", getattr(self, name))[before], values))[order]
+            for name, values in added.items()
+        }
+        merged["number"] = torch.tensor([number[one] for one in ids], dtype=torch.long)
+        return Roster({one: i for i, one in enumerate(ids)}, **merged)
 
     def check_moves(self, position: Tensor) -> None:
         """Check that agents have come to ``position`` (N, 2), metres, since the last call.
@@ -229,3 +192,32 @@ class Roster(NamedTuple):
             passes_goal(begin, end, self.goal_point, _THERE),
         )
         return self._replace(stands=self.stands | near & asked | there)
+
+
+def _newcomers(count: int, length: int, ticks: int) -> dict[str, Tensor]:
+    """Return the values (N, ...) of people who have neither past nor goal, by the fields of `Roster`."""
+
+    def nothing(*shape: int, exact: bool = False) -> Tensor:
+        return torch.full((count, *shape), torch.nan, dtype=torch.float64 if exact else torch.float32)
+
+    def number(value: int) -> Tensor:
+        return torch.full((count,), value, dtype=torch.long)
+
+    no = torch.zeros(count, dtype=torch.bool)
+    return {
+        "number": number(0),
+        "past": nothing(length, 2),
+        "pref_speed": nothing(),
+        "radius": nothing(),
+        "group": number(-1),
+        "other": no,
+        "goal": nothing(2, exact=True),
+        "goal_point": nothing(2),
+        "goal_id": number(-1),
+        "goal_since": torch.full((count,), -torch.inf),
+        "stands": no,
+        "heading": nothing(),
+        "trace": nothing(ticks, 2),
+        "told": nothing(2, exact=True),
+        "eases": no,
+    }

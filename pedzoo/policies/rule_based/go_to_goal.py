@@ -19,7 +19,7 @@ class GoToGoal(Policy):
             dt: Seconds between decisions.
             safety: Whether it has the safety layer of learned models, `pedzoo.policies.safety_layer`.
                 That shows what the layer does alone. The velocity before the layer is then written, too, as
-                ``asked`` (B, A, 2) in m/s.
+                ``unconstrained_action`` (B, A, 2) in m/s.
 
         Raises:
             UserError: With it, decisions at another step.
@@ -33,7 +33,7 @@ class GoToGoal(Policy):
         """Write each person's velocity."""
         velocity = tensordict["agents", "desired_velocity"]
         if self.safety:
-            tensordict["agents", "asked"] = velocity
+            tensordict["agents", "unconstrained_action"] = velocity
             step = velocity * STEP_SECONDS + separation_push(tensordict)
             velocity = safe(tensordict, step) / STEP_SECONDS
         tensordict["agents", "action"] = velocity

@@ -74,7 +74,7 @@ def unrolled(env: PedestrianEnv, policy: Policy, seen: TensorDictBase, steps: in
         result.append(
             (
                 torch.cat((before, info["trace"]), 2),
-                agents.get("asked", agents["action"]),
+                agents.get("unconstrained_action", agents["action"]),
                 agents["action"],
                 agents["velocity"],
                 progress,

@@ -90,8 +90,8 @@ def walked_on(policy: Policy, real: Excerpts, planner: Planner, key: Tensor, bef
             batch["agents", "pressing"] = attempts.pressing.unsqueeze(2)
             agents = cast("TensorDictBase", policy(batch)["agents"])
             here, command = path[-1], cast("Tensor", agents["action"])
-            wanted = agents.get("asked", command)
-            velocities = agents.get("wished", wanted), wanted
+            wanted = agents.get("unconstrained_action", command)
+            velocities = agents.get("raw_action", wanted), wanted
             attempts = attempts.trying(
                 *(STEP_SECONDS * torch.where(mine.unsqueeze(2), v, 0.0) for v in velocities)
             )
