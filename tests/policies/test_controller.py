@@ -197,7 +197,7 @@ def test_people_are_remembered_while_they_are_named():
     assert history[1, :, 1].tolist() == [4, 5, 6, 7, 8, 9, 10, 11]
 
 
-def test_the_policy_decides_at_its_interval_and_for_newcomers_at_once():
+def test_newcomers_are_decided_at_once_others_at_the_interval():
     policy = Straight()
     controller = Controller(policy, dt=0.1)
     goals: dict[int, Any] = {0: (10.0, 0.0)}
@@ -307,7 +307,7 @@ def test_goals_that_no_person_has_any_more_are_forgotten():
         ({"anna": (1, 1)}, {"anna": (12, 3)}, "no way leads to the goal of 'anna'"),
     ],
 )
-def test_what_cannot_be_walked_is_refused_and_changes_nothing(positions, goals, message):
+def test_what_cannot_be_walked_is_refused(positions, goals, message):
     controller = Controller(Straight(), ROOMS)
     with pytest.raises(UserError, match=message):
         controller.step(positions, goals)
@@ -376,7 +376,7 @@ def row_of(batch: Any, radius: float) -> int:
 
 @pytest.mark.parametrize("goal", [None, (0.8, 0.0)])
 @pytest.mark.parametrize("name", ["sgan_goal_map.zara1", "sgan_goal.indoor"])
-def test_a_person_without_a_further_goal_stands_for_a_minute_and_walks_on_with_another(name: str, goal: Any):
+def test_who_has_arrived_stands_until_another_goal(name: str, goal: Any):
     controller = pedzoo.controller(name, room_of_ten(), dt=0.1)
     place, passer = np.array([0.0, 0.0]), np.array([-4.0, 0.3])
     goals: dict[Any, Any] = {"stands": goal, "passes": (4.0, 0.3)}
@@ -481,7 +481,7 @@ def test_neither_the_order_of_others_nor_their_names_matter(model):
     np.testing.assert_allclose(answers[2], answers[0], atol=1e-5)
 
 
-def test_a_clock_that_jitters_gives_the_histories_of_a_regular_one():
+def test_a_clock_that_jitters_gives_regular_histories():
     """On a circle of 2 m at 1.2 m/s: what the policy sees is where they were every 0.4 s, within 1 cm."""
 
     def at(time):
@@ -542,7 +542,7 @@ def test_people_walk_alike_by_a_clock_that_jitters(name: str):
         ({}, "time None: expected at every call or at none"),
     ],
 )
-def test_what_others_radii_and_times_cannot_be_is_refused_and_changes_nothing(given, message):
+def test_wrong_others_radii_and_times_change_nothing(given, message):
     policy = Straight()
     controller = Controller(policy)
     controller.step({"anna": (1, 1)}, {"anna": (8, 1)}, time=3.0)
@@ -561,7 +561,7 @@ def test_time_at_some_calls_only_is_refused():
 
 
 @pytest.mark.parametrize("name", ["sgan_goal_map.indoor", "social_walker.eth_ucy"])
-def test_a_policy_that_a_controller_has_asked_still_has_gradients(name: str) -> None:
+def test_a_policy_asked_by_a_controller_still_has_gradients(name: str) -> None:
     """A controller asks in inference mode; nothing that is kept may be a tensor of that mode."""
     policy = pedzoo.policy(name)
     controller = policy.controller(ROOMS)

@@ -221,7 +221,7 @@ def test_times_in_other_units_are_refused_and_change_nothing(times: Any, message
     np.testing.assert_array_equal(answers[0][0], answers[1][0])
 
 
-def test_milliseconds_are_seen_at_short_steps_and_pauses_are_none() -> None:
+def test_milliseconds_are_noticed_and_pauses_allowed() -> None:
     controller = Controller(Watch(), dt=0.02)
     controller.step({0: (0.0, 0.0)}, {0: (9.0, 0.0)}, time=0.0)
     controller.step({0: (0.0, 0.0)}, time=20.0)  # a pause, perhaps
@@ -284,7 +284,7 @@ def test_hosts_may_move_people_otherwise_than_told(name: str, dt: float, host: s
     at_rest(path, answers, goal, dt)
 
 
-def test_velocities_are_those_of_the_places_and_commands_begin_from_there() -> None:
+def test_velocities_are_those_of_the_positions() -> None:
     """A person is told 1.3 m/s and held: seen at rest, and freed begins half-way to what is decided."""
     policy, place = Watch(), np.zeros(2)
     controller = Controller(policy, dt=0.1)

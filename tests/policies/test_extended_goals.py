@@ -60,7 +60,7 @@ def test_scenes_without_goals_stay_as_they_are() -> None:
     assert extend_goals(batch) is batch
 
 
-def test_who_learned_from_recordings_does_not_creep_round_corners() -> None:
+def test_models_of_recordings_do_not_creep_round_corners() -> None:
     """The same weights, alone in an apartment: with extended goals they walk as fast again."""
 
     def speed(settings: str) -> float:

@@ -105,7 +105,7 @@ def test_people_who_held_a_place_and_move_on_are_called() -> None:
         assert agents_of(memory.add(batch))["called"][0, :, 0].tolist() == [step == 2, False]
 
 
-def test_people_are_hindered_who_stand_though_they_were_asked_to_walk() -> None:
+def test_people_who_stand_though_told_to_walk_are_hindered() -> None:
     """The first one stands from the third decision on; the policy asks both to walk, and then to stand."""
     memory, left = FirstSeenMemory(), torch.tensor([9.0, 6.0])
     walk, stand = torch.full((2, 2, 2), 0.3), torch.zeros(2, 2, 2)
@@ -124,7 +124,7 @@ def test_people_are_hindered_who_stand_though_they_were_asked_to_walk() -> None:
     assert hindered == [[False, False]] * 3 + [[True, False]] * 2
 
 
-def test_people_whom_the_policy_holds_back_are_hindered_and_those_whom_it_asks_in_vain_press() -> None:
+def test_blocked_agents_start_pushing() -> None:
     """Both wish to walk, and stand; the first one is asked to, the second one held back."""
     memory, left = FirstSeenMemory(), torch.tensor([9.0, 6.0])
     wish = torch.full((2, 2, 2), 0.3)

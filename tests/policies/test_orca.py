@@ -91,7 +91,7 @@ def test_lines_of_two_people_head_on_by_hand() -> None:
     assert torch.equal(chosen[0], -chosen[1])
 
 
-def test_lines_of_people_at_rest_and_of_overlapping_people_by_hand() -> None:
+def test_lines_of_resting_and_overlapping_people_by_hand() -> None:
     position = torch.tensor([[[0.0, 0.0], [4.0, 0.0]], [[0.0, 0.0], [0.1, 0.0]]])
     lines = lines_of(position, torch.zeros(2, 2, 2))
     # at rest: the cut-off disk around (4, 0) / 2 s of radius 0.4 / 2 s begins at 1.8 m/s, half of it each
@@ -221,7 +221,7 @@ def test_crowded_people_violate_as_little_as_possible() -> None:
     assert (worst <= best.clamp_min(0) + 1e-4).all()
 
 
-def test_feasible_people_get_the_permitted_velocity_nearest_to_the_preferred() -> None:
+def test_feasible_people_get_the_nearest_permitted_velocity() -> None:
     position, velocity, preferred = crowd(30, 5, 6.0)
     lines = lines_of(position, velocity)
     wished = preferred.flatten(0, 1).T.contiguous()
@@ -324,7 +324,7 @@ def test_walls_hold_where_not_all_lines_can_be_obeyed() -> None:
     assert 200 < violated.sum() < 700
 
 
-def test_walls_turn_and_mirror_with_the_scene_and_go_with_their_person() -> None:
+def test_walls_turn_and_mirror_with_the_scene() -> None:
     grid = room()
     walls = WallSegments(MapBank([grid]))
     position, velocity, preferred = crowd(30, 5, 5.6)

@@ -48,7 +48,7 @@ def test_the_environment_gets_it_too(speed: float) -> None:
     assert (walked / speed - 1).abs().max() < 0.03
 
 
-def test_people_alone_get_their_speed_and_others_the_share_that_they_had() -> None:
+def test_people_alone_walk_at_their_speed_others_at_its_share() -> None:
     """The way leads along x at 0.4 m a step; alone the model walks 0.5 m, and so did people before."""
     alone, last, wanted = (torch.tensor([[x, 0.0]]).repeat(5, 1) for x in (0.5, 0.5, 0.4))
     step = torch.tensor([[0.5, 0.0], [0.25, 0.1], [0.0, 0.0], [-0.1, 0.0], [0.6, 0.0]])

@@ -47,7 +47,7 @@ def wall(points: Tensor) -> Tensor:
 
 
 @pytest.mark.parametrize("name", [name for name in ROBOT_POLICIES.names() if name != "attention"])
-def test_every_robot_answers_within_its_top_speed_and_ignores_absent_people(name: str) -> None:
+def test_robots_keep_their_top_speed_and_ignore_the_absent(name: str) -> None:
     random = torch.Generator().manual_seed(0)
     place, goal, crowd = (torch.randn(16, *shape, generator=random) * 4 for shape in ((2,), (2,), (3, 4)))
     radius = torch.full((16, 3), 0.3)
@@ -142,7 +142,7 @@ def test_walls_count_as_people_do() -> None:
     assert float(chosen[0]) * SETTINGS.horizon * STEP < 0.7  # it stays 0.3 m from the wall at x = 1
 
 
-def test_its_answer_turns_with_the_scene_and_does_not_depend_on_the_batch() -> None:
+def test_its_answer_turns_with_the_scene_in_any_batch() -> None:
     random = torch.Generator().manual_seed(1)
     crowd = people(*(torch.randn(5, 4, generator=random) * torch.tensor([2.0, 2.0, 0.5, 0.5])).tolist())
     robot = robots([4.0, 1.0])

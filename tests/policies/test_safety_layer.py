@@ -102,7 +102,7 @@ def test_who_the_policy_does_not_move_takes_no_part() -> None:
     assert nearest(asked.position, result) >= 2 * BODY_RADIUS
 
 
-def test_who_stands_gives_way_to_a_person_whom_the_policy_does_not_move() -> None:
+def test_who_stands_gives_way_to_another_policys_person() -> None:
     """Run into from behind: they go aside alone, and the other comes as they would."""
     moved = torch.tensor([[False, True]])
     asked = steps([[-0.4, 0.0], [0.0, 0.0]], [[0.5, 0.0], [0.0, 0.0]], moved=moved)
@@ -176,7 +176,7 @@ def test_in_a_narrow_place_people_keep_a_shoulders_room() -> None:
     assert gaps[3:] == pytest.approx([SHOULDERS, SHOULDERS, nearest(places, move)], abs=0.01)
 
 
-def test_two_who_wait_for_each_other_in_a_narrow_place_turn_a_shoulder() -> None:
+def test_two_who_wait_in_a_narrow_place_turn_a_shoulder() -> None:
     """Both have to wait: who has only just come keeps the room, and so does who meets a person that walks."""
     bank = MapBank([ROOM])
     place = torch.tensor([[[-0.4, -0.1], [0.4, 0.1]]])
@@ -220,7 +220,7 @@ def test_in_a_room_no_person_touches_walls_or_others() -> None:
 
 
 @pytest.mark.parametrize("walled", [False, True])
-def test_turning_moving_and_renumbering_people_turns_and_renumbers_the_answer(walled: bool) -> None:
+def test_the_answer_turns_moves_and_renumbers_with_people(walled: bool) -> None:
     """Six people who run into each other, in the open and around a door that turns and moves with them."""
     bank = MapBank([ROOM])
     plan = torch.full((4,), bank.grids[0].map_id)

@@ -181,7 +181,7 @@ def test_repulsion_is_the_potentials_gradient() -> None:
         assert torch.allclose((force * away)[axis], -slope, atol=1e-6, rtol=1e-6)
 
 
-def test_forces_stay_finite_where_the_potentials_gradient_does_not() -> None:
+def test_forces_stay_finite_at_the_potentials_centre() -> None:
     step = torch.tensor([[[2.6]], [[0.0]]])
     for place in (0.0, 1e-9, 1.3, 2.6):
         for side in (0.0, 1e-9, -1e-4):
@@ -323,7 +323,7 @@ def test_people_at_the_same_place_part() -> None:
     assert not torch.allclose(other[0, 0], result[0, 0], atol=0.1)
 
 
-def test_a_long_decision_is_integrated_in_steps_of_a_tenth_of_a_second() -> None:
+def test_long_decisions_are_integrated_in_tenths_of_a_second() -> None:
     position, velocity, desired = crowd(6, 5, 3.0)
     settings = replace(PAPER, neighbor_dist=50.0)
     mask, identity, liked = (
@@ -430,7 +430,7 @@ def test_both_walls_of_a_rooms_corner_count() -> None:
     )
 
 
-def test_where_a_wall_bends_a_little_the_force_neither_doubles_nor_jumps(
+def test_at_a_bend_the_force_neither_doubles_nor_jumps(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     bent = np.array([[0.0, 0.0], [200, 0], [200, 60], [100, 40], [0, 60]])  # 11 degrees to either side
@@ -477,7 +477,7 @@ def test_hollows_in_walls_do_not_push() -> None:
     assert not torch.allclose(push(block(wide), at), push(block(solid), at), rtol=1e-3)
 
 
-def test_in_clutter_the_force_changes_no_faster_than_that_of_a_few_walls() -> None:
+def test_in_clutter_the_force_changes_smoothly() -> None:
     random = np.random.default_rng(3)
     cells = np.zeros((160, 160), bool)
     cells[[0, -1]] = cells[:, [0, -1]] = True
@@ -580,7 +580,7 @@ def test_actions_are_differentiable() -> None:
 # --- walking
 
 
-def test_fluctuations_are_the_scenes_own_and_free_people_who_meet_head_on() -> None:
+def test_fluctuations_free_people_who_meet_head_on() -> None:
     position = torch.tensor([[[0.0, 0.0], [2.0, 0.0]]])
     velocity = torch.tensor([[[1.0, 0.0], [-1.0, 0.0]]])
     exact, usual = SocialForce(SocialForceSettings(fluctuation=0)), SocialForce()

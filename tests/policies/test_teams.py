@@ -119,9 +119,7 @@ def answer(crowd: Any, batch: TensorDictBase) -> Tensor:
         ("/not/here/a.ckpt+sgan.mall", ["/not/here/a.ckpt", "sgan.mall"]),
     ],
 )
-def test_a_plus_joins_policies_outside_brackets_numbers_paths_and_addresses(
-    text: str, result: list[str]
-) -> None:
+def test_a_plus_joins_policies_outside_paths_and_numbers(text: str, result: list[str]) -> None:
     assert parts(text) == result
     assert is_crowd(text) == (len(result) > 1 or "share" in text)
 
@@ -202,7 +200,7 @@ def test_a_person_has_a_team_whatever_the_batch_and_the_slot() -> None:
     assert torch.equal(shuffled, whole[:, order])
 
 
-def test_every_agent_is_moved_by_exactly_one_team_which_sees_all_others() -> None:
+def test_each_agent_has_one_team_that_sees_all_others() -> None:
     crowd = teams(f"{TOLD}:x=0.1,dt=0.1+{TOLD}:x=0.2,dt=0.1+{TOLD}:x=0.3,dt=0.1")
     batch = scene(keys=range(20), people=6)
     controlled = torch.rand(20, 6, generator=torch.Generator().manual_seed(1)) < 0.8
@@ -247,7 +245,7 @@ def test_a_team_without_agents_is_not_asked() -> None:
     assert [len(policy.calls) for policy in policies(crowd)] == [1, 0]
 
 
-def test_people_who_come_or_are_taken_over_decide_at_once_and_then_with_their_team() -> None:
+def test_newcomers_decide_at_once_and_then_with_their_team() -> None:
     crowd = teams(people=f"{CLOCK}:dt=0.4", robots=Told(0.1))
     slow, person = policies(crowd)[0], torch.tensor([[0, 1, 2]])
     some = torch.tensor([[True, True, False]])
@@ -279,7 +277,7 @@ def test_scenes_in_which_no_person_decides_are_not_asked_about() -> None:
     assert policies(crowd)[0].calls[2:] == [[0.0]]
 
 
-def test_other_environments_parts_of_a_batch_and_changed_slots_do_not_mix_plans() -> None:
+def test_other_batches_and_changed_slots_do_not_mix_plans() -> None:
     """What a scene is told does not depend on what else the crowd is asked about in between."""
     times = [0.1 * step for step in range(12)]
     alone = teams(f"{CLOCK}:dt=0.4+{CLOCK}:dt=0.2")
@@ -367,7 +365,7 @@ def test_an_episode_is_the_same_in_every_batch() -> None:
         )
 
 
-def test_learned_people_walk_beside_orca_and_resets_mix_nothing_up() -> None:
+def test_learned_people_walk_beside_orca_through_resets() -> None:
     crowd = load_policy("orca:share=0.5+sgan_goal.indoor")
     assert crowd.decision_dt == pytest.approx(0.1) and has_noise(crowd) and len(walkers(crowd)) == 1
     env = make_env("hallway", num_envs=3, decision_dt=0.1)
@@ -399,7 +397,7 @@ def test_a_team_that_fails_ends_its_scenes_alone(dt: float, value: str) -> None:
     assert torch.equal(broken.trace[~theirs, :, :points], whole.trace[~theirs, :, :points])
 
 
-def test_the_safety_layer_of_one_team_does_all_of_the_avoidance_of_another() -> None:
+def test_a_teams_safety_layer_avoids_all_of_another_team() -> None:
     """Two people meet head-on, a little aside: only the first has the layer, the second keeps its course."""
     crowd = teams("go_to_goal:safety=true,share=0.5+go_to_goal:dt=0.1")
     keys = [

@@ -72,7 +72,7 @@ def test_noise_of_a_step_changes() -> None:
 
 
 @pytest.mark.parametrize(("numbers", "stay"), [(2, 1), (5, 3), (8, 4), (1, 1)])
-def test_mixed_noise_is_what_people_are_like_and_what_they_happen_to_do(numbers: int, stay: int) -> None:
+def test_mixed_noise_is_half_of_the_episode_half_of_the_step(numbers: int, stay: int) -> None:
     """The first half of the numbers stays for an episode as `episode` has it, the rest is that of `step`."""
     model = Echo()
     model.noise_dim = numbers

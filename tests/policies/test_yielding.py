@@ -86,7 +86,7 @@ def test_a_robot_out_of_sight_changes_nothing(policy: str) -> None:
     assert torch.equal(result[0], result[1])
 
 
-def test_steps_lead_past_the_robot_and_no_farther_than_people_can() -> None:
+def test_steps_lead_past_the_robot_within_the_longest_step() -> None:
     for drives in (0.0, -1.0):
         steps = one_and_a_robot((-2.5, 0.0), (0.5, 0.1), drives)
         velocity = yielding(steps, None)[0, 0] / 0.4
@@ -117,7 +117,7 @@ def test_a_person_slows_down_for_what_leaves_no_room() -> None:
     assert yielding(wide, walls)[0, 0].norm() < 0.75 * 0.52
 
 
-def test_turned_scenes_are_walked_alike_and_others_keep_their_steps() -> None:
+def test_turned_scenes_yield_alike_and_others_keep_steps() -> None:
     steps = crowds(3, robots=True, scenes=200)
     result = yielding(steps, None)
     changed = (result != steps.step).any(-1)
@@ -153,7 +153,7 @@ def test_robots_are_respected(tool: ModuleType, policy: str, place: str, encount
 
 
 @pytest.mark.parametrize("encounter", ["overtaken", "overtakes"])
-def test_robots_are_respected_that_come_from_behind_or_are_slower(tool: ModuleType, encounter: str) -> None:
+def test_robots_behind_and_slower_ones_are_respected(tool: ModuleType, encounter: str) -> None:
     run = tool.walked("sgan_goal_map.indoor", "open", encounter, 0.0)
     assert run.nearest >= 0.65 - 1e-3 and run.arrived
 
