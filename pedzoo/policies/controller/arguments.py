@@ -128,19 +128,13 @@ def check_radius_ids(
 def origin_of(places: Mapping[Any, Any]) -> NDArray[np.float64]:
     """Return the origin (2,) of a scene amid most of the places of its agents, by id.
 
-    A scene is walked alike wherever it lies, and whoever is far away from it.
+    A scene is walked alike wherever it lies, and whoever is far away from it. What is no place counts as
+    zeros: `as_points` refuses it.
     """
-    middle: NDArray[np.float64] = np.sort([point_of(place) for place in places.values()], axis=0)
+    points = [_pair(place) for place in places.values()]
+    given = [ZERO if point is None or not np.isfinite(point).all() else point for point in points]
+    middle: NDArray[np.float64] = np.sort(given, axis=0)
     return middle[(len(middle) - 1) // 2]
-
-
-def point_of(point: Any) -> NDArray[np.float64]:
-    """Return a point (2,); zeros for what is none, which `as_points` refuses."""
-    if not _is_pair(point):
-        return ZERO
-    plain = point.detach().cpu().numpy() if isinstance(point, Tensor) else point
-    place: NDArray[np.float64] = np.asarray(plain, dtype=np.float64)
-    return place if np.isfinite(place).all() else ZERO
 
 
 def as_discs(others: Mapping[Any, Any]) -> dict[DiscKey, Any]:
@@ -152,8 +146,7 @@ def as_discs(others: Mapping[Any, Any]) -> dict[DiscKey, Any]:
     discs: dict[DiscKey, Any] = {}
     for one, value in others.items():
         try:
-            given = value.detach().cpu().numpy() if isinstance(value, Tensor) else value
-            points: NDArray[np.float64] = np.atleast_2d(np.array(given, dtype=np.float64))
+            points: NDArray[np.float64] = np.atleast_2d(np.array(_plain(value), dtype=np.float64))
         except (TypeError, ValueError):
             points = np.zeros((0, 2))
         if points.ndim != 2 or points.shape[-1] != 2 or not len(points):
@@ -175,19 +168,18 @@ def as_points(
     Raises:
         UserError: A value is anything else, not finite, or too far from the origin.
     """
-    values = [xy.detach().cpu().numpy() if isinstance(xy, Tensor) else xy for xy in given.values()]
     try:
-        points = np.array(values, dtype=np.float64).reshape(len(values), 2)
+        points = np.array([_plain(xy) for xy in given.values()], dtype=np.float64).reshape(len(given), 2)
     except (TypeError, ValueError):
-        wrong = next((item for item in given.items() if not _is_pair(item[1])), None)
+        wrong = next((item for item in given.items() if _pair(item[1]) is None), None)
         shown = f"{what} {wrong[1]!r} of {wrong[0]!r}" if wrong else f"{what}s {given!r}"
         raise UserError(f"{shown}: expected two numbers, (x, y)") from None
     if not np.isfinite(points).all():
         one = list(given)[int((~np.isfinite(points).all(1)).argmax())]
         raise UserError(f"{what} {given[one]!r} of {one!r}: expected finite numbers, (x, y)")
     points = points - origin
-    if (np.abs(points) > farthest).any():
-        one = list(given)[int((np.abs(points) > farthest).any(1).argmax())]
+    if (far := (np.abs(points) > farthest).any(1)).any():
+        one = list(given)[int(far.argmax())]
         raise UserError(
             f"{what} {given[one]!r} of {one!r} is more than {FARTHEST:g} m from the scene's origin, the "
             "floor plan's or the first agent's place: are all in one frame, and in metres?"
@@ -203,11 +195,17 @@ def as_places(given: Mapping[Any, Any], what: str, origin: NDArray[np.float64]) 
     return as_points(given, what, origin).round(decimals=6)
 
 
-def _is_pair(xy: Any) -> bool:
+def _plain(value: Any) -> Any:
+    return value.detach().cpu().numpy() if isinstance(value, Tensor) else value
+
+
+def _pair(xy: Any) -> NDArray[np.float64] | None:
+    """Return two numbers (2,); None for anything else."""
     try:
-        return np.asarray(xy, dtype=np.float64).shape == (2,)
+        pair: NDArray[np.float64] = np.asarray(_plain(xy), dtype=np.float64)
     except (TypeError, ValueError):
-        return False
+        return None
+    return pair if pair.shape == (2,) else None
 
 
 def metres_of(one: Hashable, radius: Any) -> float:

@@ -34,7 +34,6 @@ from pedzoo.policies.controller.arguments import (
     of_present,
     origin_of,
     plan_of,
-    point_of,
 )
 from pedzoo.policies.controller.clock import CallerClock
 from pedzoo.policies.controller.ease import eased, expected, setting_out
@@ -129,7 +128,7 @@ class Controller:
         grid = plan_of(map)
         origin = ZERO
         if grid is not None:
-            origin, grid = point_of(grid.origin[:2]), replace(grid, origin=(0.0, 0.0, grid.origin[2]))
+            origin, grid = np.array(grid.origin[:2], dtype=np.float64), replace(grid, origin=(0.0, 0.0, grid.origin[2]))
         bank = MapBank([] if grid is None else [grid], unknown)
         self.policy, self.dt = policy, clock.dt
         self.pref_speed, self.deterministic = pref_speed, deterministic
