@@ -128,7 +128,8 @@ class Controller:
         grid = plan_of(map)
         origin = ZERO
         if grid is not None:
-            origin, grid = np.array(grid.origin[:2], dtype=np.float64), replace(grid, origin=(0.0, 0.0, grid.origin[2]))
+            origin = np.array(grid.origin[:2], dtype=np.float64)
+            grid = replace(grid, origin=(0.0, 0.0, grid.origin[2]))
         bank = MapBank([] if grid is None else [grid], unknown)
         self.policy, self.dt = policy, clock.dt
         self.pref_speed, self.deterministic = pref_speed, deterministic

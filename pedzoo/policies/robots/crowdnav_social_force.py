@@ -15,7 +15,7 @@ class CrowdnavSocialForce:
     """Is driven to the goal, and pushed away from people independent of their velocities.
 
     Forces of circles as in CrowdNav++ (``crowd_nav/policy/social_force.py``); those of ellipses are in
-    `pedzoo.policies.social_force`.
+    `pedzoo.policies.rule_based.social_force`.
     """
 
     def __init__(

@@ -26,8 +26,8 @@ API = {
     "eval.rollout.rollout metrics.closed_loop.measure eval.evaluate.evaluate sim.make.make_env "
     "sim.robots.env.make_robot_env",
     "policies": "Controllers and policies: policies.controller.controller.Controller policies.policy.Policy "
-    "policies.load.load_policy policies.learned.walker.Walker policies.teams.Teams "
-    "policies.robot_policy.RobotPolicy",
+    "policies.load.load_policy policies.walker.Walker policies.teams.Teams "
+    "policies.robots._base.RobotPolicy",
     "sim": "Simulation: sim.scenario sim.env.PedestrianEnv sim.rollout.Rollout sim.kernel "
     "sim.robots.rollout.RobotRollout sim.robots.sensor sim.robots.reward",
     "models": "Models and data: core.batch models.base.Forecaster models.architectures.sgan.SGAN "
