@@ -7,15 +7,22 @@ import math
 import torch
 from torch import Tensor
 
-from pedzoo.core.geometry import limit_speed
+from pedzoo.core.geometry import identity_pose, limit_speed
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
+from pedzoo.maps.bank import MapBank
 from pedzoo.maps.plans import rectangles, room, wall
+from pedzoo.maps.walls.local_walls import LocalWalls
 from pedzoo.policies.safety_layer.clearance import ProposedSteps
 
 ROOM = rectangles(
     [*room((-3.0, -3.0), (3.0, 3.0), 0.1), *wall((0.0, -3.0), (0.0, 3.0), 0.1, doors=[(3.0, 0.8)])]
 )
 """Six metres square, with a wall along x = 0 and a door of 0.8 m in its middle."""
+
+
+def around(scenes: int) -> LocalWalls:
+    """Return the walls of the room as the people of scenes see them."""
+    return MapBank([ROOM]).walls_around(torch.full((scenes,), ROOM.map_id), identity_pose(scenes))
 
 
 def crowd(people: int, seed: int = 0, scenes: int = 64, mixed: bool = False) -> ProposedSteps:

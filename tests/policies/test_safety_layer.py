@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 import torch
+from helpers.crowds import ROOM, around
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
@@ -14,7 +15,6 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.plans import rectangles, room, wall
 from pedzoo.maps.walls.local_walls import LocalWalls
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.loading import load
@@ -30,11 +30,6 @@ from pedzoo.policies.safety_layer.clearance import (
 from pedzoo.policies.safety_layer.layer import kept_clear, safe
 from pedzoo.policies.walker import Walker
 from pedzoo.sim.make import make_env
-
-ROOM = rectangles(
-    [*room((-3.0, -3.0), (3.0, 3.0), 0.1), *wall((0.0, -3.0), (0.0, 3.0), 0.1, doors=[(3.0, 0.8)])]
-)
-"""Six metres square, with a wall along x = 0 and a door of 0.8 m in its middle."""
 
 
 def steps(position: Any, step: Any, longest: float = 0.8, **more: Tensor) -> ProposedSteps:
@@ -147,16 +142,10 @@ def test_in_a_crowd_that_runs_into_each_other_no_person_touches(people: int) -> 
     assert nearest(position, kept_clear(asked)) > 2 * BODY_RADIUS - 1e-3
 
 
-def around(bank: MapBank, scenes: int) -> LocalWalls:
-    """Return the walls as the people of scenes see them."""
-    return bank.walls_around(torch.full((scenes,), bank.grids[0].map_id), identity_pose(scenes))
-
-
 def test_a_wall_stops_who_walks_into_it_and_lets_them_slide() -> None:
     """From 0.35 m before the wall's face, straight on and at 45 degrees."""
-    bank = MapBank([ROOM])
     asked = steps([[-0.4, 1.5], [-0.4, -1.5]], [[0.5, 0.0], [0.4, 0.4]])
-    result = kept_clear(asked, around(bank, 1))[0]
+    result = kept_clear(asked, around(1))[0]
     room_left = 0.35 - BODY_RADIUS - MARGIN
     assert result[0].tolist() == pytest.approx([room_left, 0.0], abs=5e-3)
     assert result[1].tolist() == pytest.approx([room_left, 0.4], abs=5e-3)
@@ -164,13 +153,12 @@ def test_a_wall_stops_who_walks_into_it_and_lets_them_slide() -> None:
 
 def test_in_a_narrow_place_people_keep_a_shoulders_room() -> None:
     """Who meets 0.1 m beside each other, and who is overtaken: in the door or before it; not in the open."""
-    bank = MapBank([ROOM])
     gaps = []
     for ahead in (-0.4, 0.1):
         places = torch.tensor([[[-0.5, -0.05], [0.5, 0.05]]])
         move = torch.tensor([[[0.6, 0.0], [ahead, 0.0]]])
         for place in (places, places - torch.tensor([0.4, 0.0]), places + torch.tensor([1.5, 1.0])):
-            gaps.append(nearest(place, kept_clear(steps(place, move), around(bank, 1))))
+            gaps.append(nearest(place, kept_clear(steps(place, move), around(1))))
     body = 2 * BODY_RADIUS + MARGIN
     assert gaps[:3] == pytest.approx([SHOULDERS, SHOULDERS, body], abs=0.01)
     assert gaps[3:] == pytest.approx([SHOULDERS, SHOULDERS, nearest(places, move)], abs=0.01)
@@ -178,12 +166,11 @@ def test_in_a_narrow_place_people_keep_a_shoulders_room() -> None:
 
 def test_two_who_wait_in_a_narrow_place_turn_a_shoulder() -> None:
     """Both have to wait: who has only just come keeps the room, and so does who meets a person that walks."""
-    bank = MapBank([ROOM])
     place = torch.tensor([[[-0.4, -0.1], [0.4, 0.1]]])
     move = torch.tensor([[[0.4, 0.0], [-0.4, 0.0]]])
     body = 2 * BODY_RADIUS + MARGIN
     for waits, room_left in (((True, True), body), ((True, False), SHOULDERS), ((False, False), SHOULDERS)):
-        result = kept_clear(steps(place, move, waits=torch.tensor([waits])), around(bank, 1))
+        result = kept_clear(steps(place, move, waits=torch.tensor([waits])), around(1))
         assert nearest(place, result) == pytest.approx(room_left, abs=0.01)
 
 
@@ -203,16 +190,16 @@ def test_who_hardly_moved_in_the_observed_steps_waits() -> None:
 
 def test_in_a_room_no_person_touches_walls_or_others() -> None:
     """Random steps of 10 people around a door, places in the free."""
-    bank, random = MapBank([ROOM]), torch.Generator().manual_seed(1)
+    random = torch.Generator().manual_seed(1)
     place = torch.rand(4000, 2, generator=random) * 3 - 1.5
-    gap, _ = bank.walls_around(torch.tensor([bank.grids[0].map_id]), identity_pose(1)).closest(place[None])
+    gap, _ = around(1).closest(place[None])
     free = place[gap[0] > BODY_RADIUS]
     position = free[: len(free) // 10 * 10].view(-1, 10, 2)
     apart = torch.cdist(position, position) + 9 * torch.eye(10)
     position = position[apart.amin((1, 2)) > 2 * BODY_RADIUS]
     assert len(position) >= 5
     asked = steps(position, 0.4 * torch.randn(position.shape, generator=random))
-    walls = around(bank, len(position))
+    walls = around(len(position))
     result = kept_clear(asked, walls)
     path = position.unsqueeze(2) + torch.linspace(0, 1, 21).view(-1, 1) * result.unsqueeze(2)
     gap, _ = walls.select(torch.arange(len(path)).repeat_interleave(10)).closest(path.flatten(0, 1))

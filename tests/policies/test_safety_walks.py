@@ -8,12 +8,11 @@ from typing import Any
 
 import pytest
 import torch
-from helpers.crowds import ROOM, crowd
+from helpers.crowds import around, crowd
 from torch import Tensor
 
-from pedzoo.core.geometry import blended, identity_pose, limit_speed, limited
+from pedzoo.core.geometry import blended, limit_speed, limited
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
-from pedzoo.maps.bank import MapBank
 from pedzoo.maps.walls.local_walls import LocalWalls
 from pedzoo.policies.safety_layer.clearance import ProposedSteps, kept_clear_in_torch
 from pedzoo.policies.safety_layer.layer import kept_clear, safe
@@ -29,11 +28,6 @@ def path_of(steps: ProposedSteps, step: Tensor) -> Tensor:
     each = limited(blended(velocity.movedim(-1, 0), limited(step.movedim(-1, 0) / STEP_SECONDS, top), 4), top)
     moved = (0.1 * TRACE_SECONDS * each.repeat_interleave(10, 1)).cumsum(1)
     return steps.position + moved.movedim(0, -1)
-
-
-def around(bank: MapBank, scenes: int) -> LocalWalls:
-    """Return the walls as the people of scenes see them."""
-    return bank.walls_around(torch.full((scenes,), ROOM.map_id), identity_pose(scenes))
 
 
 def test_a_walk_is_what_the_simulation_makes_of_a_step() -> None:
@@ -60,12 +54,10 @@ def test_on_blended_paths_people_do_not_touch(people: int) -> None:
 
 def test_on_blended_paths_no_person_touches_a_wall() -> None:
     """People who run at a wall and are told to turn along it: the old velocity still leads into it."""
-    bank = MapBank([ROOM])
-    asked = crowd(1, scenes=512)
-    walls = around(bank, 512)
+    asked, walls = crowd(1, scenes=512), around(512)
     gap, _ = walls.closest(asked.position)
     free = gap[:, 0] > BODY_RADIUS
-    for steps, touches in ((asked.step, True), (kept_clear(asked, around(bank, 512)), False)):
+    for steps, touches in ((asked.step, True), (kept_clear(asked, walls), False)):
         path = path_of(asked, steps).movedim(0, 1).flatten(1, 2)
         gap, _ = walls.closest(path)
         assert bool((gap[free] < BODY_RADIUS - 2e-3).any()) is touches
@@ -105,7 +97,7 @@ def mixed_crowd(people: int, walled: bool) -> tuple[ProposedSteps, LocalWalls | 
     asked = crowd(people, scenes=200, mixed=True)
     if not walled:
         return asked, None
-    walls = around(MapBank([ROOM]), 200)
+    walls = around(200)
     selected = walls.select(torch.arange(200).repeat_interleave(people))
     free = (selected.closest(asked.position.flatten(0, 1))[0] > 0).view(asked.present.shape)
     return asked._replace(present=asked.present & free, moved=asked.moved & free), walls
@@ -117,7 +109,7 @@ def test_gradients_of_a_person_at_a_wall(answer: Callable[..., Tensor]) -> None:
 
     Before the wall, by a step that is cut short, the place counts: nearer by 1 cm, shorter by 1 cm.
     """
-    walls = around(MapBank([ROOM]), 2)
+    walls = around(2)
     place = torch.tensor([[[-0.15, 1.5]], [[-0.4, 1.5]]], requires_grad=True)
     step = torch.tensor([[[0.1, 0.2]], [[0.3, 0.2]]], requires_grad=True)
     one = torch.ones(2, 1, dtype=torch.bool)
@@ -155,7 +147,7 @@ def test_gradients_through_walks_are_finite() -> None:
     velocity[:16] = 0.0
     velocity[16:32] = asked.step[16:32] / STEP_SECONDS
     step = asked.step.clone().requires_grad_()
-    kept_clear(asked._replace(step=step), around(MapBank([ROOM]), 64)).square().sum().backward()
+    kept_clear(asked._replace(step=step), around(64)).square().sum().backward()
     assert step.grad is not None and step.grad.isfinite().all()
 
 
