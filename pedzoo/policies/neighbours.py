@@ -84,7 +84,9 @@ def _of_trees(position: Tensor, reach: float, place: Tensor) -> tuple[Tensor, Te
     found = [np.zeros((2, 0), dtype=np.int64)]
     for scene in range(scenes):
         here = there[scene].nonzero()[0]
-        found.append(scene * agents + here[pairs_within(points[scene, here].astype(np.float64), reach)])
+        found.append(
+            scene * agents + here[pairs_within(KDTree(points[scene, here].astype(np.float64)), reach)]
+        )
     own, other = np.concatenate(found, axis=1)
     apart = points.reshape(-1, 2)[other] - points.reshape(-1, 2)[own]
     squared = apart[:, 0] * apart[:, 0] + apart[:, 1] * apart[:, 1]
@@ -101,9 +103,9 @@ def _of_trees(position: Tensor, reach: float, place: Tensor) -> tuple[Tensor, Te
     return few, them
 
 
-def pairs_within(points: NDArray[np.float64], reach: float) -> NDArray[np.int64]:
-    """Return the pairs (2, P) of points (N, 2) that are nearer than about ``reach``, in both directions."""
-    pairs = KDTree(points).query_pairs(reach * (1 + 1e-6), output_type="ndarray")
+def pairs_within(points: KDTree, reach: float) -> NDArray[np.int64]:
+    """Return the pairs (2, P) of points that are nearer than about ``reach``, in both directions."""
+    pairs = points.query_pairs(reach * (1 + 1e-6), output_type="ndarray")
     return np.concatenate((pairs, pairs[:, ::-1])).T
 
 

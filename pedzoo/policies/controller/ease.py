@@ -13,6 +13,7 @@ from pedzoo.core.types import GOAL_RADIUS, STEP_SECONDS, TOP_SPEED_RATIO
 from pedzoo.maps.bank import MapBank
 from pedzoo.policies.controller.clock import CallerClock
 from pedzoo.policies.controller.roster import Roster
+from pedzoo.policies.neighbours import pairs_within
 
 BRAKES, HARDEST = 2.0, 2.4
 """m/s^2: how people come to rest at a goal, and the most by which they start and stop."""
@@ -204,8 +205,7 @@ def _room(
         return result
     place, radius = places.data, agents.radius.double().numpy()
     fastest = min(_FASTEST, float(np.maximum(_length(own), _length(others)).max()))
-    pairs = places.query_pairs(2 * (radius.max() + seconds * fastest) + _GAP, output_type="ndarray")
-    me, them = np.concatenate((pairs, pairs[:, ::-1])).T
+    me, them = pairs_within(places, 2 * (radius.max() + seconds * fastest) + _GAP)
     me, them = me[which[me]], them[which[me]]
     away, move = place[me] - place[them], own[me] - others[them]
     when = -(away * move).sum(-1) / np.maximum((move**2).sum(-1), 1e-9)
