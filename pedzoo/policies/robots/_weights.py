@@ -88,7 +88,7 @@ def load_planner(name: str, time_step: float) -> LocalPlanner:
     """Return a local planner by its name, or a trained robot as one.
 
     Args:
-        name: As of `pedzoo.policies.robots._weights.load_local_planner`, or weights: ``robot_ppo.circle``.
+        name: As of `load_local_planner`, or weights: ``robot_ppo.circle``.
         time_step: Seconds between decisions.
 
     Raises:
