@@ -153,7 +153,7 @@ def test_gradients_through_walks_are_finite() -> None:
 
 def test_the_torch_path_reads_nothing_back_to_the_host() -> None:
     """On the meta device there is nothing to read: every look at a value raises."""
-    env = make_env("door:people=4,width=0.8", 3, "grid")
+    env = make_env("door:people=4,width=0.8", 3, "torch")
     seen: Any = env.reset(seed=0).select("agents", "maps", "map_id", "scene_pose").to("meta")
     step = torch.zeros(3, 4, 2, device="meta")
     assert safe(seen, step).shape == (3, 4, 2)

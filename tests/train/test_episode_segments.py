@@ -38,7 +38,7 @@ def made(velocity: Tensor, start: Tensor, bank: MapBank | None = None, **more: A
     scenes = velocity.shape[1]
     fields = {
         "trace": begin.unsqueeze(-2) + velocity.unsqueeze(-2) * part,
-        "unconstrained_action": velocity,
+        "asked": velocity,
         "action": velocity,
         "velocity": velocity,
         "progress": 0.4 * velocity[..., 0],
