@@ -108,7 +108,7 @@ def test_people_are_served_one_after_the_other() -> None:
     drawn = []
     now: Any = env.reset()
     for _ in range(60):
-        drawn.append(env.state.drawn)
+        drawn.append(env.state.goal_index)
         now["agents", "action"] = now["agents", "desired_velocity"]
         now = step_mdp(env.step(now))
     taken = torch.stack(drawn)
