@@ -15,9 +15,7 @@ from pedzoo.core.geometry import identity_pose, move_to_scene, turn_to_scene
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
 from pedzoo.maps.walls.segments import Segments, WallSegments
-from pedzoo.policies import orca as agent_lines
-from pedzoo.policies import orca as wall_lines
-from pedzoo.policies.orca import OrcaSettings, orca_velocity, solve, violation
+from pedzoo.policies.orca import OrcaSettings, agent_lines, orca_velocity, solve, violation, wall_lines
 
 SETTINGS = OrcaSettings(dt=0.4)
 

@@ -33,8 +33,7 @@ from pedzoo.maps.formats import read_plan
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
 from pedzoo.maps.walls.segment_table import NOWHERE, SegmentTable, edges
 from pedzoo.maps.walls.segments import WallSegments
-from pedzoo.policies import orca as wall_lines
-from pedzoo.policies.orca import OrcaSettings, nearest_permitted, orca_velocity
+from pedzoo.policies.orca import OrcaSettings, nearest_permitted, orca_velocity, wall_lines
 from tools.bench.rvo2_peer import Rvo2
 
 SPEED, TOP_SPEED = 1.3, 1.69

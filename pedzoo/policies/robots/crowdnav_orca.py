@@ -5,8 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pedzoo.policies import orca as agent_lines
-from pedzoo.policies.orca import OrcaSettings, solve
+from pedzoo.policies.orca import OrcaSettings, agent_lines, solve
 from pedzoo.policies.robots._base import ObservedPeople, Robot
 
 
