@@ -13,6 +13,7 @@ from typing import Any, TypeVar, cast
 EXTRAS = {
     "train": ("lightning",),
     "fast": ("numba",),
+    "score": ("sklearn",),
     "bullet": ("pybullet",),
     "video": ("cv2", "matplotlib"),
     "wandb": ("wandb",),

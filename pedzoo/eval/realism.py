@@ -14,35 +14,29 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.types import STEP_SECONDS
+from pedzoo.eval.scoring.rows import SPLITS, Resampled, crowd_values, halves_row, values_row
 from pedzoo.metrics.closed_loop import own_metrics
 from pedzoo.metrics.contacts import intervention_m, intervention_share
 from pedzoo.metrics.ratios import of_parts, summarised
 from pedzoo.metrics.realism.crowds import (
     CrowdSums,
-    compared,
     contact_intervals,
     crowd,
     densities,
     density_speed,
-    distances,
     only,
-    resampled_distances,
-    spreads,
     together,
 )
-from pedzoo.metrics.realism.distances import drawn_people, halves
-from pedzoo.metrics.realism.features import FEATURES, every_step
+from pedzoo.metrics.realism.distances import halves
+from pedzoo.metrics.realism.features import FEATURES, every_step, surroundings
 from pedzoo.metrics.realism.walks import RecordedWalks, Walks, WalksByPerson, of_people, tracks_of, walks_of
-from pedzoo.metrics.statistics import percentile_interval, wilson
+from pedzoo.metrics.statistics import drawn_people, wilson
 from pedzoo.sim.replay.people import RecordedPeople
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.scenarios.replay import PreparedReplay
 
-REAL, HALVES = "real", "real halves"
-"""Names of the rows of `reference_rows`."""
-
-SPLITS = 200
-"""Random halves of the real crowd."""
+REAL = "real"
+"""Name of the recorded people's row."""
 
 
 class _Recorded(NamedTuple):
@@ -90,35 +84,25 @@ def replay_row(
         own.append(layer | own_metrics(part, metrics))
         steps = every_step(part)
         walked.append(walks_of(part, steps, first, scenes, recorded.tracks))
-        crowds.append(crowd(part, steps, first, scenes, people.start, people.goal))
+        crowds.append(crowd(part, steps, surroundings(steps), first, scenes, people.start, people.goal))
         first += len(part.failed)
     walks = Walks(*(torch.cat(values) for values in zip(*walked, strict=True)))
     seen = torch.zeros(len(people.agent), dtype=torch.bool)
     seen[walks.person] = True
     tables = WalksByPerson.of(walks, recorded.tracks.seconds, scenes)
-    mine, real = together(crowds), only(recorded.crowd, seen)
-    once, drawn = (_weights(w, seen) for w in (torch.ones(1, int(seen.sum())), drawn_people(int(seen.sum()))))
-    spread = spreads(real)
-    values = of_people(tables, once) | compared(mine, real, once, once, distances(mine, real), spread)
-    distance = resampled_distances(mine, real, drawn, drawn)
-    resamples = of_people(tables, drawn) | compared(mine, real, drawn, drawn, distance, spread)
-    numbers = {key: float(value) for key, value in values.items() if not value.isnan()}
-    found = {key: percentile_interval(resamples[key], int(seen.sum())) for key in numbers}
-    found |= contact_intervals(mine, real, torch.arange(len(seen)), len(seen))
-    intervals = {key: ends for key, ends in found.items() if ends and key in numbers}
-    for key in ("success", "deadlock"):
-        intervals[key] = wilson(numbers[key], int(seen.sum()))
+    mine, real, count = together(crowds), only(recorded.crowd, seen), int(seen.sum())
+    drawn = _weights(torch.cat((torch.ones(1, count, dtype=torch.float64), drawn_people(count))), seen)
+    values = of_people(tables, drawn) | crowd_values(mine, real, Resampled(drawn, drawn))
+    exact = contact_intervals(mine, real, torch.arange(len(seen)), len(seen))
+    exact |= {key: wilson(float(values[key][0]), count) for key in ("success", "deadlock")}
+    row = values_row(name, count, len(tables.success), values, count, exact)
     more, theirs = summarised({key: of_parts([part[key] for part in own]) for key in own[0]})
-    return {
-        "name": name,
-        "case": {},
+    return row | {
         "decision_dt_s": decision_dt,
-        "n": int(seen.sum()),
-        "rounds": len(tables.success),
-        "metrics": numbers | more,
-        "ci95": intervals | theirs,
+        "metrics": row["metrics"] | more,
+        "ci95": row["ci95"] | theirs,
         "per_agent": _listed(tables, people, seen),
-        "density_speed": _curve(mine, real, once),
+        "density_speed": _curve(mine, real, drawn[:1]),
         "distributions": distributions(mine, real),
     }
 
@@ -134,19 +118,8 @@ def reference_rows(scenario: PreparedReplay, metrics: Sequence[str] = ()) -> lis
     recorded = _recorded(scenario)
     real, seen = recorded.crowd, recorded.tracks.scene >= 0
     first = _weights(halves(int(seen.sum()), SPLITS), seen)
-    second = seen.double() - first
-    distance = resampled_distances(real, real, first, second)
-    result = compared(real, real, first, second, distance, spreads(real))
-    floor = {
-        "name": HALVES,
-        "case": {},
-        "decision_dt_s": STEP_SECONDS,
-        "n": int(seen.sum()),
-        "rounds": 1,
-        "metrics": {key: float(value.nanmean()) for key, value in result.items() if not value.isnan().all()},
-        "ci95": {key: interval for key, value in result.items() if (interval := percentile_interval(value))},
-        "per_agent": [],
-    }
+    values = crowd_values(real, real, Resampled(first, seen.double() - first), exact=False)
+    floor = halves_row(int(seen.sum()), values) | {"decision_dt_s": STEP_SECONDS, "per_agent": []}
     return [replay_row(REAL, scenario.real_parts(), scenario, STEP_SECONDS, metrics), floor]
 
 
@@ -156,7 +129,9 @@ def _recorded(scenario: PreparedReplay) -> _Recorded:
     people, parts = scenario.persons, list(scenario.real_parts())
     crowds, first = [], 0
     for part in parts:
-        crowds.append(crowd(part, every_step(part), first, scenario.scenes, people.start, people.goal))
+        steps = every_step(part)
+        around = surroundings(steps)
+        crowds.append(crowd(part, steps, around, first, scenario.scenes, people.start, people.goal))
         first += len(part.failed)
     return _Recorded(tracks_of(parts, len(people.agent)), together(crowds))
 

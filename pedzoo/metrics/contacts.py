@@ -28,6 +28,9 @@ NOTICED = 0.02
 """Metres by which a step is changed at least."""
 
 
+GRAZING = 1e-3
+"""m^4/s^2: below, when two people touch changes too fast for a gradient."""
+
 _AT_ONCE = 100_000
 """Pairs of positions that are compared at once: several such tensors fit a cache."""
 
@@ -121,6 +124,18 @@ def collision_seconds(x: Tensor, y: Tensor, vx: Tensor, vy: Tensor, reach: Tenso
     seconds = gap.clamp(min=0.0).div_(under.clamp(min=0.0).sqrt_().add_(closing))
     never = (closing <= 0) | (under < 0)
     return seconds.masked_fill_(never, HORIZON).clamp_(max=HORIZON).masked_fill_(gap <= 0, 0.0)
+
+
+def touch_seconds(away: Tensor, velocity: Tensor, reach: Tensor | float) -> Tensor:
+    """Return when pairs (M,) touch that do so within `HORIZON`, with gradients; see `collision_seconds`.
+
+    They are ``away`` from each other, with a relative ``velocity`` (M, 2). Times of those who only graze each
+    other are a little too small.
+    """
+    closing = -(away * velocity).sum(-1)
+    gap = away.square().sum(-1) - reach**2
+    under = closing.square() - velocity.square().sum(-1) * gap
+    return gap / (under.clamp_min(GRAZING).sqrt() + closing.clamp_min(1e-3))
 
 
 def _frames(there: Tensor, *vectors: Tensor) -> Iterator[list[Tensor]]:

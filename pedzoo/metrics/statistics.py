@@ -96,16 +96,16 @@ def bootstrap_quantile(value: Tensor, episode: Tensor, episodes: int, at: float)
 
     ``episode`` (N,) is the episode of each value.
     """
-    result = quantiles(value, episode, _resampled(episodes), (at,))[:, 0]
+    result = quantiles(value, episode, drawn_people(episodes), (at,))[:, 0]
     return percentile_interval(result, len(episode.unique()))
 
 
 @lru_cache(maxsize=2)  # all metrics of a row, and all rows of a table, have the same
-def _resampled(episodes: int) -> Tensor:
-    """Return how often each episode is drawn in each resample (RESAMPLES, E) float64."""
-    generator = torch.Generator().manual_seed(0)
-    chosen = torch.randint(episodes, (RESAMPLES, episodes), generator=generator)
-    times = torch.zeros(RESAMPLES, episodes, dtype=torch.float64)
+def drawn_people(people: int, resamples: int = RESAMPLES, seed: int = 0) -> Tensor:
+    """Return how often each person (episode) is drawn (R, P), float64: P of P with replacement, R times."""
+    generator = torch.Generator().manual_seed(seed)
+    chosen = torch.randint(people, (resamples, people), generator=generator)
+    times = torch.zeros(resamples, people, dtype=torch.float64)
     return times.scatter_add_(1, chosen, torch.ones_like(times))
 
 

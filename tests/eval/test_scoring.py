@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -14,30 +16,39 @@ from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.data.tracks import Tracks
 from pedzoo.eval.evaluate import evaluate
-from pedzoo.eval.scoring.crowds import ScoredCrowd, recorded_crowd
-from pedzoo.eval.scoring.files import file_crowd
-from pedzoo.eval.scoring.rows import _verdict as verdict_of
+from pedzoo.eval.scoring import rows as score_rows
+from pedzoo.eval.scoring.crowds import ScoredCrowd, blocks_of, file_crowd, recorded_crowd
+from pedzoo.eval.scoring.likelihood import (
+    STEPS,
+    JointWindows,
+    bins,
+    likelihood,
+    policy_windows,
+    recorded_windows,
+    windows_of,
+)
 from pedzoo.eval.scoring.rows import row
-from pedzoo.eval.scoring.same_people import companions
 from pedzoo.eval.scoring.score import Reference, score
-from pedzoo.eval.scoring.windows import STEPS, JointWindows, windows_of
-from pedzoo.eval.scoring.wosac import bins, likelihood, policy_windows, recorded_windows
 from pedzoo.eval.suite import OwnRecordings
 from pedzoo.metrics.door import flow
-from pedzoo.metrics.realism.bottlenecks import through
-from pedzoo.metrics.realism.crowdes import ScoredSteps, columns
 from pedzoo.metrics.realism.crowds import spreads
-from pedzoo.metrics.realism.two_sample import auc
+from pedzoo.metrics.realism.distances import displacement
+from pedzoo.metrics.realism.two_sample import TREES, auc
+from pedzoo.metrics.realism.walks import ScoredSteps, columns, companions, through
 from pedzoo.metrics.realism.wosac import (
     BINS,
     MEASURED,
     ROLLOUTS,
     contact_likelihood,
-    displacement,
     measured_likelihood,
 )
 from pedzoo.sim.replay.people import without_goals
 from pedzoo.sim.scenarios.replay import PreparedReplay
+
+
+@pytest.fixture(autouse=True)
+def few_trees(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(TREES, "max_iter", 20)
 
 
 @pytest.fixture(scope="module")
@@ -94,9 +105,29 @@ def auc_of(table: np.ndarray, path: Path, real: PreparedReplay, recorded: Scored
         written(path / "other.csv", table[np.random.default_rng(6).permutation(len(table))]), real
     )
     assert (side.twin < 0).float().mean() > 0.9
-    verdict = verdict_of(side, recorded, side.fine.clips, recorded.fine.clips)
+    verdict = score_rows._verdict(side, recorded, side.fine.clips, recorded.fine.clips)
     once = (torch.ones(1, len(crowd.seen)) for crowd in (side, recorded))
     return float(auc(verdict, *once))
+
+
+def test_people_who_are_known_keep_their_part(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(score_rows, "two_sample", lambda mine, theirs, own, split: (own, split))
+    monkeypatch.setattr(
+        score_rows, "nearest_parts", lambda mine, theirs, split, people: torch.full((people,), 9)
+    )
+    real, clips = cast("Any", SimpleNamespace(seen=torch.ones(9))), cast("Any", None)
+    for twin, strangers in ([0, -1, 4], [1]), ([0, 5], []):
+        side = cast("Any", SimpleNamespace(twin=torch.tensor(twin)))
+        own, split = cast("Any", score_rows._verdict(side, real, clips, clips))
+        assert own.tolist() == [9 if i in strangers else split[person] for i, person in enumerate(twin)]
+        assert torch.bincount(split).tolist() == [3, 2, 2, 2]
+
+
+def test_blocks_of_time_lie_within_a_recording() -> None:
+    taken = torch.tensor([10, 84, 85, 160, 7, 7 + 3000])
+    people = cast("Any", SimpleNamespace(taken=taken, recording=torch.tensor([0, 0, 0, 0, 1, 1])))
+    # 75 steps are 30 s; the second recording has 20 blocks
+    assert blocks_of(people)[0].tolist() == [0, 0, 1, 2, 3, 22] and blocks_of(people)[1] == 23
 
 
 def straightened(table: np.ndarray, agents: np.ndarray) -> np.ndarray:
@@ -341,12 +372,11 @@ def test_the_suite_replay_walks_own_files(tmp_path: Path) -> None:
 def test_the_command_writes_one_json(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pedzoo.metrics.realism.boosting.TREES", 5)
     mine = written(tmp_path / "mine.csv", plaza())
     out = tmp_path / "score.json"
     assert main(["score", mine, "--against", "embedded", "--likelihood", "false", "--json", str(out)]) == 0
     report = json.loads(out.read_text())
     assert [one["name"] for one in report["rows"]] == ["real", "real halves", mine]
-    assert report["protocol"]["version"] == 2
+    assert report["protocol"]["version"] == 3
     assert "mine.csv" in capsys.readouterr().out
     assert main(["score", str(tmp_path / "absent.csv"), "--against", "embedded"]) == 2

@@ -1,10 +1,7 @@
-"""Whether and when people arrive, how far they walked, and intervals: values computed by hand."""
+"""Whether and when people arrive, and how far they walked: values computed by hand."""
 
 from __future__ import annotations
 
-import math
-
-import numpy as np
 import pytest
 import torch
 
@@ -21,8 +18,6 @@ from pedzoo.metrics.arrival import (
     walked_metres,
     weighted,
 )
-from pedzoo.metrics.ratios import Ratio, summarised
-from pedzoo.metrics.statistics import ratio_interval, wilson
 
 INF = float("inf")
 
@@ -111,48 +106,3 @@ def test_fewest_and_most_goals_are_of_people_who_took_part() -> None:
     mask = torch.tensor([[True, True, False], [True, True, True]])
     assert fewest_goals(reached, mask).tolist() == [2, 0]
     assert most_goals(reached, mask).tolist() == [3, 4]
-
-
-def test_wilson_interval() -> None:
-    # 8 of 10: the interval in Brown, Cai and DasGupta's formula, computed by hand
-    assert wilson(0.8, 10) == pytest.approx((0.4902, 0.9433), abs=1e-4)
-    low, high = wilson(0.0, 20)
-    assert low == 0.0 and high == pytest.approx(3.8415 / 23.8415, abs=1e-4)
-
-
-def test_intervals_of_ratios_are_those_of_means_and_weigh_episodes_by_their_length() -> None:
-    value = torch.randn(400, generator=torch.Generator().manual_seed(0)).double()
-    half = 1.966 * float(value.std()) / 20
-    mean = float(value.mean())
-    assert ratio_interval(value, torch.ones(400)) == pytest.approx((mean - half, mean + half), abs=1e-3)
-    # 1, 2 and 6: the jackknife's error is the root of (4 + 1 + 9) / 4 = 1.8708, t of three is 4.3027
-    low, high = ratio_interval(torch.tensor([1.0, 2.0, 6.0]), torch.ones(3)) or (0.0, 0.0)
-    assert low == 0.0 and high == pytest.approx(3 * math.exp(4.3027 * 1.8708 / 3), rel=1e-3)
-    assert ratio_interval(3 * torch.arange(1.0, 6.0), torch.arange(1.0, 6.0)) is None
-    assert ratio_interval(torch.tensor([4.0, 2.0, 0.0]), torch.tensor([2, 2, 0])) is None
-    steps = torch.full((5,), 100.0)
-    low, high = ratio_interval(torch.tensor([99.0, 90.0, 98.0, 99.0, 97.0]), steps, part=True) or (0.0, 0.0)
-    assert low < 0.966 - 0.04 and high == 1.0
-
-
-@pytest.mark.parametrize("episodes", [3, 5, 10, 20, 50])
-def test_intervals_cover_however_few_episodes_and_rare_events_there_are(episodes: int) -> None:
-    """Of rare, clustered and skewed values, and of ratios of sums, 93 of 100 intervals hold the truth."""
-    random, trials = np.random.default_rng(episodes), 400
-    size, once = (trials, episodes), np.ones((trials, episodes))
-    minutes, people = random.gamma(4, 1, size), random.integers(0, 6, size)
-    kinds = {
-        **{f"Poisson {rate}": (random.poisson(rate, size), once, rate) for rate in (0.02, 0.1, 0.5, 2.0)},
-        "contacts per minute": (random.poisson(0.1 * minutes), minutes, 0.1),
-        "touches in clusters": ((random.random(size) < 0.1) * random.poisson(5, size), once, 0.5),
-        "negative binomial": (random.negative_binomial(0.5, 0.2, size), once, 2.0),
-        "exponential": (random.exponential(1, size), once, 1.0),
-        "normal": (random.normal(3, 1, size), once, 3.0),
-        "mean over people": (random.gamma(2 * np.maximum(people, 1e-9), 0.5), people, 1.0),
-    }
-    missed = {}
-    for kind, (above, below, truth) in kinds.items():
-        rows = zip(torch.from_numpy(above).double(), torch.from_numpy(below).double(), strict=True)
-        ratios = [summarised({"x": Ratio(*sums)})[1].get("x", (-math.inf, math.inf)) for sums in rows]
-        missed[kind] = sum(not low <= truth <= high for low, high in ratios) / trials
-    assert max(missed.values()) < 0.07 + 2 * math.sqrt(0.07 * 0.93 / trials), missed

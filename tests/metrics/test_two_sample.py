@@ -6,10 +6,22 @@ import numpy as np
 import pytest
 import torch
 
-from pedzoo.metrics.realism.boosting import fit, log_odds
-from pedzoo.metrics.realism.clips import CHANNELS, LENGTH, Clips, clips
-from pedzoo.metrics.realism.features import SampledRollout, coarse, to_millimetres
-from pedzoo.metrics.realism.two_sample import FOLDS, Verdict, auc, two_sample
+from pedzoo.metrics.realism.features import (
+    CHANNELS,
+    LENGTH,
+    Clips,
+    SampledRollout,
+    clips,
+    coarse,
+    surroundings,
+    to_millimetres,
+)
+from pedzoo.metrics.realism.two_sample import FOLDS, TREES, Verdict, auc, boosted, nearest_parts, two_sample
+
+
+@pytest.fixture(autouse=True)
+def few_trees(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(TREES, "max_iter", 10)
 
 
 def steps_of(xy: torch.Tensor, scored_from: int = 1) -> SampledRollout:
@@ -24,18 +36,21 @@ def steps_of(xy: torch.Tensor, scored_from: int = 1) -> SampledRollout:
     return SampledRollout(xy.unsqueeze(0), person, velocity, known, scored, torch.full((1, people), 0.15))
 
 
+def clips_of(xy: torch.Tensor, start: torch.Tensor, goal: torch.Tensor) -> Clips:
+    """Clips of people (A, S, 2) who are scored from the third step on."""
+    steps = steps_of(xy, 2)
+    return clips(steps, surroundings(steps), start, goal)
+
+
 @pytest.mark.parametrize("column", range(3))
 @pytest.mark.parametrize("bump", [False, True])
-def test_trees_learn_a_step_or_a_bump_and_say_by_which_feature(
-    column: int, bump: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("pedzoo.metrics.realism.boosting.TREES", 10)
+def test_trees_learn_a_step_or_a_bump_and_say_by_which_feature(column: int, bump: bool) -> None:
     generator = np.random.default_rng(0)
     rows, test = generator.normal(size=(2000, 3)), generator.normal(size=(1000, 3))
     labels = [(abs(one[:, column]) > 0.6 if bump else one[:, column] > 0.3) for one in (rows, test)]
-    trees = fit(rows, labels[0].astype(float), np.ones(len(rows)))
-    assert ((log_odds(trees, test) > 0) == labels[1]).mean() > 0.96
-    assert trees.gain.argmax() == column and trees.gain[column] > 0.9 * trees.gain.sum()
+    odds, gain = boosted(rows, labels[0].astype(float), np.ones(len(rows)), test)
+    assert ((odds > 0) == labels[1]).mean() > 0.96
+    assert gain.argmax() == column and gain[column] > 0.9 * gain.sum()
 
 
 def test_auc_counts_pairs_with_ties_as_half() -> None:
@@ -52,7 +67,7 @@ def test_clips_are_in_the_frame_of_the_way() -> None:
     time = torch.arange(12).float() * 0.4
     walks = torch.stack((torch.stack((torch.zeros(12), time), 1), torch.stack((torch.ones(12), time), 1)))
     start, goal = walks[:, 0], torch.tensor([[0.0, 10.0], [1.0, 10.0]])
-    result = clips(steps_of(walks, 2), start, goal)
+    result = clips_of(walks, start, goal)
     assert len(result.person) == 2 * (10 - LENGTH + 1)
     step = dict(zip(CHANNELS, result.value[0, : len(CHANNELS)].tolist(), strict=True))
     assert step["velocity along the way"] == pytest.approx(1.0)
@@ -62,7 +77,7 @@ def test_clips_are_in_the_frame_of_the_way() -> None:
     assert step["second person ahead"] == 20.0
     assert step["distance to the exit"] == pytest.approx(10 - 0.8, abs=1e-5)
     turned = torch.tensor([[0.0, -1.0], [1.0, 0.0]])
-    again = clips(steps_of(walks @ turned, 2), start @ turned, goal @ turned)
+    again = clips_of(walks @ turned, start @ turned, goal @ turned)
     torch.testing.assert_close(again.value, result.value, atol=1e-4, rtol=0)
 
 
@@ -86,7 +101,7 @@ def crowd_of(noise: float, people: int, seed: int) -> Clips:
     change = noise * torch.randn(people, 18, 2, generator=generator).cumsum(1)
     place = 20 * torch.rand(people, 1, 2, generator=generator)
     xy = place + ((speed + change) * 0.4).cumsum(1)
-    return clips(steps_of(xy, 2), xy[:, 0], xy[:, -1])
+    return clips_of(xy, xy[:, 0], xy[:, -1])
 
 
 def found_auc(one: Clips, other: Clips, people: int) -> float:
@@ -113,3 +128,28 @@ def test_numbers_of_people_do_not_matter() -> None:
     verdicts = two_sample(one, other, parts, parts), two_sample(again, other, moved, parts)
     first, second = (float(auc(verdict, once, once)) for verdict in verdicts)
     assert first == pytest.approx(second, abs=1e-9)
+
+
+def test_no_part_gets_more_than_half_of_the_strangers() -> None:
+    real = crowd_of(0.1, 4, 7)
+    walk = Clips(*(value[real.person == 2] for value in real))
+    # five who walk like the recorded person of part 2, and one with a clip of another
+    others = Clips(*(value[real.person == 1][:1] for value in real))
+    clips_of_all = torch.cat((walk.value.repeat(5, 1), others.value))
+    person = torch.cat((torch.arange(5).repeat_interleave(len(walk.person)), torch.tensor([5])))
+    parts = nearest_parts(Clips(clips_of_all, person), real, torch.arange(4), 6)
+    assert torch.bincount(parts, minlength=4)[2] == 3 and parts[5] == 1
+    four = nearest_parts(
+        Clips(walk.value.repeat(2, 1), person[: 2 * len(walk.person)]), real, torch.arange(4), 2
+    )
+    assert torch.bincount(four, minlength=4).max() == 1 and four[0] == 2
+
+
+def test_larger_crowds_are_thinned_evenly(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pedzoo.metrics.realism.two_sample.MOST", 100)
+    real, other = crowd_of(0.05, 40, 0), crowd_of(0.05, 40, 1)
+    parts = torch.arange(40) % FOLDS
+    verdict = two_sample(real, other, parts, parts)
+    assert len(real.person) == 360 and verdict.simulated.sum() == (~verdict.simulated).sum() == 90
+    assert verdict.person.unique().tolist() == list(range(40))
+    assert sum(verdict.gain.tolist()) == pytest.approx(1) and len(verdict.telling) == 3

@@ -21,7 +21,7 @@ from pedzoo.maps.formats import write_ros
 from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from pedzoo.maps.planning.planner import Planner
 from pedzoo.metrics.realism.crowds import crowd
-from pedzoo.metrics.realism.features import every_step
+from pedzoo.metrics.realism.features import every_step, surroundings
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.rule_based.go_to_goal import GoToGoal
 from pedzoo.policies.walker import Walker
@@ -327,6 +327,7 @@ def test_the_truth_arrives_with_all_people(folder: Path) -> None:
         assert torch.equal(result.underway, real.underway[..., : both.shape[2]])
         assert int(real.controlled.sum()) == int(result.underway.sum()) > 0
         steps, true = every_step(result), every_step(real)
+        both = (result, steps), (real, true)
         length = min(steps.scored.shape[2], true.scored.shape[2])
         assert torch.equal(steps.scored[..., :length], true.scored[..., :length])
         assert int(steps.scored.sum()) == int(true.scored.sum()) > 0
@@ -334,7 +335,7 @@ def test_the_truth_arrives_with_all_people(folder: Path) -> None:
         assert results == pytest.approx(expected, abs=2e-3)
         assert expected["realism"] == expected["closed_loop_ade_m"] == 0.0 and expected["success"] == 1.0
         lines = scenario.persons.start, scenario.persons.goal
-        minutes = [crowd(r, every_step(r), 0, scenario.scenes, *lines).minutes for r in (result, real)]
+        minutes = [crowd(r, s, surroundings(s), 0, scenario.scenes, *lines).minutes for r, s in both]
         assert torch.equal(*minutes)
 
 

@@ -12,6 +12,7 @@ from pedzoo.cli.main import main
 from pedzoo.core.configs import load_config, merged
 from pedzoo.core.paths import config_names
 from pedzoo.core.spec import grouped
+from pedzoo.metrics.realism.two_sample import TREES
 from pedzoo.models.zoo.loading import load
 from pedzoo.sim.make import make_scenario
 from pedzoo.train.fine_tuning import architecture_options
@@ -21,7 +22,7 @@ from pedzoo.train.fine_tuning import architecture_options
 def test_config_trains(
     name: str, tmp_path: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pedzoo.metrics.realism.boosting.TREES", 5)
+    monkeypatch.setitem(TREES, "max_iter", 5)
     if "alexnet" in name:
         request.getfixturevalue("alexnet")
     options = {"data.fold": "embedded", "runs": str(tmp_path), "trainer.enable_progress_bar": "false"}

@@ -15,11 +15,10 @@ from pedzoo.core.types import OBS_LEN, STEP_SECONDS
 from pedzoo.data.tracks import Tracks
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planning.planner import Planner
-from pedzoo.metrics.realism import clips as score_clips
 from pedzoo.metrics.realism import features as score_features
+from pedzoo.metrics.realism.distances import wasserstein
 from pedzoo.models.architectures.social_walker import SocialWalker
 from pedzoo.policies.walker import Walker
-from pedzoo.train.closed_loop.distribution_distances import wasserstein
 from pedzoo.train.crowds.comparison import MANNER_DIM, coarse, compared, parted, summaries
 from pedzoo.train.crowds.crowd_walk import CrowdWalk, recorded, walked_on
 from pedzoo.train.crowds.discriminator import CrowdDiscriminator, legible
@@ -210,7 +209,7 @@ def test_features_and_clips_are_those_of_the_score(whole: Excerpts, positions: s
         torch.testing.assert_close(
             values.sort().values, expected.sort().values, atol=2e-3, rtol=1e-3, msg=name
         )
-    expected_clips = score_clips.clips(steps, whole.start[0], whole.exit[0])
+    expected_clips = score_features.clips(steps, around, whole.start[0], whole.exit[0])
     assert len(mine.clips) == len(expected_clips.value) > 10
     order = [clips.flatten(1).sum(1).argsort() for clips in (mine.clips, expected_clips.value)]
     made, true = mine.clips.flatten(1)[order[0]], expected_clips.value[order[1]]

@@ -21,6 +21,7 @@ from pedzoo.data.own_files import OwnFiles
 from pedzoo.data.scenes import SceneSet
 from pedzoo.maps.bank import MapBank
 from pedzoo.metrics.realism import features as realism_features
+from pedzoo.metrics.realism.distances import wasserstein
 from pedzoo.models.architectures.constant_velocity import ConstantVelocity
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.base import true_displacements
@@ -29,7 +30,7 @@ from pedzoo.models.blocks.people.crowd import Crowd
 from pedzoo.policies.walker import Walker
 from pedzoo.sim.make import make_env
 from pedzoo.sim.scenarios.replay import Replay
-from pedzoo.train.closed_loop.distribution_distances import SPREADS, features, tail, wasserstein
+from pedzoo.train.closed_loop.distribution_distances import SPREADS, features, tail
 from pedzoo.train.closed_loop.imitation import Imitation, repeated
 from pedzoo.train.closed_loop.unroll import Unrolled, recorded, unroll
 from pedzoo.train.modules.plain import PlainModule

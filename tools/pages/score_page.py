@@ -41,7 +41,8 @@ INTRO = """All people are simulated at once, from the real entry to the real exi
 did not see that scene. [docs/score.md](../../docs/score.md) has the formulas. In brackets: 95 % intervals
 over blocks of time. `real halves`: two halves of the real people, as near as people are to each other.
 `real others`: other people in similar situations. Less is better for realism, AUC (.5: a classifier cannot
-distinguish them) and minADE. More is better for likelihood. Ratios are best at 1, standing and touches as
+distinguish them) and minADE. AUCs are by the trees of version 2; [CLASSIFIERS](CLASSIFIERS.md) has those by
+scikit-learn's, of version 3. More is better for likelihood. Ratios are best at 1, standing and touches as
 those of `real`. Companions near: of the steps that recorded companions share, those within 1.5 m. *Coarse*
 positions are means over three steps. Rows called `-seed1` and `-seed2` are trainings whose weights are not
 in the zoo."""

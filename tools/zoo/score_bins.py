@@ -9,16 +9,15 @@ import yaml
 
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.data.datasets.eth_ucy import SCENES
+from pedzoo.eval.scoring.likelihood import BINS_FILE, STEPS, ranges, recorded_windows, windows_of
 from pedzoo.eval.scoring.score import Reference
-from pedzoo.eval.scoring.windows import STEPS, windows_of
-from pedzoo.eval.scoring.wosac import BINS_FILE, ranges, recorded_windows
 
 
 def main() -> int:
     """Write the file beside the code that reads it; it must not exist, for versions do not change."""
     target = Path(__file__).parents[2] / "pedzoo" / "eval" / "scoring" / BINS_FILE
     if target.exists():
-        print(f"{target} exists: name a new version in pedzoo/eval/scoring/wosac.py", file=sys.stderr)
+        print(f"{target} exists: name a new version in pedzoo/eval/scoring/likelihood.py", file=sys.stderr)
         return 2
     walks = {fold: recorded_windows(windows_of(Reference(fold).prepared())) for fold in SCENES}
     folds = {fold: ranges([walks[other] for other in SCENES if other != fold]) for fold in SCENES}

@@ -46,8 +46,7 @@ def run(
         json: Also write the report to this file.
     """
     from pedzoo.cli.progress import progress_bar
-    from pedzoo.eval.scoring.score import Reference, score
-    from pedzoo.eval.scoring.table import pages
+    from pedzoo.eval.scoring.score import Reference, pages, score
 
     check_outputs(json=json)
     recorded = Reference(against, data_dt, data_map, data_homography, data_root)

@@ -6,26 +6,48 @@ All become the same: what each person did every 0.4 s, as it is and over coarse 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import NamedTuple
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple, cast
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from pedzoo.core.types import STEP_SECONDS
+from pedzoo.core.errors import UserError
+from pedzoo.core.types import OBS_LEN, STEP_SECONDS
+from pedzoo.data.own_files import OwnFiles
+from pedzoo.data.tracks import WALKED, Tracks, brisk, check_walks, distance, rows_apart, say
 from pedzoo.eval.rollout import Progress, prepare, walk
-from pedzoo.metrics.realism.clips import Clips, clips
-from pedzoo.metrics.realism.crowdes import ScoredSteps
-from pedzoo.metrics.realism.crowds import CrowdSums, crowd, together
-from pedzoo.metrics.realism.features import SampledRollout, coarse, every_step, to_millimetres
-from pedzoo.metrics.realism.groups import PersonSums, added, main_axis, measured
+from pedzoo.metrics.realism.crowds import CrowdSums, PersonSums, added, crowd, main_axis, measured, together
+from pedzoo.metrics.realism.features import (
+    Clips,
+    SampledRollout,
+    clips,
+    coarse,
+    every_step,
+    surroundings,
+    to_millimetres,
+)
+from pedzoo.metrics.realism.walks import ScoredSteps
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.walker import has_noise
-from pedzoo.sim.replay.people import RecordedPeople
+from pedzoo.sim.replay.people import CONTROLLED, SHORT, RecordedPeople, without_goals
 from pedzoo.sim.rollout import Rollout
-from pedzoo.sim.scenarios.replay import PreparedReplay
+from pedzoo.sim.scenarios.replay import PreparedReplay, Replay
 
 BLOCKS, BLOCK_SECONDS = 20, 30.0
 """Intervals come from at most so many blocks of time, of at least so many seconds."""
+
+SAME = 0.5
+"""Metres: a person of the file whose first place is so near to that of the recorded one is the same."""
+
+ALIKE = 0.6
+"""Where no clock is stated, fast steps of the slower crowd are at least so many of those of the other one."""
+
+
+class NothingToScoreError(UserError):
+    """A file of people without steps that could be scored: its row is empty, and others keep theirs."""
 
 
 class CrowdView(NamedTuple):
@@ -47,7 +69,7 @@ class ScoredCrowd(NamedTuple):
         name: Its row.
         fine: As it is.
         coarse: Over coarse positions.
-        sums: Of `pedzoo.metrics.realism.groups`.
+        sums: Of `pedzoo.metrics.realism.crowds.measured`.
         walks: Their scored steps; frames count from the recording's first row, recordings one after another.
         people: Its people.
         twin: The recorded person that each of them is (P,) long, -1 for strangers.
@@ -95,8 +117,9 @@ def scored_crowd(
     for part in parts:
         steps = every_step(part)
         for view, seen in zip(views, (to_millimetres(steps), coarse(to_millimetres(steps))), strict=True):
-            walked = crowd(part, seen, first, scenario.scenes, start, goal)
-            view.append((walked, clips(seen, start, goal)))
+            around = surroundings(seen)
+            walked = crowd(part, seen, around, first, scenario.scenes, start, goal)
+            view.append((walked, clips(seen, around, start, goal)))
         sums.append(measured(steps, len(start), axis))
         rows.append(_scored_rows(steps, first, scenario))
         first += len(part.failed)
@@ -133,6 +156,116 @@ def policy_crowd(
         return scored_crowd(policy, parts, scenario, people.start, people.goal, rounds=rounds)
     finally:
         env.physics.close()
+
+
+def file_crowd(path: str, real: PreparedReplay, dt: float | None = None) -> ScoredCrowd:
+    """Return the people of a simulator's file.
+
+    The first 8 rows (3.2 s) of each person are not scored, as in the recording. People whom `twins` finds in
+    the recording have its roles and exits. All others are scored from there to their last row, where their
+    exit is taken to be: also people who only stand.
+
+    Args:
+        path: The file, in any form that `pedzoo.data.tracks` reads.
+        real: The recording.
+        dt: Seconds between consecutive frame numbers; None for what the file says, or rows 0.4 s apart.
+
+    Raises:
+        UserError: The file is refused.
+        NothingToScoreError: No person in it can be scored.
+    """
+    if np.isnan(rows_apart(Tracks.read(path))):
+        raise NothingToScoreError(f"{path}: no agent has two rows, expected walks")
+    source = OwnFiles([path], _assumed(path, real) if dt is None else dt, "0,0,1", option="--dt")
+    tracks = source.recordings("test")[0].tracks
+    people, xy = without_goals([tracks])
+    recorded, scenario = real.persons, cast(Replay, real.scenario)
+    assert real.script is not None
+    there = _begin(recorded, real.script.xy) + real.home[recorded.recording]
+    twin, recording = twins(people, _begin(people, xy), recorded, there)
+    people, xy = without_goals([replace(tracks, xy=tracks.xy - real.home[recording].numpy())])
+    known, short = twin >= 0, people.last - people.first < OBS_LEN
+    role = torch.where(known, recorded.what[twin], CONTROLLED)
+    role = torch.where(short & (role == CONTROLLED), SHORT, role)
+    if not (role == CONTROLLED).any():
+        raise NothingToScoreError(
+            f"{path}: expected walks of more than {OBS_LEN} rows 0.4 s apart: is --dt right?"
+        )
+    goal = torch.where(known.unsqueeze(1), recorded.goal[twin], people.exit)
+    never = torch.where(known.unsqueeze(1), goal, torch.inf)  # strangers have arrived when they leave
+    name = Path(path).name
+    made = scenario.with_slots(
+        real.planner,
+        real.tables[recording : recording + 1],
+        real.home[recording : recording + 1],
+        people._replace(what=role, goal=never),
+        xy,
+        name,
+    )
+    return scored_crowd(name, made.real_parts(), made, people.start, goal, twin=twin)
+
+
+def twins(
+    people: RecordedPeople, begin: Tensor, recorded: RecordedPeople, there: Tensor
+) -> tuple[Tensor, int]:
+    """Return who each person of a file is in the recording (P,) long, -1 for strangers, and in which one.
+
+    The same people have the same numbers, come at the same time (but for one offset of the clock that all of
+    them share) and begin within 0.5 m of the same place. The recording is the one that has most of them.
+
+    Args:
+        people: Of the file.
+        begin: Where each of them is first (P, 2), metres.
+        recorded: Of the recording.
+        there: Where each of these is first (Q, 2), metres.
+    """
+    best = torch.full_like(people.agent, -1), 0
+    for number in recorded.recording.unique().tolist():
+        mine = (recorded.recording == number).nonzero()[:, 0]
+        agents = recorded.agent[mine]
+        order = agents.argsort()
+        place = torch.searchsorted(agents[order], people.agent).clamp_max(len(mine) - 1)
+        twin = mine[order[place]]
+        near = (begin - there[twin]).norm(dim=1) <= SAME
+        same = (recorded.agent[twin] == people.agent) & near
+        offset = people.first - recorded.first[twin]
+        if same.any():
+            same &= offset == offset[same].mode().values
+        if int(same.sum()) > int((best[0] >= 0).sum()):
+            best = torch.where(same, twin, -1), number
+    return best
+
+
+def _begin(people: RecordedPeople, xy: Tensor) -> Tensor:
+    """Return where each person is first (P, 2), given all rows of their tracks (N, 2)."""
+    rows = people.last - people.first + 1
+    return xy[rows.cumsum(0) - rows]
+
+
+def _assumed(path: str, real: PreparedReplay) -> float | None:
+    """Return the seconds between frame numbers for rows 0.4 s apart; None where the file says its own.
+
+    Raises:
+        UserError: People then walk much slower or faster than the recorded ones, or the file is refused.
+    """
+    tracks = Tracks.read(path)
+    if tracks.source.seconds is not None:
+        return None
+    seconds = STEP_SECONDS / rows_apart(tracks)
+    check_walks(tracks, seconds, "--dt")
+    assert real.script is not None
+    rows = (real.persons.last - real.persons.first + 1).numpy()
+    person = np.repeat(np.arange(len(rows)), rows)
+    recorded = Tracks("", np.arange(len(person)), person, real.script.xy.numpy())
+    mine, theirs = brisk(tracks, seconds), brisk(recorded, STEP_SECONDS)
+    if theirs and distance(tracks) > WALKED and not ALIKE < mine / theirs < 1 / ALIKE:
+        raise UserError(
+            f"{path}: with rows 0.4 s apart people walk at {mine:.2g} m/s, the recorded ones at "
+            f"{theirs:.2g}: give --dt, the seconds between frame numbers; "
+            f"{seconds * mine / theirs:.2g} is likely"
+        )
+    say(f"{path} does not say its frame rate: its rows are taken to be 0.4 s apart (--dt)")
+    return seconds
 
 
 def blocks_of(people: RecordedPeople) -> tuple[Tensor, int]:

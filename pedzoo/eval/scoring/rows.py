@@ -13,10 +13,8 @@ import torch
 from torch import Tensor
 
 from pedzoo.eval.scoring.crowds import CrowdView, ScoredCrowd, blocks_of
-from pedzoo.eval.scoring.same_people import same_people
-from pedzoo.metrics.realism.clips import Clips
-from pedzoo.metrics.realism.crowdes import columns
 from pedzoo.metrics.realism.crowds import (
+    CrowdSums,
     compared,
     contact_intervals,
     distances,
@@ -24,9 +22,11 @@ from pedzoo.metrics.realism.crowds import (
     resampled_distances,
     spreads,
 )
-from pedzoo.metrics.realism.distances import drawn_people, halves, sums
+from pedzoo.metrics.realism.distances import closed_loop_error, halves, padded, sums
+from pedzoo.metrics.realism.features import Clips
 from pedzoo.metrics.realism.two_sample import FOLDS, Verdict, auc, nearest_parts, two_sample
-from pedzoo.metrics.statistics import Interval, percentile_interval, ratio_interval
+from pedzoo.metrics.realism.walks import columns, companions, meetings, person_errors
+from pedzoo.metrics.statistics import Interval, drawn_people, percentile_interval, ratio_interval
 
 HALVES = "real halves"
 """The row of one half of the recorded people against the other: what a perfect crowd would score."""
@@ -45,7 +45,7 @@ _ONCE_ONLY = ("_share", "_per_min", "_excess", "speed_std", "density_speed")
 """Measures that coarse positions do not have: contacts come from the paths themselves."""
 
 
-class _Resampled(NamedTuple):
+class Resampled(NamedTuple):
     """Weights of people: the first row counts each once, the others are resamples (1 + R, P)."""
 
     mine: Tensor
@@ -65,7 +65,7 @@ def row(side: ScoredCrowd, real: ScoredCrowd, more: Mapping[str, Tensor], window
     values, telling = {}, {}
     for prefix, name in _VIEWS.items():
         mine, theirs = getattr(side, name), getattr(real, name)
-        values |= {f"{prefix}{key}": value for key, value in _distances(mine, theirs, drawn, prefix).items()}
+        values |= _of_view(mine, theirs, drawn, prefix)
         verdict = _verdict(side, real, mine.clips, theirs.clips)
         values[f"{prefix}classifier_auc"] = auc(verdict, *drawn)
         telling[f"{prefix}classifier_auc"] = verdict.telling
@@ -87,25 +87,23 @@ def real_rows(real: ScoredCrowd) -> list[dict[str, Any]]:
     """
     drawn, (block, _, blocks) = _drawn(real, real), _blocks(real, real)
     own = {name: sums.of(drawn.mine) for name, sums in real.sums.items()}
-    values = {key: value for key, value in _distances(real.fine, real.fine, drawn, "").items()}
+    values = _of_view(real.fine, real.fine, drawn, "")
     own |= {key: values[key] for key in values if key.endswith(("_share", "_per_min"))}
     together = same_people(real, real, drawn.mine)
     own |= {key: together[key] for key in together if key.startswith("companions")}
     count, seen = int(real.seen.sum()), real.seen
     first = torch.zeros(SPLITS, len(seen), dtype=torch.float64)
     first[:, seen] = halves(count, SPLITS)
-    splits = _Resampled(first, seen.double() - first)
+    splits = Resampled(first, seen.double() - first)
     floor: dict[str, Tensor] = {}
     for prefix, name in _VIEWS.items():
         view = getattr(real, name)
-        both = _distances(view, view, splits, prefix, exact=False)
-        floor |= {f"{prefix}{key}": value for key, value in both.items()}
+        floor |= _of_view(view, view, splits, prefix, exact=False)
         floor[f"{prefix}classifier_auc"] = _halves_auc(view.clips, first[:TESTS], splits.theirs[:TESTS])
     floor |= {name: sums.of(first) for name, sums in real.sums.items()}
-    means = {key: torch.cat((value.nanmean().view(1), value)) for key, value in floor.items()}
     exact = contact_intervals(real.fine.crowd, real.fine.crowd, block, blocks)
     exact |= _shares(real, block, blocks)
-    return [values_row(real.name, count, 1, own, blocks, exact), values_row(HALVES, count, 1, means)]
+    return [values_row(real.name, count, 1, own, blocks, exact), halves_row(count, floor)]
 
 
 def _shares(side: ScoredCrowd, block: Tensor, blocks: int) -> dict[str, Interval | None]:
@@ -116,19 +114,23 @@ def _shares(side: ScoredCrowd, block: Tensor, blocks: int) -> dict[str, Interval
     }
 
 
-def _distances(
-    mine: CrowdView, theirs: CrowdView, drawn: _Resampled, prefix: str, exact: bool = True
-) -> dict[str, Tensor]:
-    """Return the numbers of `compared` (1 + R,); the first row exactly if it counts each person once."""
-    real = only(theirs.crowd, theirs.crowd.minutes > 0)
-    distance = resampled_distances(mine.crowd, real, drawn.mine, drawn.theirs)
+def crowd_values(mine: CrowdSums, real: CrowdSums, drawn: Resampled, exact: bool = True) -> dict[str, Tensor]:
+    """Return the numbers of `compared` (1 + R,); the first is ``exact`` if it counts each person once."""
+    distance = resampled_distances(mine, real, *drawn)
     if exact:
-        for name, value in distances(mine.crowd, real).items():
+        for name, value in distances(mine, real).items():
             distance[name][:1] = value
-    result = compared(mine.crowd, real, drawn.mine, drawn.theirs, distance, spreads(real))
+    return compared(mine, real, *drawn, distance, spreads(real))
+
+
+def _of_view(
+    mine: CrowdView, theirs: CrowdView, drawn: Resampled, prefix: str, exact: bool = True
+) -> dict[str, Tensor]:
+    """Return `crowd_values` of a view, with its prefix."""
+    real = only(theirs.crowd, theirs.crowd.minutes > 0)
     return {
-        key: value
-        for key, value in result.items()
+        f"{prefix}{key}": value
+        for key, value in crowd_values(mine.crowd, real, drawn, exact).items()
         if not (prefix and any(part in key for part in _ONCE_ONLY))
     }
 
@@ -166,7 +168,7 @@ def _blocks(side: ScoredCrowd, real: ScoredCrowd) -> tuple[Tensor, Tensor, int]:
     return own, block, max(blocks, others)
 
 
-def _drawn(side: ScoredCrowd, real: ScoredCrowd) -> _Resampled:
+def _drawn(side: ScoredCrowd, real: ScoredCrowd) -> Resampled:
     own, block, _ = _blocks(side, real)
     blocks, others = (int(one.max()) + 1 for one in (block, own))
     times = drawn_people(blocks, RESAMPLES)
@@ -177,7 +179,57 @@ def _drawn(side: ScoredCrowd, real: ScoredCrowd) -> _Resampled:
         torch.cat((torch.ones(1, len(who), dtype=torch.float64), weights)) * who
         for weights, who in zip((mine, theirs), seen, strict=True)
     ]
-    return _Resampled(*whole)
+    return Resampled(*whole)
+
+
+def same_people(side: ScoredCrowd, real: ScoredCrowd, weights: Tensor) -> dict[str, Tensor]:
+    """Return the measures (R,), for weights of the side's people (R, P); none if all are strangers.
+
+    * ``closed_loop_ade_m``: mean distance to where the person really was at that time, until either arrives;
+      mean over people. ``closed_loop_min_ade_K_m``: of each person's best of K rounds.
+    * ``companions_near_share``: of the steps in which recorded companions are both there, those within 1.5 m
+      of each other. `companions` says who they are.
+    """
+    known = side.twin >= 0
+    if not known.any() or not len(side.walks.round):
+        return {}
+    true, length = padded(real.walks.xy, real.walks.person, len(real.seen))
+    walk = side.walks.round * len(side.twin) + side.walks.person
+    rounds = int(side.walks.round.max()) + 1
+    xy, points = padded(side.walks.xy, walk, rounds * len(side.twin))
+    twin = side.twin.clamp_min(0).repeat(rounds)
+    error = closed_loop_error(xy, true[twin], torch.minimum(points, length[twin])).view(rounds, -1)
+    error[:, ~known] = torch.nan
+    result = person_errors(error, weights)
+    if len(pairs := companions(real.walks)):
+        result["companions_near_share"] = _near(side, pairs, weights)
+    return result
+
+
+def _near(side: ScoredCrowd, pairs: Tensor, weights: Tensor) -> Tensor:
+    """Return ``companions_near_share`` (R,); each pair counts for both of its people."""
+    own = torch.full((int(pairs.max()) + 1,), -1)
+    known = side.twin >= 0
+    fits = known & (side.twin <= int(pairs.max()))
+    own[side.twin[fits]] = fits.nonzero()[:, 0]
+    mine = own[pairs]
+    mine = mine[(mine >= 0).all(1)].sort(1).values
+    above = torch.zeros(len(side.twin), dtype=torch.float64)
+    below = above.clone()
+    for walks in side.walks.rounds():
+        pair, near, count = meetings(walks)
+        size = len(side.twin)
+        chosen = torch.isin(pair[:, 0] * size + pair[:, 1], mine[:, 0] * size + mine[:, 1])
+        for end in (0, 1):
+            above.index_add_(0, pair[chosen, end], near[chosen])
+            below.index_add_(0, pair[chosen, end], count[chosen].double())
+    return weights @ above / (weights @ below)
+
+
+def halves_row(n: int, values: Mapping[str, Tensor]) -> dict[str, Any]:
+    """Return the row `HALVES` of values (R,) of splits of ``n`` people: means, and what holds 95 %."""
+    means = {key: torch.cat((value.nanmean().view(1), value)) for key, value in values.items()}
+    return values_row(HALVES, n, 1, means)
 
 
 def values_row(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 import torch
@@ -10,26 +11,26 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError, as_integer, at_least_one
 from pedzoo.data.text_format import check_dt, is_recording
-from pedzoo.eval.results import SEEN
+from pedzoo.eval.results import SEEN, ResultTable, cell
 from pedzoo.eval.rollout import Progress
-from pedzoo.eval.scoring.crowds import ScoredCrowd, policy_crowd, recorded_crowd
-from pedzoo.eval.scoring.files import NothingToScoreError, file_crowd
-from pedzoo.eval.scoring.rows import RESAMPLES, real_rows, row, values_row
-from pedzoo.eval.scoring.windows import windows_of
-from pedzoo.eval.scoring.wosac import (
-    OTHERS,
-    others_likelihood,
-    policy_windows,
-    recorded_windows,
+from pedzoo.eval.scoring import likelihood as joint
+from pedzoo.eval.scoring.crowds import (
+    NothingToScoreError,
+    ScoredCrowd,
+    file_crowd,
+    policy_crowd,
+    recorded_crowd,
 )
-from pedzoo.eval.scoring.wosac import likelihood as likelihood_of
+from pedzoo.eval.scoring.rows import RESAMPLES, real_rows, row, values_row
 from pedzoo.eval.trained_on import for_fold, has_seen
-from pedzoo.metrics.realism.bottlenecks import through
+from pedzoo.metrics.realism.features import FEATURES
+from pedzoo.metrics.realism.walks import HEADWAYS, through
+from pedzoo.metrics.realism.wosac import WEIGHTS
 from pedzoo.policies.load import load_policy
 from pedzoo.sim.make import prepare_scenario
 from pedzoo.sim.scenarios.replay import PreparedReplay, Replay
 
-VERSION = 2
+VERSION = 3
 """Of the measures: it grows whenever a formula changes, so that only equal versions are compared."""
 
 HEADLINE = "realism", "coarse_realism", "classifier_auc", "coarse_classifier_auc"
@@ -37,6 +38,30 @@ HEADLINE = "realism", "coarse_realism", "classifier_auc", "coarse_classifier_auc
 
 LEAST = 2
 """Recorded people: one alone varies from nobody."""
+
+CROWDES = ("density", "coverage", "population", "kinematics", "dtw", "diversity", "collision")
+
+TABLES = {
+    "how near to the real crowd": (
+        *("realism", "coarse_realism", "classifier_auc", "coarse_classifier_auc"),
+        *("coarse_acceleration_p95_ratio", "coarse_acceleration_p99_ratio"),
+    ),
+    "realism by feature, coarse positions": tuple(f"coarse_w1_{name}" for name in FEATURES),
+    "likelihood of what people did (8 s, 32 joint rollouts), and distance to it": (
+        *("likelihood", *(f"likelihood_{name}" for name in WEIGHTS)),
+        *("ade_8s_m", "min_ade_20_8s_m", "closed_loop_ade_m", "closed_loop_min_ade_3_m"),
+    ),
+    "standing, company and touching": (
+        *("standing_share", "company_share", "companions_near_share", "lane_order"),
+        *("agent_contacts_per_min", "wall_contacts_per_min"),
+    ),
+    "the opening": (
+        *("opening_through_share", "specific_flow_per_m_s"),
+        *(f"opening_headway_{name}_s" for name in HEADWAYS),
+    ),
+    "columns of CrowdES": tuple(f"crowdes_{name}" for name in CROWDES),
+}
+"""Columns of each table; the report has more."""
 
 
 class Reference(NamedTuple):
@@ -97,7 +122,7 @@ def score(
         dt: Seconds between consecutive frame numbers in the files of ``crowds``; None for what they say, or
             rows that are 0.4 s apart.
         physics: In which policies walk.
-        likelihood: Also walk the joint rollouts of 8 s; see `pedzoo.eval.scoring.wosac`.
+        likelihood: Also walk the joint rollouts of 8 s; see `pedzoo.eval.scoring.likelihood`.
         stops: People whom policies move have the places where the recorded ones stood for 2 s or more as
             goals, and stay there as long. In the joint rollouts of 8 s they have their exits alone.
         opening: A door, whose flow and headways are measured: its centre x and y, the normal x and y of its
@@ -140,11 +165,13 @@ def score(
     rows = real_rows(real)
     if gate is not None:
         rows[0]["metrics"] |= through(real.walks, gate)
-    windows = windows_of(prepared) if likelihood else None
-    recorded = recorded_windows(windows) if windows else None
+    windows = joint.windows_of(prepared) if likelihood else None
+    recorded = joint.recorded_windows(windows) if windows else None
     if windows and recorded:
         count = len(windows.begin)
-        rows.append(values_row(OTHERS, count, 1, others_likelihood(recorded, windows, fold), count))
+        rows.append(
+            values_row(joint.OTHERS, count, 1, joint.others_likelihood(recorded, windows, fold), count)
+        )
     for name, weights in walks.items():
         if is_recording(name):
             side = files.pop(name)
@@ -158,8 +185,8 @@ def score(
             side = policy_crowd(weights, prepared, rollouts, seed, physics, progress)
         more: dict[str, Tensor] = {}
         if windows and recorded and not is_recording(name):
-            joint = policy_windows(weights, windows, seed, physics, progress)
-            more = likelihood_of(joint, recorded, fold)
+            simulated = joint.policy_windows(weights, windows, seed, physics, progress)
+            more = joint.likelihood(simulated, recorded, fold)
         result = row(side._replace(name=name), real, more, len(windows.begin) if windows else 0)
         if missing := [key for key in HEADLINE if key not in result["metrics"]]:
             notes.append(f"{name}: {result['n']} people walk too little for {', '.join(missing)}")
@@ -199,3 +226,29 @@ def _gate(opening: Sequence[float]) -> Tensor | None:
         )
     gate[2:4] /= gate[2:4].norm()
     return gate
+
+
+def pages(report: Mapping[str, Any]) -> list[ResultTable]:
+    """Return the tables of a report of `pedzoo.eval.scoring.score.score`; columns without numbers are out."""
+    rows, result = report["rows"], []
+    for title, columns in TABLES.items():
+        known = [key for key in columns if any(key in row["metrics"] for row in rows)]
+        some = [row for row in rows if any(key in row["metrics"] for key in known)]
+        body = [[_label(row), str(row["n"]), *(cell(row, key) for key in known)] for row in some]
+        if known:
+            result.append(ResultTable(title, ["crowd", "n", *known], body, 2))
+    telling = [
+        [_label(row), test, feature, f"{share:.0%}"]
+        for row in rows
+        for test, features in row.get("telling", {}).items()
+        for feature, share in features.items()
+    ]
+    if telling:
+        head = ["crowd", "test", "feature", "share of gain"]
+        result.append(ResultTable("what the classifier goes by", head, telling, 3))
+    return result
+
+
+def _label(row: Mapping[str, Any]) -> str:
+    """Return what tables call a crowd: files without their folders."""
+    return Path(row["name"]).name if is_recording(row["name"]) else row["name"]

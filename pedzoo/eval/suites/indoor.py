@@ -6,8 +6,8 @@ import torch
 
 from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite
 from pedzoo.metrics.ratios import Ratio
+from pedzoo.metrics.realism.crowds import PersonSums, measured
 from pedzoo.metrics.realism.features import every_step
-from pedzoo.metrics.realism.groups import PersonSums, measured
 from pedzoo.sim.rollout import Rollout
 
 EPISODES = 20

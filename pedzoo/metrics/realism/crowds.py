@@ -1,7 +1,10 @@
 """Two crowds of the same people against each other: every number of realism, for many resamples at once.
 
-A crowd is K rounds of P people. R resamples are weights (R, P), see `pedzoo.metrics.realism.distances`.
+A crowd is K rounds of P people. R resamples are weights (R, P), see `pedzoo.metrics.realism.distances`. How
+people stand, keep company and sort into lanes are two sums for every person, whose ratio is the measure.
 """
+
+from __future__ import annotations
 
 import math
 from collections.abc import Sequence
@@ -13,8 +16,10 @@ from torch import Tensor
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.metrics.contacts import begins
 from pedzoo.metrics.realism.distances import Samples, counted, grid, resampled, sums, wasserstein
-from pedzoo.metrics.realism.features import CLOSE, FEATURES, SampledRollout, features, surroundings
+from pedzoo.metrics.realism.features import CLOSE, FEATURES, SampledRollout, Surroundings, features
+from pedzoo.metrics.smoothness import STANDS
 from pedzoo.metrics.statistics import Interval, quantiles, ratio_interval
+from pedzoo.sim.replay.companions import DRIFT, NEAR, TOGETHER
 from pedzoo.sim.rollout import Rollout
 
 MOST_CLOSE = 20
@@ -25,6 +30,15 @@ FEW = 10
 
 TAIL = {"p95": 0.95, "p99": 0.99}
 """Quantiles of acceleration: means hide people who brake hard now and then."""
+
+STRIP = 0.6
+"""Metres: width of the strips in which lanes are looked for."""
+
+TOUCHING = 0.2
+"""Metres: CrowdES counts people as colliding whose centres are nearer."""
+
+_AT_ONCE = 4_000_000
+"""Pairs of people and moments that are looked at at once."""
 
 MINUTES = TRACE_SECONDS / 60
 """Of one trace point."""
@@ -52,26 +66,49 @@ class CrowdSums(NamedTuple):
     steps_at: Tensor
 
 
+class PersonSums(NamedTuple):
+    """``above.sum() / below.sum()`` is the measure.
+
+    Attributes:
+        above: Of each person (P,) float64.
+        below: Likewise.
+    """
+
+    above: Tensor
+    below: Tensor
+
+    def of(self, weights: Tensor) -> Tensor:
+        """Return the measure (R,) for weights of people (R, P), NaN where nothing is below."""
+        return weights.double() @ self.above / (weights.double() @ self.below)
+
+
 def crowd(
-    rollout: Rollout, steps: SampledRollout, first: int, scenes: int, start: Tensor, goal: Tensor
+    rollout: Rollout,
+    steps: SampledRollout,
+    around: Surroundings,
+    first: int,
+    scenes: int,
+    start: Tensor,
+    goal: Tensor,
 ) -> CrowdSums:
     """Return the crowd of a rollout.
 
     Args:
         rollout: Episodes ``first``, ``first + 1``, ... of a replay.
         steps: The same every 0.4 s.
+        around: The surroundings of its people.
         first: Number of the first one.
         scenes: Episodes in a round.
         start: Where the line of each person begins (P, 2), metres.
         goal: Where it ends (P, 2), metres.
     """
-    people, underway, around = len(start), rollout.underway, surroundings(steps)
+    people, underway, person = len(start), rollout.underway, steps.person[steps.scored]
+    close = around.close.clamp(max=MOST_CLOSE) + (MOST_CLOSE + 1) * person
+    speed = steps.velocity[steps.scored].norm(dim=1)
 
-    def added(index: Tensor, columns: int, weights: Tensor | None = None) -> Tensor:
-        """Return sums (P, columns), or counts, by person and a number of columns."""
-        place = around.person * columns + index
-        weights = torch.ones(len(place)) if weights is None else weights
-        return sums(place, weights, people * columns).view(people, columns)
+    def at(weights: Tensor) -> Tensor:
+        """Return sums (P, C) by person and number of others."""
+        return sums(close, weights, people * (MOST_CLOSE + 1)).view(people, -1)
 
     def points(when: Tensor) -> Tensor:
         return torch.bincount(rollout.person[when], minlength=people).double()
@@ -80,15 +117,14 @@ def crowd(
         when = when & underway
         return torch.stack((points(when) * MINUTES, points(begins(when))))
 
-    close = around.close.clamp(max=MOST_CLOSE)
     return CrowdSums(
         samples=features(steps, around, start, goal),
         minutes=points(underway) * MINUTES,
         agent_contact=contact(rollout.agent_contact),
         wall_contact=contact(rollout.wall_contact),
         round=(steps.scored.nonzero()[:, 0] + first) // scenes,
-        speeds_at=added(close, MOST_CLOSE + 1, around.speed),
-        steps_at=added(close, MOST_CLOSE + 1),
+        speeds_at=at(speed),
+        steps_at=at(torch.ones_like(speed)),
     )
 
 
@@ -98,12 +134,11 @@ def together(crowds: Sequence[CrowdSums]) -> CrowdSums:
         name: Samples(*(torch.cat(values) for values in zip(*(c.samples[name] for c in crowds), strict=True)))
         for name in FEATURES
     }
-    rest = zip(
-        *((c.minutes, c.agent_contact, c.wall_contact, c.speeds_at, c.steps_at) for c in crowds), strict=True
-    )
-    minutes, agents, walls, speeds, steps = (torch.stack(values).sum(0) for values in rest)
-    rounds = torch.cat([c.round for c in crowds])
-    return CrowdSums(samples, minutes, agents, walls, rounds, speeds, steps)
+    total = {
+        name: torch.stack([getattr(one, name) for one in crowds]).sum(0)
+        for name in ("minutes", "agent_contact", "wall_contact", "speeds_at", "steps_at")
+    }
+    return CrowdSums(samples=samples, round=torch.cat([one.round for one in crowds]), **total)
 
 
 def only(crowd: CrowdSums, seen: Tensor) -> CrowdSums:
@@ -125,8 +160,9 @@ def spreads(real: CrowdSums) -> dict[str, float]:
 def distances(first: CrowdSums, second: CrowdSums) -> dict[str, Tensor]:
     """Return the exact Wasserstein-1 distance (1,) of every feature, each person counting once."""
     return {
-        name: first.minutes.new_tensor([wasserstein(first.samples[name].value, second.samples[name].value)])
+        name: wasserstein(*values).view(1) if all(map(len, values)) else values[0].new_tensor([math.nan])
         for name in FEATURES
+        for values in [[side.samples[name].value.double() for side in (first, second)]]
     }
 
 
@@ -264,3 +300,111 @@ def _between(value: Tensor, weights: Tensor) -> Tensor:
     mean = weights @ value.T / count
     variance = weights @ value.square().T / count - mean.square()
     return variance.clamp_min(0).sqrt().nanmean(1)
+
+
+def measured(steps: SampledRollout, people: int, axis: Tensor) -> dict[str, PersonSums]:
+    """Return the measures of one rollout, by the names of their columns.
+
+    * ``standing_share``: of scored steps, those slower than 0.1 m/s.
+    * ``company_share``: those with a companion, a person within 1.5 m in each of the last 8 steps (2.8 s)
+      whose relative place has changed by less than 0.5 m meanwhile.
+    * ``crowdes_collision``: those with a person nearer than 0.2 m.
+    * ``lane_order``: how much more often than in a mixed crowd two walkers in the same strip walk the same
+      way, see `lane_order`.
+
+    Args:
+        steps: Every 0.4 s.
+        people: P.
+        axis: Unit vector along which most people walk (2,).
+    """
+    parts = []
+    size = max(1, _AT_ONCE // (steps.person.shape[1] ** 2 * steps.person.shape[2]))
+    for first in range(0, len(steps.person), size):
+        some = SampledRollout(*(value[first : first + size] for value in steps))
+        parts.append(_measured(some, people, axis))
+    return added(parts)
+
+
+def _measured(steps: SampledRollout, people: int, axis: Tensor) -> dict[str, PersonSums]:
+    """Return the measures of a few episodes E; pairs are (E, S, A, A)."""
+    scored, there = steps.scored, steps.person >= 0
+    person = steps.person[scored]
+    whole = sums(person, torch.ones(len(person)), people)
+
+    def share(when: Tensor) -> PersonSums:
+        """Return the share of scored steps (E, A, S)."""
+        return PersonSums(sums(person, when[scored], people), whole)
+
+    xy, here = steps.xy.transpose(1, 2), there.transpose(1, 2)
+    apart = xy.unsqueeze(2) - xy.unsqueeze(3)
+    pairs = here.unsqueeze(2) & here.unsqueeze(3) & ~torch.eye(here.shape[2], dtype=torch.bool)
+    distance = apart.norm(dim=4).masked_fill(~pairs, torch.inf)
+    return {
+        "standing_share": share(steps.velocity.norm(dim=3) < STANDS),
+        "company_share": share(_accompanied(steps, apart, distance).transpose(1, 2)),
+        "crowdes_collision": share((distance < TOUCHING).any(3).transpose(1, 2)),
+        "lane_order": lane_order(steps, pairs, axis, people),
+    }
+
+
+def _accompanied(steps: SampledRollout, apart: Tensor, distance: Tensor) -> Tensor:
+    """Return which people have a companion (E, S, A) bool."""
+    result = torch.zeros(distance.shape[:3], dtype=torch.bool)
+    if distance.shape[1] < TOGETHER:
+        return result
+    person, last = steps.person.transpose(1, 2), TOGETHER - 1
+    same = person[:, last:] == person[:, :-last]
+    same = same.unsqueeze(2) & same.unsqueeze(3)
+    for back in range(1, last):  # no other person was in their slots meanwhile
+        between = person[:, last - back : person.shape[1] - back] == person[:, last:]
+        same &= between.unsqueeze(2) & between.unsqueeze(3)
+    near = (distance <= NEAR).unfold(1, TOGETHER, 1).all(-1)
+    drift = (apart[:, last:] - apart[:, :-last]).norm(dim=4)
+    result[:, last:] = (same & near & (drift < DRIFT)).any(3)
+    return result
+
+
+def lane_order(steps: SampledRollout, pairs: Tensor, axis: Tensor, people: int) -> PersonSums:
+    """Return how far walkers are sorted into lanes: 0 as in a mixed crowd, 1 if no strip has both ways.
+
+    Strips of 0.6 m lie along the axis. Of all pairs of people who walk in one strip at a moment, s walk the
+    same way; of all pairs of that moment, m do. The order is ``sum(s - m) / sum(1 - m)``. A crowd that walks
+    one way has none.
+
+    Args:
+        steps: Every 0.4 s.
+        pairs: Which two people are there at each moment (E, S, A, A) bool.
+        axis: Unit vector along which most people walk (2,).
+        people: P.
+    """
+    xy, velocity = steps.xy.transpose(1, 2), steps.velocity.transpose(1, 2)
+    walks = (steps.scored & (steps.velocity.norm(dim=3) > STANDS)).transpose(1, 2)
+    strip = ((axis[0] * xy[..., 1] - axis[1] * xy[..., 0]) / STRIP).floor()
+    way = (velocity * axis).sum(-1) > 0
+    both = pairs & walks.unsqueeze(2) & walks.unsqueeze(3)
+    alike = (way.unsqueeze(2) == way.unsqueeze(3)) & both
+    mixed = alike.sum((2, 3), keepdim=True) / both.sum((2, 3), keepdim=True).clamp_min(1)
+    strips = both & (strip.unsqueeze(2) == strip.unsqueeze(3))
+    above = (alike & strips).sum(3) - mixed.squeeze(3) * strips.sum(3)
+    below = (1 - mixed.squeeze(3)) * strips.sum(3)
+    person = steps.person.transpose(1, 2)[walks]
+    return PersonSums(*(sums(person, value[walks], people) for value in (above, below)))
+
+
+def main_axis(start: Tensor, goal: Tensor) -> Tensor:
+    """Return the unit vector (2,) along which most people walk, either way, from ends of walks (P, 2)."""
+    way = (goal - start).double()
+    angle = 2 * torch.atan2(way[:, 1], way[:, 0])
+    weight = way.norm(dim=1)
+    half = torch.atan2((weight * angle.sin()).sum(), (weight * angle.cos()).sum()) / 2
+    return torch.stack((half.cos(), half.sin())).float()
+
+
+def added(parts: list[dict[str, PersonSums]]) -> dict[str, PersonSums]:
+    """Return the sums of several rollouts of the same people."""
+    return {
+        name: PersonSums(
+            *(torch.stack(values).sum(0) for values in zip(*(p[name] for p in parts), strict=True))
+        )
+        for name in parts[0]
+    }

@@ -1,4 +1,4 @@
-"""Distributions of two crowds against each other: Wasserstein distances that can be resampled by people.
+"""Distances of two crowds: of their distributions, which people resample, and of walk from walk.
 
 P people with N samples of a feature in all. Samples of one person are alike, so intervals come from drawing
 *people*, each with all of their samples: R resamples are R rows of weights (R, P), how often each person was
@@ -9,11 +9,14 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from scipy.stats import wasserstein_distance
 from torch import Tensor
 
 EDGES = 512
 """Points at which distributions are compared while they are resampled; half of them follow the samples."""
+
+
+_AT_ONCE = 4_000_000
+"""Pairs of points of walks that are compared at once."""
 
 
 class Samples(NamedTuple):
@@ -45,15 +48,25 @@ def sums(place: Tensor, value: Tensor, size: int) -> Tensor:
     return torch.zeros(size, dtype=torch.float64).index_add_(0, place, value.double())
 
 
-def wasserstein(first: Tensor, second: Tensor) -> float:
-    """Return the Wasserstein-1 distance of two sets of values (N,) and (M,), in their unit; NaN of none.
+def wasserstein(first: Tensor, second: Tensor) -> Tensor:
+    """Return the Wasserstein-1 distance () of two sets of values (N,) and (M,), in their unit; 0 of none.
 
-    The area between the two cumulative distributions (Villani, "Optimal Transport", 2009, 2.18): how far
-    a value has to be moved on average to make one set out of the other.
+    How far a value has to be moved on average to make one set out of the other: the mean distance of the two
+    sorted, each value repeated until both are equally many. That is the area between the two inverse
+    distribution functions (Villani, "Optimal Transport", 2009, 2.18). Gradients flow through both.
     """
-    if not len(first) or not len(second):
-        return float("nan")
-    return float(wasserstein_distance(first.numpy(), second.numpy()))
+    m, n = len(first), len(second)
+    if not m or not n:
+        return first.sum() * 0 + second.sum() * 0
+    first, second = first.sort().values, second.sort().values
+    if m == n:
+        return (first - second).abs().mean()
+    # in units of 1 / (m n): where either distribution function has a step
+    ends = torch.cat((torch.arange(1, m + 1) * n, torch.arange(1, n) * m)).to(first.device).sort().values
+    widths = ends.diff(prepend=ends.new_zeros(1))
+    begins = ends - widths
+    gap = first[begins // n] - second[begins // m]
+    return (gap.abs() * widths).sum() / (m * n)
 
 
 def grid(first: Tensor, second: Tensor, size: int = EDGES) -> Tensor:
@@ -101,15 +114,6 @@ def resampled(
     return (until[:, :-1].abs() + before[:, 1:].abs()) @ edges.diff() / 2
 
 
-def drawn_people(people: int, resamples: int = 2000, seed: int = 0) -> Tensor:
-    """Return how often each person is drawn (R, P), float64: P of P with replacement, R times."""
-    generator = torch.Generator().manual_seed(seed)
-    chosen = torch.randint(people, (resamples, people), generator=generator)
-    return torch.zeros(resamples, people, dtype=torch.float64).scatter_add_(
-        1, chosen, torch.ones_like(chosen).double()
-    )
-
-
 def halves(people: int, splits: int = 200) -> Tensor:
     """Return which people are in the first half of a crowd (R, P), 1 or 0, split at random R times."""
     generator = torch.Generator().manual_seed(0)
@@ -120,3 +124,91 @@ def halves(people: int, splits: int = 200) -> Tensor:
 def _shares(part: Tensor, whole: Tensor, weights: Tensor) -> Tensor:
     """Return shares (R, G) of the weighted samples; NaN where no person that was drawn has any."""
     return weights @ part / (weights @ whole[:, -1:])
+
+
+def displacement(simulated: Tensor, true: Tensor, known: Tensor) -> Tensor:
+    """Return the mean distance of positions (..., S, 2) to the true ones (...), metres; NaN of none.
+
+    ``known`` (..., S) says which steps count.
+    """
+    error = (simulated - true).norm(dim=-1).double()
+    return error.where(known, 0.0).sum(-1) / known.sum(-1)
+
+
+def closed_loop_error(walk: Tensor, true: Tensor, shared: Tensor) -> Tensor:
+    """Return each walk's mean distance (W,) to the recorded one at the same times, metres; NaN of none.
+
+    Nothing is ever set back to the recording: errors add up, as they do not in a forecast. Walks (W, L, 2)
+    and (W, M, 2) have ``shared`` (W,) points in common.
+    """
+    length = min(walk.shape[1], true.shape[1])
+    within = torch.arange(length) < shared.unsqueeze(1)
+    return displacement(walk[:, :length], true[:, :length], within)
+
+
+def padded(xy: Tensor, walk: Tensor, walks: int) -> tuple[Tensor, Tensor]:
+    """Return all positions (N, 2) as walks (W, L, 2), zero after each one's end, and their lengths (W,)."""
+    length = torch.bincount(walk, minlength=walks)
+    order = walk.argsort(stable=True)
+    first = length.cumsum(0) - length
+    place = torch.arange(len(walk)) - first[walk[order]]
+    result = xy.new_zeros(walks, int(length.max()) if walks else 0, 2)
+    result[walk[order], place] = xy[order]
+    return result, length
+
+
+def dtw(
+    first: Tensor, points: Tensor, second: Tensor, others: Tensor, pairs: Tensor, squares: bool = False
+) -> Tensor:
+    """Return the dynamic time warping distance of pairs of walks (Q,), metres; NaN where one has no points.
+
+    Points are matched in order, each at least once, so that the sum of distances is least. A match that goes
+    on in both walks counts twice: all weights add up to the number of points, by which the sum is divided.
+    This is the symmetric form of Sakoe and Chiba ("Dynamic programming algorithm optimization for spoken word
+    recognition", 1978) without a window. The same path at another pace is near 0.
+
+    Args:
+        first: Walks (W, L, 2).
+        points: How many points they have (W,).
+        second: Others (V, M, 2).
+        others: How many these have (V,).
+        pairs: A walk of the first and one of the others (2, Q) long.
+        squares: Return the root of the least sum of squares instead, in which each match counts once.
+    """
+    mine, theirs = pairs
+    result = torch.full((len(mine),), torch.nan, dtype=torch.float64)
+    total = points[mine] + others[theirs]
+    order = total.argsort()
+    order = order[(points[mine] > 0)[order] & (others[theirs] > 0)[order]]
+    while len(order):  # walks of about the same length together, from the longest
+        some = order[-max(1, _AT_ONCE // int(total[order[-1]]) ** 2) :]
+        order = order[: -len(some)]
+        one, two = mine[some], theirs[some]
+        here, there = (int(count.max()) for count in (points[one], others[two]))
+        result[some] = _warped(first[one, :here], points[one], second[two, :there], others[two], squares)
+    return result
+
+
+def _warped(first: Tensor, points: Tensor, second: Tensor, others: Tensor, squares: bool) -> Tensor:
+    """Return `dtw` of walks that are compared at once, diagonal after diagonal of their distances."""
+    walks, rows, columns = len(first), first.shape[1], second.shape[1]
+    wide = rows + columns
+    # columns beyond the last one are closed, so that a diagonal may run out of the matrix on either side
+    between = torch.full((rows, wide, walks), torch.inf)
+    apart = first.permute(1, 2, 0).float().unsqueeze(2) - second.permute(1, 2, 0).float().transpose(0, 1)
+    between[:, :columns] = apart.square().sum(1) if squares else torch.hypot(apart[:, 0], apart[:, 1])
+    # the cheapest paths to the cells of the last two diagonals, by row; with an entry before the first row
+    last, earlier = torch.full((2, rows + 1, walks), torch.inf).unbind(0)
+    earlier[0] = 0.0  # the corner before both first points
+    result = torch.full((walks,), torch.nan, dtype=torch.float64)
+    ends = points + others - 2
+    for diagonal in range(wide - 1):
+        distance = between.as_strided((rows, walks), ((wide - 1) * walks, 1), diagonal * walks)
+        here = torch.full_like(last, torch.inf)
+        both = earlier[:-1] if squares else earlier[:-1] + distance
+        here[1:] = torch.minimum(both, torch.minimum(last[:-1], last[1:])) + distance
+        over = (ends == diagonal).nonzero().view(-1)
+        least = here[points[over], over].double()
+        result[over] = least.sqrt() if squares else least / (points + others)[over]
+        last, earlier = here, last
+    return result

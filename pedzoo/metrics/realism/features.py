@@ -1,9 +1,9 @@
-"""Features that compare walks: speed, acceleration, heading, nearness and deviation, every 0.4 s.
+"""Features and clips that compare walks: the one definition, for scores and for losses with gradients.
 
 Recorded people are annotated every 0.4 s, so simulated ones are sampled every 0.4 s, too: a shorter step
-would compare interpolations. E episodes of A slots, S steps, P people numbered as in ``person``, N samples.
-Every scored step of a person is one sample, if it has the feature. The change when a policy takes a person
-over counts: the velocity before is the recorded one.
+would compare interpolations. E episodes of A slots, S steps, P people numbered as in ``person``. Every scored
+step of a person is one of M rows. The change when a policy takes a person over counts: the velocity before is
+the recorded one.
 """
 
 import math
@@ -11,11 +11,13 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
+from pedzoo.core.geometry import unrotate
 from pedzoo.core.types import STEP_SECONDS
-from pedzoo.metrics.contacts import HORIZON, collision_seconds
+from pedzoo.metrics.contacts import HORIZON, collision_seconds, touch_seconds
 from pedzoo.metrics.realism.distances import Samples
-from pedzoo.metrics.smoothness import WINDOW, acceleration, heading_rate
+from pedzoo.metrics.smoothness import STANDS, WINDOW
 from pedzoo.sim.rollout import Rollout
 
 FEATURES = {
@@ -33,6 +35,22 @@ LINE = 1.0
 
 CLOSE = 2.0
 """Metres: others within this distance make a place dense."""
+
+LENGTH = 8
+"""Steps of a clip: 3.2 s."""
+
+CHANNELS = (
+    *("velocity along the way", "velocity across the way"),
+    *("acceleration along the way", "acceleration across the way"),
+    *("nearest person ahead", "nearest person aside", "second person ahead", "second person aside"),
+    *("nearest person's relative velocity along", "nearest person's relative velocity across"),
+    *("second person's relative velocity along", "second person's relative velocity across"),
+    *("time to collision", "distance to the exit"),
+)
+"""The C numbers of a step of a clip, m, m/s, m/s^2 and s."""
+
+FAR = 20.0
+"""Metres ahead: the place in clips of people who are missing."""
 
 _AT_ONCE = 250_000
 """Pairs of people that are compared at once: several such tensors fit a cache."""
@@ -60,21 +78,39 @@ class SampledRollout(NamedTuple):
 
 
 class Surroundings(NamedTuple):
-    """The surroundings of each of N scored steps.
+    """The others around people in M rows.
 
     Attributes:
-        person: Person of each step (N,) long.
-        speed: Theirs (N,), m/s.
-        nearest: Distance to the nearest other (N,), metres between centres; infinite for a person alone.
-        collision: Least time to a collision (N,), seconds, as of `pedzoo.metrics.contacts.time_to_collision`.
-        close: Others within `CLOSE` (N,) long.
+        place: Places of the nearest two less one's own (M, 2, 2), metres; infinite for absent ones.
+        velocity: Their velocities less one's own (M, 2, 2), m/s; 0 for absent ones.
+        collision: Least time to a collision (M,), at most 10 s, see `collision_seconds`.
+        close: Others within `CLOSE` (M,) long.
     """
 
-    person: Tensor
-    speed: Tensor
-    nearest: Tensor
+    place: Tensor
+    velocity: Tensor
     collision: Tensor
     close: Tensor
+
+    @property
+    def company(self) -> Tensor:
+        """Which people are not alone (M,) bool."""
+        return self.place[:, 0, 0].isfinite()
+
+
+class Clips(NamedTuple):
+    """W clips of `LENGTH` scored steps in a row of one person, by which a classifier tells crowds apart.
+
+    Positions and velocities are in the frame of a person's way: x points from where the policy took over to
+    the exit.
+
+    Attributes:
+        value: (W, LENGTH x C) float32, step after step.
+        person: Whose they are (W,) long.
+    """
+
+    value: Tensor
+    person: Tensor
 
 
 def every_step(rollout: Rollout) -> SampledRollout:
@@ -126,76 +162,189 @@ def _moved(steps: SampledRollout, xy: Tensor) -> SampledRollout:
     return steps._replace(xy=xy, velocity=velocity)
 
 
-def features(steps: SampledRollout, around: Surroundings, start: Tensor, goal: Tensor) -> dict[str, Samples]:
-    """Return the samples of every feature of `FEATURES`.
+class _Rows(NamedTuple):
+    """The scored steps: episode, slot, step and person of each row (M,)."""
+
+    episode: Tensor
+    slot: Tensor
+    step: Tensor
+    person: Tensor
+
+    @classmethod
+    def of(cls, steps: SampledRollout) -> "_Rows":
+        where = steps.scored.nonzero().unbind(1)
+        return cls(*where, steps.person[where])
+
+    def before(self, value: Tensor) -> Tensor:
+        """Return values (E, A, S, ...) one step earlier."""
+        return value[self.episode, self.slot, (self.step - 1).clamp_min(0)]
+
+
+def surroundings(steps: SampledRollout) -> Surroundings:
+    """Return the surroundings of every scored step; others count whether scored or played back."""
+    rows = _Rows.of(steps)
+    moments = [
+        value.transpose(1, 2).flatten(0, 1)  # (E x S, A): people present at once
+        for value in (steps.xy, steps.velocity, steps.person >= 0, steps.known)
+    ]
+    radius = steps.radius.unsqueeze(1).expand(-1, steps.xy.shape[2], -1).flatten(0, 1)
+    return others_of(*moments, radius, rows.episode * steps.xy.shape[2] + rows.step, rows.slot)
+
+
+def others_of(
+    xy: Tensor,
+    velocity: Tensor,
+    there: Tensor,
+    known: Tensor,
+    radius: Tensor,
+    moment: Tensor,
+    slot: Tensor,
+    smooth: bool = False,
+) -> Surroundings:
+    """Return the surroundings of people, with gradients; none flows through the choice of who is nearest.
+
+    Args:
+        xy: Positions at N moments (N, A, 2), metres.
+        velocity: (N, A, 2), m/s.
+        there: Which people are present (N, A) bool.
+        known: Which of these have a velocity (N, A) bool.
+        radius: Of bodies (N, A), metres.
+        moment: Moment of each row (M,) long.
+        slot: Slot of each row (M,) long.
+        smooth: Times between 0 and 10 s are those of `touch_seconds`, which have gradients.
+    """
+    size, parts = max(1, _AT_ONCE // xy.shape[1]), []
+    scene = xy, velocity, there, known, radius
+    for when, own in zip(moment.split(size), slot.split(size), strict=True):
+        parts.append(_others(*scene, when, own, smooth))
+    return Surroundings(*(torch.cat(values) for values in zip(*parts, strict=True)))
+
+
+def _others(
+    xy: Tensor,
+    velocity: Tensor,
+    there: Tensor,
+    known: Tensor,
+    radius: Tensor,
+    moment: Tensor,
+    slot: Tensor,
+    smooth: bool,
+) -> Surroundings:
+    """Return `others_of` for as many rows as are compared at once."""
+    own, people = slot.unsqueeze(1), xy.shape[1]
+    body = radius[moment].to(xy)
+    reach = body + body.gather(1, own)
+    with torch.no_grad():
+        both = (*xy.detach().unbind(-1), *velocity.detach().unbind(-1))
+        x, y, vx, vy = (value - value.gather(1, own) for value in (value[moment] for value in both))
+        others = there[moment].scatter(1, own, False)
+        apart = x.square().addcmul_(y, y).sqrt_().masked_fill_(~others, math.inf)
+        distance, two = functional.pad(apart, (0, max(0, 2 - people)), value=math.inf).topk(2, largest=False)
+        absent = distance.isinf().unsqueeze(2)
+        when = collision_seconds(x, y, vx, vy, reach).masked_fill_(~(others & known[moment]), HORIZON)
+        seconds, first = when.min(1)
+    at = moment.unsqueeze(1), two.clamp_max(people - 1)
+    place = (xy[at] - xy[moment, slot].unsqueeze(1)).masked_fill(absent, math.inf)
+    moving = (velocity[at] - velocity[moment, slot].unsqueeze(1)).masked_fill(absent, 0.0)
+    if smooth:
+        meets = ((seconds > 0) & (seconds < HORIZON)).nonzero()[:, 0]
+        me, them = (moment[meets], slot[meets]), (moment[meets], first[meets])
+        touch = touch_seconds(xy[them] - xy[me], velocity[them] - velocity[me], reach[meets, first[meets]])
+        seconds = seconds.to(xy).index_put((meets,), touch)
+    return Surroundings(place, moving, seconds, (apart < CLOSE).sum(1))
+
+
+def step_features(
+    now: Tensor, before: Tensor, around: Surroundings, offset: Tensor, way: Tensor
+) -> dict[str, tuple[Tensor, Tensor]]:
+    """Return the values of every feature of `FEATURES`, with gradients, and which rows have it (M,) bool.
 
     * ``speed`` and ``acceleration``, the amount of the change of velocity since the step before.
     * ``heading_rate``, to either side, of people faster than 0.1 m/s in both steps: standing people have no
       heading.
     * ``nearest_distance`` to the centre of any other person, and ``time_to_collision``, at most 10 s; of
       people who are not alone.
-    * ``lateral_deviation`` from the straight line between start and goal (P, 2), positive to the left of it;
-      of people with `LINE` or more between them.
+    * ``lateral_deviation`` from the straight line between start and goal, positive to the left of it; of
+      people with `LINE` or more between them.
+
+    Args:
+        now: Velocities (M, 2), m/s.
+        before: Those of the step before (M, 2); NaN where it is not known.
+        around: The others.
+        offset: Places less the start of the line (M, 2), metres.
+        way: From the line's start to its end (M, 2), metres.
     """
-    change, has_change = acceleration(steps.velocity, steps.known)
-    turn, has_turn = heading_rate(steps.velocity, steps.known)
-    scored, person = steps.scored[..., 1:], steps.person[..., 1:]
-    company = around.nearest.isfinite()
-    line = goal - start
-    length = line.norm(dim=-1)
-    along = line / length.clamp_min(LINE).unsqueeze(-1)
-    of = steps.person.clamp_min(0)
-    offset = steps.xy - start[of]
-    aside = along[of][..., 0] * offset[..., 1] - along[of][..., 1] * offset[..., 0]
+    length = way.norm(dim=1)
+    known, company, has_line = ~before[:, 0].isnan(), around.company, length >= LINE
+    walks = (now.detach().norm(dim=1) > STANDS) & (before.detach().norm(dim=1) > STANDS)
+    aside = (way[:, 0] * offset[:, 1] - way[:, 1] * offset[:, 0])[has_line] / length[has_line]
     return {
-        "speed": Samples(around.speed, around.person),
-        "acceleration": _samples(change, scored & has_change, person),
-        "heading_rate": _samples(turn, scored & has_turn, person),
-        "nearest_distance": Samples(around.nearest[company], around.person[company]),
-        "time_to_collision": Samples(around.collision[company], around.person[company]),
-        "lateral_deviation": _samples(aside, steps.scored & (length[of] >= LINE), steps.person),
+        "speed": (now.norm(dim=1), torch.ones_like(known)),
+        "acceleration": ((now - before)[known].norm(dim=1) / STEP_SECONDS, known),
+        "heading_rate": (turns(before[walks], now[walks]) / STEP_SECONDS, walks),
+        "nearest_distance": (around.place[company, 0].norm(dim=1), company),
+        "time_to_collision": (around.collision[company], company),
+        "lateral_deviation": (aside, has_line),
     }
 
 
-def surroundings(steps: SampledRollout) -> Surroundings:
-    """Return the surroundings of every scored step; others count whether scored or played back."""
-    episode, slot, step = steps.scored.nonzero().unbind(1)
-    place = (*steps.xy.unbind(-1), *steps.velocity.unbind(-1), steps.person >= 0, steps.known)
-    place = (*place, steps.radius.unsqueeze(2).expand_as(steps.person))
-    rows = [value.transpose(1, 2).flatten(0, 1) for value in place]  # (E x S, A): people present at once
-    moments = episode * steps.person.shape[2] + step
-    size = max(1, _AT_ONCE // steps.xy.shape[1])
-    result = []
-    for moment, own in zip(moments.split(size), slot.split(size), strict=True):
-        x, y, vx, vy, there, known, radius = (value[moment] for value in rows)
-        result.append(_around(x, y, vx, vy, there, known, radius, own))
-    nearest, collision, close = (torch.cat(values) for values in zip(*result, strict=True))
-    speed = steps.velocity[episode, slot, step].norm(dim=-1)
-    return Surroundings(steps.person[episode, slot, step], speed, nearest, collision, close)
+def features(steps: SampledRollout, around: Surroundings, start: Tensor, goal: Tensor) -> dict[str, Samples]:
+    """Return the samples of `step_features` of a rollout, of lines from ``start`` to ``goal`` (P, 2)."""
+    rows = _Rows.of(steps)
+    person = rows.person
+    before = rows.before(steps.velocity).where(rows.before(steps.known).unsqueeze(1), math.nan)
+    offset = steps.xy[steps.scored] - start[person]
+    values = step_features(steps.velocity[steps.scored], before, around, offset, (goal - start)[person])
+    return {name: Samples(value, person[which]) for name, (value, which) in values.items()}
 
 
-def _around(
-    x: Tensor,
-    y: Tensor,
-    vx: Tensor,
-    vy: Tensor,
-    there: Tensor,
-    known: Tensor,
-    radius: Tensor,
-    slot: Tensor,
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Return distance, time to collision and number of others close to the person in each ``slot`` (N,).
+def turns(before: Tensor, now: Tensor) -> Tensor:
+    """Return by how much headings turn to either side (M,), radians, from velocities (M, 2) to others."""
+    across = before[:, 0] * now[:, 1] - before[:, 1] * now[:, 0]
+    return torch.atan2(across.abs(), (before * now).sum(1))
 
-    All else is of the A slots (N, A): places, velocities, whether there is a person with a known one, radii.
+
+def clips(steps: SampledRollout, around: Surroundings, start: Tensor, goal: Tensor) -> Clips:
+    """Return the clips of people's walks; one begins with every scored step that has enough after it.
+
+    Args:
+        steps: Every 0.4 s.
+        around: The others.
+        start: Where the policy took each person over (P, 2), metres.
+        goal: Their exits (P, 2), metres.
     """
-    own = slot.unsqueeze(1)
-    x, y, vx, vy = (value - value.gather(1, own) for value in (x, y, vx, vy))
-    others = there.scatter(1, own, False)
-    apart = x.square().addcmul_(y, y).sqrt_().masked_fill_(~others, math.inf)
-    reach = (radius + radius.gather(1, own)).to(x)
-    when = collision_seconds(x, y, vx, vy, reach).masked_fill_(~(others & known), HORIZON)
-    return apart.amin(1), when.amin(1), (apart < CLOSE).sum(1)
+    rows = _Rows.of(steps)
+    person, now = rows.person, steps.velocity[steps.scored]
+    if not len(person):
+        return Clips(torch.zeros(0, LENGTH * len(CHANNELS)), person)
+    way, away = (goal - start)[person], goal[person] - steps.xy[steps.scored]
+    change = (now - rows.before(steps.velocity)) / STEP_SECONDS
+    change = change.where(rows.before(steps.known).unsqueeze(1), 0.0)
+    value = clip_steps(now, change, around, way, away)
+    row = torch.arange(len(person))  # rows of one slot are in the order of time
+    begins = torch.ones_like(row, dtype=torch.bool)
+    begins[1:] = torch.stack([of.diff() for of in (person, rows.slot, rows.episode)]).any(0)
+    begins[1:] |= rows.step.diff() != 1
+    since = row - torch.where(begins, row, 0).cummax(0).values
+    last = row[since >= LENGTH - 1]
+    return Clips(value[last.unsqueeze(1) + torch.arange(1 - LENGTH, 1)].flatten(1), person[last])
 
 
-def _samples(value: Tensor, there: Tensor, person: Tensor) -> Samples:
-    return Samples(value[there], person[there])
+def clip_steps(now: Tensor, change: Tensor, around: Surroundings, way: Tensor, away: Tensor) -> Tensor:
+    """Return the numbers of steps (M, C) of `CHANNELS`, with gradients.
+
+    Args:
+        now: Velocities (M, 2), m/s.
+        change: Accelerations (M, 2), m/s^2.
+        around: The others; who is missing is `FAR` ahead, at rest beside oneself.
+        way: From where the policy took people over to their exits (M, 2), metres.
+        away: From where they are to their exits (M, 2), metres.
+    """
+    has_line = (way.norm(dim=1) >= LINE).unsqueeze(1)
+    ahead = functional.normalize(torch.where(has_line, way, away), dim=1).unsqueeze(1)
+    missing = around.place.isinf().any(2, keepdim=True)
+    place = unrotate(around.place.masked_fill(missing, 0.0), ahead)
+    place = torch.where(missing, place.new_tensor([FAR, 0.0]), place)
+    vectors = (unrotate(torch.stack((now, change), 1), ahead), place, unrotate(around.velocity, ahead))
+    more = around.collision.unsqueeze(1), away.norm(dim=1, keepdim=True)
+    return torch.cat((torch.cat(vectors, 1).flatten(1), *more), 1).float()

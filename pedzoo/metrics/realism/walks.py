@@ -1,4 +1,4 @@
-"""Each recorded person's walk in each round of a replay, beside that in the recording.
+"""Walks of people: beside recorded ones, with companions, through an opening, and by CrowdES's columns.
 
 P people, K rounds of the R scenes of a recording; E episodes, W walks: one for every person of an episode
 that the policy moves, or should have moved.
@@ -12,11 +12,45 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from pedzoo.core.types import TRACE_SECONDS
+from pedzoo.core.types import STEP_SECONDS, TRACE_SECONDS
 from pedzoo.metrics.arrival import stuck
+from pedzoo.metrics.door import flow
+from pedzoo.metrics.realism.distances import closed_loop_error, dtw, padded, sums, wasserstein
 from pedzoo.metrics.realism.features import SampledRollout, every_step
-from pedzoo.metrics.realism.paths import closed_loop_error, dtw, padded
+from pedzoo.sim.replay.companions import NEAR, TOGETHER
 from pedzoo.sim.rollout import Rollout
+
+QUADRATS = 10
+"""On each side of the scene."""
+
+HEADWAYS = {"p5": 0.05, "p50": 0.5, "p95": 0.95}
+"""Quantiles of the time between two who follow each other through an opening."""
+
+
+class ScoredSteps(NamedTuple):
+    """Scored steps of people, in the order of time for each.
+
+    Attributes:
+        round: (N,) long.
+        person: (N,) long.
+        frame: Steps of 0.4 s (N,) long, on one clock.
+        xy: (N, 2), metres.
+    """
+
+    round: Tensor
+    person: Tensor
+    frame: Tensor
+    xy: Tensor
+
+    def rounds(self) -> list[ScoredSteps]:
+        """Return the steps of each round."""
+        which = [self.round == number for number in self.round.unique().tolist()]
+        return [ScoredSteps(*(value[mine] for value in self)) for mine in which]
+
+    def walks(self) -> tuple[Tensor, Tensor]:
+        """Return the places of all people with steps as `padded` walks, and their lengths."""
+        person, where = self.person.unique(return_inverse=True)
+        return padded(self.xy, where, len(person))
 
 
 class RecordedWalks(NamedTuple):
@@ -129,27 +163,30 @@ def walks_of(
         deadlock,
         _seconds(rollout, number, count),
         closed_loop_error(xy, true, torch.minimum(points, others)),
-        dtw(xy, points, true, others),
+        dtw(xy, points, true, others, torch.arange(count).expand(2, -1)),
     )
 
 
 def of_people(tables: WalksByPerson, weights: Tensor) -> dict[str, Tensor]:
     """Return values that are means or medians over people, for weights (R, P), (R,) each."""
-    rounds = len(tables.success)
     ratio = (tables.seconds / tables.real_seconds).nanmedian(0).values
     walks = weights @ (~tables.success.isnan()).sum(0).double()
     result = {
         "success": weights @ tables.success.nansum(0) / walks,
         "deadlock": weights @ tables.deadlock.nansum(0) / walks,
         "time_ratio_median": _median(ratio, weights),
-        "closed_loop_ade_m": person_mean(tables.ade.nanmean(0), weights),
         "dtw_m": person_mean(tables.dtw.nanmean(0), weights),
     }
-    if rounds > 1:
-        best = tables.ade.nan_to_num(torch.inf).amin(0)
-        result[f"closed_loop_min_ade_{rounds}_m"] = person_mean(
-            best.where(best.isfinite(), torch.nan), weights
-        )
+    return result | person_errors(tables.ade, weights)
+
+
+def person_errors(error: Tensor, weights: Tensor) -> dict[str, Tensor]:
+    """Return the means over people of errors (K, P), for weights (R, P): of all rounds, and of the best."""
+    result = {"closed_loop_ade_m": person_mean(error.nanmean(0), weights)}
+    if len(error) > 1:
+        best = error.nan_to_num(torch.inf).amin(0)
+        best = best.where(best.isfinite(), torch.nan)
+        result[f"closed_loop_min_ade_{len(error)}_m"] = person_mean(best, weights)
     return result
 
 
@@ -180,3 +217,131 @@ def _median(value: Tensor, weights: Tensor) -> Tensor:
     until = weights[:, order].cumsum(1)
     place = torch.searchsorted(until, until[:, -1:] / 2).squeeze(1)
     return value[order][place].where(until[:, -1] > 0, torch.nan)
+
+
+def companions(real: ScoredSteps) -> Tensor:
+    """Return the pairs of recorded people who keep company (Q, 2) long.
+
+    They are within 1.5 m of each other in at least 8 steps, and in four of five steps that they share.
+    """
+    pair, near, count = meetings(real)
+    both = torch.stack((near, count), 1)
+    return pair[(both[:, 0] >= TOGETHER) & (both[:, 0] >= 0.8 * both[:, 1])]
+
+
+def meetings(walks: ScoredSteps) -> tuple[Tensor, Tensor, Tensor]:
+    """Return pairs of people who meet (Q, 2), the steps in which they are near, and all that they share."""
+    order = walks.frame.argsort(stable=True)
+    person, xy = walks.person[order], walks.xy[order]
+    _, present = walks.frame[order].unique_consecutive(return_counts=True)
+    most, rows = int(present.max()), torch.arange(len(order))
+    moment = torch.arange(len(present)).repeat_interleave(present)
+    place = rows - (present.cumsum(0) - present)[moment]
+    table = torch.full((len(present), most), -1)
+    table[moment, place] = rows
+    first, second = torch.triu_indices(most, most, 1)
+    one, other = table[:, first].flatten(), table[:, second].flatten()
+    there = (one >= 0) & (other >= 0)
+    one, other = one[there], other[there]
+    ends = torch.stack((person[one], person[other]), 1).sort(1).values
+    near = (xy[one] - xy[other]).norm(dim=1) <= NEAR
+    pair, which = ends.unique(dim=0, return_inverse=True)
+    return pair, sums(which, near, len(pair)), torch.bincount(which, minlength=len(pair))
+
+
+def through(walks: ScoredSteps, opening: Tensor) -> dict[str, float]:
+    """Return how people pass an opening, of several rounds the means; flow and headways of two and more.
+
+    * ``opening_through_share``: share of the scored people who end up on the other side: an odd number of
+      crossings. Without it flow says nothing, since it is of those who got out.
+    * ``specific_flow_per_m_s``: as of rollouts, see `pedzoo.metrics.door.flow`.
+    * ``opening_headway_p5_s``, ``_p50_s``, ``_p95_s``: quantiles of the times between two in a row.
+
+    Args:
+        walks: Scored steps; people who leave have to be seen behind the opening.
+        opening: Centre x and y, unit normal x and y of its wall, clear width (5,); metres.
+    """
+    rounds = [_through(one.person, one.frame, one.xy, opening) for one in walks.rounds()]
+    names = dict.fromkeys(name for one in rounds for name in one)
+    return {name: sum(one[name] for one in rounds if name in one) / len(rounds) for name in names}
+
+
+def _through(person: Tensor, frame: Tensor, xy: Tensor, opening: Tensor) -> dict[str, float]:
+    people, who = person.unique(return_inverse=True)
+    order = torch.argsort(who * (int(frame.max()) + 1) + frame)
+    who, frame, off = who[order], frame[order].double(), xy[order].double() - opening[:2]
+    ahead = off @ opening[2:4].double()
+    beside = off[:, 1] * opening[2] - off[:, 0] * opening[3]
+    crossed = (ahead[1:] >= 0) != (ahead[:-1] >= 0)
+    at = ahead[:-1] / (ahead[:-1] - ahead[1:])  # share of the step that is before the line
+    between = (beside[:-1] + at * beside.diff()).abs()
+    crossed &= (who[1:] == who[:-1]) & (between <= opening[4] / 2)
+    count = torch.bincount(who[1:][crossed], minlength=len(people))
+    last = torch.full((len(people),), -torch.inf, dtype=torch.float64)
+    when = (frame[:-1] + at * frame.diff())[crossed] * STEP_SECONDS
+    last.scatter_reduce_(0, who[1:][crossed], when, "amax")
+    passed = last[count % 2 == 1].sort().values
+    result = {"opening_through_share": len(passed) / len(people)}
+    if len(passed) > 1 and passed[-1] > passed[0]:
+        number, room = flow(passed.unsqueeze(0), opening.unsqueeze(0))
+        result["specific_flow_per_m_s"] = float(number / room)
+        for name, share in HEADWAYS.items():
+            result[f"opening_headway_{name}_s"] = float(passed.diff().quantile(share))
+    return result
+
+
+def columns(mine: ScoredSteps, real: ScoredSteps) -> dict[str, float]:
+    """Return the columns of CrowdES, means over rounds; NaN where a crowd has no walk of three steps.
+
+    Bae et al., "Continuous Locomotive Crowd Behavior Generation", CVPR 2025. A scene is the rectangle of the
+    real crowd's places. With people of one kind its column "frequency" equals "coverage", and is left out.
+    ``crowdes_density``, ``crowdes_coverage``, ``crowdes_population``, ``crowdes_kinematics`` and
+    ``crowdes_dtw``: lower is better. ``crowdes_diversity``: higher is better.
+    """
+    rounds = [_columns(one, real) for one in mine.rounds()]
+    return {name: sum(one[name] for one in rounds) / len(rounds) for name in rounds[0]} if rounds else {}
+
+
+def _columns(mine: ScoredSteps, real: ScoredSteps) -> dict[str, float]:
+    low, high = real.xy.amin(0), real.xy.amax(0)
+    steps = int(real.frame.max() - real.frame.min()) + 1
+    (density, coverage), (true, covered) = (_quadrats(side, low, high, steps) for side in (mine, real))
+    population, people = (side.frame.unique(return_counts=True)[1].double() for side in (mine, real))
+    (xy, points), (true_xy, others) = mine.walks(), real.walks()
+    kinematics = [
+        wasserstein(*(value / theirs.mean().clamp_min(1e-9) for value in (own, theirs)))
+        if len(own) and len(theirs)
+        else torch.nan
+        for own, theirs in zip(_of_walks(xy, points), _of_walks(true_xy, others), strict=True)
+    ]
+    every = torch.cartesian_prod(torch.arange(len(points)), torch.arange(len(others))).T
+    warped = dtw(xy, points, true_xy, others, every, squares=True).view(len(points), len(others))
+    ways = [(warped.amin(dim).mean(), warped.argmin(dim).unique(), warped.shape[dim]) for dim in (0, 1)]
+    return {
+        "crowdes_density": float(wasserstein(density, true)),
+        "crowdes_coverage": float(wasserstein(coverage, covered)),
+        "crowdes_population": float(wasserstein(population / people.mean(), people / people.mean())),
+        "crowdes_kinematics": float(sum(kinematics)) / len(kinematics),
+        "crowdes_dtw": float(sum(least for least, _, _ in ways)) / 2 * STEP_SECONDS,
+        "crowdes_diversity": sum(len(chosen) / count for _, chosen, count in ways) / 2,
+    }
+
+
+def _quadrats(side: ScoredSteps, low: Tensor, high: Tensor, steps: int) -> tuple[Tensor, Tensor]:
+    """Return people and occupied quadrats at every step (S,), divided by the number of quadrats."""
+    place = ((side.xy - low) / (high - low).clamp_min(1e-9) * QUADRATS).long().clamp(0, QUADRATS - 1)
+    frame, at = side.frame.unique(return_inverse=True)
+    counts = torch.zeros(max(steps, len(frame)), QUADRATS**2, dtype=torch.float64)
+    index = at * QUADRATS**2 + place[:, 0] * QUADRATS + place[:, 1]
+    counts.view(-1).index_add_(0, index, torch.ones(len(index)).double())
+    return counts.sum(1) / QUADRATS**2, (counts > 0).sum(1) / QUADRATS**2
+
+
+def _of_walks(xy: Tensor, points: Tensor) -> tuple[Tensor, ...]:
+    """Return distance, mean speed, mean change of it and duration of the walks of three steps and more."""
+    xy, points = xy[points > 2].double(), points[points > 2]
+    inside = torch.arange(1, xy.shape[1]) < points.unsqueeze(1)
+    step = xy.diff(dim=1)
+    way = step.norm(dim=2).where(inside, 0.0).sum(1)
+    bend = step.diff(dim=1).norm(dim=2).where(inside[:, 1:], 0.0).sum(1)
+    return way, way / (points - 1), bend / (points - 2), (points - 1).double()

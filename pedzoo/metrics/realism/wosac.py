@@ -74,9 +74,8 @@ def step_values(steps: SampledRollout, wall: Tensor) -> dict[str, Tensor]:
     around, at = surroundings(steps), scored.nonzero().unbind(1)
     nowhere = torch.full_like(speed, math.nan)
     nearest, collision = nowhere.clone(), nowhere.clone()
-    company = around.nearest.isfinite()
-    nearest[at] = around.nearest.where(company, math.nan)
-    collision[at] = around.collision.where(company, math.nan)
+    nearest[at] = around.place[:, 0].norm(dim=1).where(around.company, math.nan)
+    collision[at] = around.collision.where(around.company, math.nan)
     heading = torch.atan2(steps.velocity[..., 1], steps.velocity[..., 0])
     heading = heading.where(known & (speed > STANDS), math.nan)
     turn = _change(heading) * STEP_SECONDS
@@ -139,18 +138,6 @@ def composite(sums: Mapping[str, LogSums], weights: Tensor) -> dict[str, Tensor]
     known = ~each.isnan()
     whole = (each.nan_to_num() * share).sum(0) / (known * share).sum(0)
     return {"likelihood": whole, **{f"likelihood_{name}": value for name, value in values.items()}}
-
-
-def displacement(simulated: Tensor, true: Tensor, known: Tensor) -> Tensor:
-    """Return each person's mean distance to the truth in each rollout (K, W, A), metres; NaN of none.
-
-    Args:
-        simulated: Positions (K, W, A, S, 2), metres.
-        true: (W, A, S, 2).
-        known: Which steps count (W, A, S) bool.
-    """
-    error = (simulated - true).norm(dim=-1).double()
-    return error.where(known, 0.0).sum(-1) / known.sum(-1)
 
 
 def _change(value: Tensor) -> Tensor:

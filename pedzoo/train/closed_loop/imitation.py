@@ -11,9 +11,10 @@ from torch.nn import functional
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.types import STEP_SECONDS
+from pedzoo.metrics.realism.distances import wasserstein
 from pedzoo.models.blocks.discriminator import Discriminator
 from pedzoo.models.blocks.people.crowd import Crowd
-from pedzoo.train.closed_loop.distribution_distances import SPREADS, features, tail, wasserstein
+from pedzoo.train.closed_loop.distribution_distances import SPREADS, features, tail
 from pedzoo.train.closed_loop.segments import Policy
 from pedzoo.train.closed_loop.unroll import Unrolled, recorded, unroll
 

@@ -13,18 +13,13 @@ from torch.nn import functional
 from pedzoo.core.batch import in_company
 from pedzoo.core.geometry import smooth_norm, unrotate
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
-from pedzoo.metrics.contacts import HORIZON, collision_seconds
-from pedzoo.metrics.realism.clips import CHANNELS, FAR, LENGTH
-from pedzoo.metrics.realism.features import LINE
+from pedzoo.metrics.contacts import HORIZON, collision_seconds, touch_seconds
+from pedzoo.metrics.realism.distances import wasserstein
+from pedzoo.metrics.realism.features import CHANNELS, FAR, LENGTH, LINE, turns
 from pedzoo.metrics.smoothness import STANDS
 from pedzoo.models.blocks.people.style import STYLE_DIM, style_of
-from pedzoo.train.closed_loop.distribution_distances import turns, wasserstein
 from pedzoo.train.crowds.crowd_walk import CrowdWalk
 from pedzoo.train.crowds.excerpts import Excerpts
-
-_GRAZING = 1e-3
-"""m^4/s^2: below, when two people touch changes too fast for a gradient."""
-
 
 ABREAST, PARTED = 0.5, 2.0
 """Metres: the unit of distances between companions, and from where on they have lost each other."""
@@ -38,7 +33,7 @@ class CrowdFeatures(NamedTuple):
 
     Attributes:
         features: Values of every feature of `pedzoo.metrics.realism.features.FEATURES`, each (N,).
-        clips: As of `pedzoo.metrics.realism.clips` (W, 8, 14).
+        clips: As of `pedzoo.metrics.realism.features.clips` (W, 8, 14).
         person: Slot of the person of each clip (W,) long.
         people: A.
         manner: How these people, and all of their excerpt, began to walk (W, M): styles and preferred speed.
@@ -74,10 +69,11 @@ def compared(walk: CrowdWalk, real: Excerpts) -> CrowdFeatures:
     offset = walk.xy[where] - real.start[scene, slot]
     across = way[:, 0] * offset[:, 1] - way[:, 1] * offset[:, 0]
     company = ~near.absent[:, 0]
+    walks = (before.detach().norm(dim=1) > STANDS) & (now.detach().norm(dim=1) > STANDS)
     features = {
         "speed": smooth_norm(now),
         "acceleration": smooth_norm(change),
-        "heading_rate": turns(before, now) / STEP_SECONDS,
+        "heading_rate": turns(before[walks], now[walks]) / STEP_SECONDS,
         "nearest_distance": smooth_norm(near.place[company, 0]),
         "time_to_collision": near.seconds[company],
         "lateral_deviation": across[has_line] / length[has_line],
@@ -189,13 +185,5 @@ def _nearest_two(walk: CrowdWalk, velocity: Tensor, where: tuple[Tensor, ...]) -
     one = first.view(-1, 1, 1).expand(-1, 1, 2)
     place, moving = away.gather(1, one)[:, 0], moves.gather(1, one)[:, 0]
     meets = (seconds > 0) & (seconds < HORIZON)
-    seconds = torch.where(meets, _touch(place, moving).clamp(0, HORIZON), seconds)
+    seconds = torch.where(meets, touch_seconds(place, moving, 2 * BODY_RADIUS).clamp(0, HORIZON), seconds)
     return _NearestTwo(away.gather(1, two), moves.gather(1, two), distance.isinf(), seconds)
-
-
-def _touch(away: Tensor, velocity: Tensor) -> Tensor:
-    """Return when pairs (M,) touch that are ``away`` from each other with a relative ``velocity`` (M, 2)."""
-    closing = -(away * velocity).sum(1)
-    gap = away.square().sum(1) - (2 * BODY_RADIUS) ** 2
-    under = closing.square() - velocity.square().sum(1) * gap
-    return gap / (under.clamp_min(_GRAZING).sqrt() + closing.clamp_min(1e-3))

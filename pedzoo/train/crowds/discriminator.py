@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from pedzoo.metrics.realism.clips import CHANNELS, LENGTH
+from pedzoo.metrics.realism.features import CHANNELS, LENGTH
 from pedzoo.train.crowds.comparison import MANNER_DIM
 
 _LARGEST = 6.0

@@ -8,7 +8,8 @@ import torch
 from torch import Tensor, nn
 
 from pedzoo.core.types import OBS_LEN
-from pedzoo.train.closed_loop.distribution_distances import SPREADS, wasserstein
+from pedzoo.metrics.realism.distances import wasserstein
+from pedzoo.train.closed_loop.distribution_distances import SPREADS
 from pedzoo.train.crowds.comparison import coarse, compared, parted, summaries
 from pedzoo.train.crowds.crowd_walk import CrowdWalk, recorded
 from pedzoo.train.crowds.discriminator import CrowdDiscriminator, legible

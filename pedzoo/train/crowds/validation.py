@@ -7,10 +7,9 @@ from torch import Tensor
 
 from pedzoo.core.types import OBS_LEN
 from pedzoo.maps.planning.planner import Planner
-from pedzoo.metrics.realism.clips import Clips
-from pedzoo.metrics.realism.features import FEATURES
+from pedzoo.metrics.realism.distances import wasserstein
+from pedzoo.metrics.realism.features import FEATURES, Clips
 from pedzoo.metrics.realism.two_sample import FOLDS, auc, two_sample
-from pedzoo.train.closed_loop.distribution_distances import wasserstein
 from pedzoo.train.crowds.comparison import CrowdFeatures, coarse, compared
 from pedzoo.train.crowds.crowd_walk import CrowdWalk, Policy, recorded, walked_on
 from pedzoo.train.crowds.excerpts import RecordedCrowd, excerpts
