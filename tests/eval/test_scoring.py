@@ -78,7 +78,7 @@ def written(path: Path, table: np.ndarray) -> str:
     return str(path)
 
 
-def test_a_file_of_the_recording_scores_as_the_recording_in_memory(
+def test_a_file_of_the_recording_scores_as_the_recording(
     real: PreparedReplay, recorded: ScoredCrowd, tmp_path: Path
 ) -> None:
     later = plaza()
@@ -195,7 +195,7 @@ DEGENERATE = {
 }
 
 
-def test_crowds_without_anything_to_say_keep_their_rows_and_others_theirs(tmp_path: Path) -> None:
+def test_degenerate_crowds_keep_their_rows(tmp_path: Path) -> None:
     some = written(tmp_path / "real.csv", plaza()[plaza()[:, 1] < 6])
     files = [
         written(tmp_path / f"{name.replace(' ', '_')}.csv", np.concatenate(rows))
@@ -294,7 +294,7 @@ def test_windows_hold_everybody_with_a_history(real: PreparedReplay, windows: Jo
     assert int(walked.people.sum()) > 0.8 * int(there.sum())  # the others are at their exit already
 
 
-def test_the_recording_is_likelier_under_itself_than_under_straight_walking(windows: JointWindows) -> None:
+def test_the_recording_is_likelier_than_straight_walking(windows: JointWindows) -> None:
     true = recorded_windows(windows)
     own = likelihood(true, true, "embedded")
     straight = likelihood(policy_windows("go_to_goal", windows, 0, "compiled"), true, "embedded")

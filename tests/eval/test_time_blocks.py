@@ -72,7 +72,7 @@ def test_sums_of_likelihoods_by_hand() -> None:
     assert float(metric.compute()) == pytest.approx(4 / 6)
 
 
-def test_density_around_constant_velocity_is_that_of_torch_and_fits_its_training_windows() -> None:
+def test_density_around_constant_velocity_is_that_of_torch() -> None:
     data = TrajectoryDataModule(pred_len=4)
     data.setup()
     scale, total, people = strayed(data), torch.zeros(4), 0

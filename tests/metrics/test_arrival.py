@@ -22,7 +22,7 @@ from pedzoo.metrics.arrival import (
 INF = float("inf")
 
 
-def test_success_needs_all_goals_in_time_and_an_episode_that_did_not_fail() -> None:
+def test_success_needs_all_goals_in_time() -> None:
     reached = torch.tensor([[[1, 2], [1, 1], [2, 2], [2, 2]], [[2, 2], [2, 2], [2, 2], [2, 2]]])
     late = torch.tensor([[False, False, True, False]]).expand(2, 4)
     mask = torch.tensor([[True, True, True, False]]).expand(2, 4)
@@ -30,19 +30,19 @@ def test_success_needs_all_goals_in_time_and_an_episode_that_did_not_fail() -> N
     assert result.tolist() == [[True, False, False, False], [False] * 4]
 
 
-def test_people_finish_at_the_point_at_which_the_last_goal_counts() -> None:
+def test_people_finish_when_the_last_goal_counts() -> None:
     reached = torch.tensor([[[0, 1, 1, 2], [2, 2, 2, 2], [0, 0, 1, 1]]])
     assert finish_seconds(reached, 2)[0].tolist() == pytest.approx([0.4, 0.1, INF])
 
 
-def test_an_episode_takes_as_long_as_its_last_person_and_counts_only_if_all_succeed() -> None:
+def test_an_episode_takes_as_long_as_its_last_person() -> None:
     seconds = torch.tensor([[1.0, 3.0, INF], [1.0, 3.0, 2.0], [1.0, INF, 2.0]])
     done = torch.tensor([[True, True, False], [True, False, True], [True, False, True]])
     mask = torch.tensor([[True, True, False], [True, True, True], [True, True, True]])
     assert episode_seconds(seconds, done, mask).tolist() == [3.0, INF, INF]
 
 
-def test_who_stands_still_for_5_s_away_from_the_goal_is_deadlocked() -> None:
+def test_standing_for_5_s_away_from_the_goal_is_a_deadlock() -> None:
     steps = torch.arange(60.0)
     x = torch.zeros(1, 5, 60)
     x[0, 0] = (0.3 * steps).clamp_max(2.4)  # walks until point 8, then stands for 5.1 s

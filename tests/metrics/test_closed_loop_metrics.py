@@ -155,7 +155,7 @@ def test_row_of_two_episodes() -> None:
     assert third["least_distance_m"] is None and third["success"] is False
 
 
-def test_clean_are_episodes_in_which_all_arrive_and_none_touches_anything() -> None:
+def test_clean_episodes_have_arrivals_and_no_touch() -> None:
     """Of five episodes one is clean; in the others a person touches, is late, or the policy fails."""
     path = torch.stack((straight(points=5), straight(points=5, start=(0.0, 2.0)))).expand(5, 2, 6, 2)
     none = torch.zeros(5, 2, 5, dtype=torch.bool)
@@ -179,7 +179,7 @@ def test_clean_are_episodes_in_which_all_arrive_and_none_touches_anything() -> N
     assert metrics(played)["contact_free"] == pytest.approx(4 / 5)
 
 
-def test_median_time_is_of_those_who_arrive_and_its_interval_is_over_episodes() -> None:
+def test_median_time_is_of_those_who_arrive() -> None:
     walked = busy()
     value, known = time_ratios(walked)
     arrived = sorted(value[known].tolist())
@@ -211,7 +211,7 @@ def test_no_person_who_fails_at_once_has_rates() -> None:
     assert not {"time_s", "least_distance_m", "agent_contacts_per_min"} & set(metrics)
 
 
-def test_metrics_depend_neither_on_the_frame_nor_on_how_people_are_numbered() -> None:
+def test_metrics_depend_on_neither_frame_nor_numbers() -> None:
     walked = busy()
     expected = metrics(walked)
     assert tuple(expected) == NAMES
@@ -225,7 +225,7 @@ def test_metrics_depend_neither_on_the_frame_nor_on_how_people_are_numbered() ->
     assert metrics(replace(walked, gate=around)) == pytest.approx(expected, rel=1e-9)
 
 
-def test_neither_the_warm_start_counts_nor_anything_after_the_end_of_an_episode() -> None:
+def test_neither_the_warm_start_counts_nor_what_follows_the_end() -> None:
     walked = busy()
     after = ~walked.present.unsqueeze(-1)
     noise = torch.randn(walked.trace.shape, generator=torch.Generator().manual_seed(1)).double()
@@ -295,7 +295,7 @@ def test_a_frozen_crowd_is_deadlocked_and_gets_nowhere() -> None:
     assert not undefined & set(result)
 
 
-def test_a_replay_scores_whom_the_policy_moves_and_never_two_people_in_one_slot_as_one() -> None:
+def test_a_replay_scores_people_and_not_slots() -> None:
     # slot 0: one person until 4 s, another one from then on, 30 m away; slot 1: played back, 0.4 m beside
     first, second = straight(1.0, 40), straight(1.5, 40, (30.0, 0.0))
     path = torch.stack(
@@ -337,7 +337,7 @@ def test_runs_are_told_apart_by_gaps() -> None:
     assert runs.any(number == 5).tolist() == [[[False, True], [False, False], [False, False]]]
 
 
-def test_score_of_two_rollouts_is_that_of_both_together_in_one_process_or_two() -> None:
+def test_scores_add_up_over_rollouts_and_processes() -> None:
     walked = busy()
     parts = walked.episodes(slice(2)), walked.episodes(slice(2, 5))
     together, one, other = (ClosedLoopScore() for _ in range(3))

@@ -34,7 +34,7 @@ def test_minutes_are_those_in_which_a_person_is_there() -> None:
 
 
 @pytest.mark.parametrize("at_once", [1, 100, 10**9])
-def test_nearest_is_the_least_distance_to_anybody_else_who_is_there(
+def test_nearest_is_the_least_distance_to_present_others(
     at_once: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(contacts, "_AT_ONCE", at_once)
@@ -61,7 +61,7 @@ def test_who_is_scored_may_come_near_anybody_who_is_there() -> None:
     assert compliance_igibson(near, scored)[0].tolist() == pytest.approx([1 - 1 / 500, 1.0, 1.0])
 
 
-def test_igibson_divides_by_500_steps_however_long_the_episode_is() -> None:
+def test_igibson_divides_by_500_steps_always() -> None:
     near = torch.full((1, 2, 900), 0.4)
     scored = torch.ones(1, 2, 900, dtype=torch.bool)
     scored[0, 1, 50:] = False
@@ -89,9 +89,7 @@ def test_time_to_collision_of_simple_encounters() -> None:
 
 
 @pytest.mark.parametrize("at_once", [1, 10**9])
-def test_time_to_collision_is_when_discs_that_walk_on_first_touch(
-    at_once: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_time_to_collision_is_when_discs_first_touch(at_once: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(contacts, "_AT_ONCE", at_once)
     generator = torch.Generator().manual_seed(0)
     position = 3 * torch.randn(2, 5, 20, 2, generator=generator)

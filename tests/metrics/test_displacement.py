@@ -108,7 +108,7 @@ def test_small_errors_after_a_large_sum_are_not_lost() -> None:
     assert value(d.ADE, *batches) * 101 == pytest.approx(2**25 + 100, abs=0.01)
 
 
-def test_errors_are_distances_of_summed_displacements_from_the_last_position() -> None:
+def test_errors_are_distances_of_summed_displacements() -> None:
     history = torch.tensor([[[[9.0, 9.0], [1.0, 1.0]]]])
     future = torch.tensor([[[[2.0, 1.0], [3.0, 1.0]]]])
     prediction = torch.tensor([[[[[1.0, 0.0], [1.0, 0.0]]], [[[1.0, 3.0], [1.0, 1.0]]]]])

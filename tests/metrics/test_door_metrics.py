@@ -43,7 +43,7 @@ def metrics(walked: Rollout) -> dict[str, float]:
     return summarised(closed_loop(walked))[0]
 
 
-def test_people_pass_when_they_cross_the_line_between_the_jambs_for_good() -> None:
+def test_people_pass_when_they_cross_the_door_line_for_good() -> None:
     straight = walk((-0.53, 0.4, 0.0), (3.47, 0.4, 4.0))  # crosses between two points
     there_and_back = walk((-1.0, 0.0, 0.0), (1.0, 0.0, 2.0), (-1.0, 0.0, 4.0))
     at_last = walk((1.0, 0.0, 0.0), (-0.5, 0.0, 1.5), (0.5, 0.0, 2.5), (-1.0, 0.0, 4.0))
@@ -96,7 +96,7 @@ def test_yield_delay_and_whether_the_faster_goes_first() -> None:
     assert first.tolist() == [False, True, False, False, False]
 
 
-def test_yielder_speed_is_the_least_of_the_second_before_they_pass() -> None:
+def test_yielder_speed_is_the_seconds_least_before_passing() -> None:
     first = walk((2.0, 0.0, 0.0), (-2.0, 0.0, 4.0), (-2.0, 0.0, 8.0))
     # slows down to 0.25 m/s, passes at 5.2 s, and stands only behind the door
     second = walk((-2.0, 0.0, 0.0), (-0.8, 0.0, 1.2), (-0.4, 0.0, 2.8), (1.6, 0.0, 4.8), (1.6, 0.0, 8.0))
@@ -109,7 +109,7 @@ def test_yielder_speed_is_the_least_of_the_second_before_they_pass() -> None:
     assert float(door.yielder_speed(*velocities(path, scored), unknown, 0.4)) == INF
 
 
-def test_specific_flow_is_persons_per_width_and_time_between_first_and_last() -> None:
+def test_specific_flow_is_persons_per_width_and_time() -> None:
     seconds = torch.tensor([[2.0, 1.0, INF, 3.5], [1.0, INF, INF, INF], [1.0, 1.0, INF, INF]]).double()
     through, room = door.flow(seconds, torch.tensor([0.0, 0.0, 1.0, 0.0, 0.8]).expand(3, 5))
     assert through.tolist() == [3, 0, 0] and room.tolist() == pytest.approx([0.8 * 2.5, 0.0, 0.0])

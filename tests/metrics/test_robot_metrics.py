@@ -82,7 +82,7 @@ def values_of(rollout: RobotRollout) -> dict[str, float]:
     return summarised(robot_metrics(rollout))[0]
 
 
-def test_a_robot_that_arrives_has_spl_and_stl_of_its_way_and_time() -> None:
+def test_spl_and_stl_of_a_robot_that_arrives() -> None:
     """By hand: planned 4 m at 1 m/s; it drives 5 m in 5 s and arrives with the 50th point."""
     walked = rollout_of([straight((50, 0), (0, 0), 50), straight((0, 0), (1, 0), 50)])
     reached = walked.reached.clone()

@@ -62,7 +62,7 @@ def test_left_and_right_turns_add_up_and_angles_wrap() -> None:
     assert float(turning(velocity, known)) == pytest.approx(2 * expected)
 
 
-def test_who_stops_and_walks_on_in_another_direction_has_turned_but_at_no_rate() -> None:
+def test_a_turn_at_a_stop_has_no_rate() -> None:
     velocity, known = corners((0.4, 0.0), (0.0, 0.0), (0.01, 0.01), (0.0, 0.4), (0.0, 0.4))
     assert float(turning(velocity, known)) == pytest.approx(math.pi / 2)
     rate, walks = heading_rate(velocity, known)

@@ -66,7 +66,7 @@ def test_wilson_interval() -> None:
     assert low == 0.0 and high == pytest.approx(3.8415 / 23.8415, abs=1e-4)
 
 
-def test_intervals_of_ratios_are_those_of_means_and_weigh_episodes_by_their_length() -> None:
+def test_intervals_of_ratios_weigh_episodes_by_their_length() -> None:
     value = torch.randn(400, generator=torch.Generator().manual_seed(0)).double()
     half = 1.966 * float(value.std()) / 20
     mean = float(value.mean())
@@ -82,7 +82,7 @@ def test_intervals_of_ratios_are_those_of_means_and_weigh_episodes_by_their_leng
 
 
 @pytest.mark.parametrize("episodes", [3, 5, 10, 20, 50])
-def test_intervals_cover_however_few_episodes_and_rare_events_there_are(episodes: int) -> None:
+def test_intervals_cover_few_episodes_and_rare_events(episodes: int) -> None:
     """Of rare, clustered and skewed values, and of ratios of sums, 93 of 100 intervals hold the truth."""
     random, trials = np.random.default_rng(episodes), 400
     size, once = (trials, episodes), np.ones((trials, episodes))

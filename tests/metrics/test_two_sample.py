@@ -109,7 +109,7 @@ def found_auc(one: Clips, other: Clips, people: int) -> float:
     return float(auc(two_sample(one, other, parts, parts), once, once))
 
 
-def test_equal_crowds_cannot_be_told_apart_and_constant_velocity_can() -> None:
+def test_constant_velocity_is_told_apart_and_equal_crowds_not() -> None:
     people = 40
     real = crowd_of(0.05, people, 0)
     assert found_auc(real, real, people) == pytest.approx(0.5, abs=0.02)
