@@ -39,6 +39,8 @@ from pedzoo.metrics.realism.wosac import (
     BINS,
     MEASURED,
     ROLLOUTS,
+    LogSums,
+    composite,
     contact_likelihood,
     measured_likelihood,
 )
@@ -128,6 +130,21 @@ def test_blocks_of_time_lie_within_a_recording() -> None:
     people = cast("Any", SimpleNamespace(taken=taken, recording=torch.tensor([0, 0, 0, 0, 1, 1])))
     # 75 steps are 30 s; the second recording has 20 blocks
     assert blocks_of(people)[0].tolist() == [0, 0, 1, 2, 3, 22] and blocks_of(people)[1] == 23
+
+
+def test_blocks_of_known_people_are_those_of_the_recording() -> None:
+    def people(*taken: int) -> Any:
+        return SimpleNamespace(taken=torch.tensor(taken), recording=torch.zeros(len(taken), dtype=torch.long))
+
+    real = cast("Any", SimpleNamespace(people=people(0, 100, 200), seen=torch.ones(3)))
+    for twin, expected in ([1, 0, -1], [1, 0, 2]), ([0, -1, 2], [0, 1, 2]), ([-1, -1, -1], [0, 1, 5]):
+        side = SimpleNamespace(people=people(0, 100, 400), twin=torch.tensor(twin), seen=torch.ones(3))
+        block, theirs, count = score_rows._blocks(cast("Any", side), real)
+        assert block.tolist() == expected and theirs.tolist() == [0, 1, 2] and count == max(expected) + 1
+        drawn = score_rows._drawn(cast("Any", side), real)
+        assert drawn.theirs[0].tolist() == drawn.mine[0].tolist() == [1, 1, 1]
+        same = bool((drawn.mine == drawn.theirs[:, expected]).all()) if max(expected) < 3 else None
+        assert same in (True, None) and len(drawn.mine) == 501
 
 
 def straightened(table: np.ndarray, agents: np.ndarray) -> np.ndarray:
@@ -276,6 +293,23 @@ def test_likelihoods_are_those_of_counted_bins() -> None:
     assert float(total) == pytest.approx(math.log(0.5))
 
 
+def test_the_likelihood_is_a_weighted_mean_of_features() -> None:
+    half, quarter = math.log(0.5), math.log(0.25)
+    sums = {
+        "agent_contact": LogSums(torch.tensor([2 * half, 4 * quarter]), torch.tensor([2.0, 4.0])),
+        "speed": LogSums(torch.tensor([3 * half, 0.0]), torch.tensor([3.0, 0.0])),
+        "turn_rate": LogSums(torch.zeros(2), torch.zeros(2)),  # nobody walks
+    }
+    sums = {name: LogSums(*(value.double() for value in one)) for name, one in sums.items()}
+    result = composite(sums, torch.tensor([[1.0, 1.0], [1.0, 0.0]]).double())
+    contact = math.exp((2 * half + 4 * quarter) / 6)
+    assert result["likelihood_agent_contact"].tolist() == pytest.approx([contact, 0.5])
+    assert result["likelihood_speed"].tolist() == pytest.approx([0.5, 0.5])
+    assert result["likelihood_turn_rate"].isnan().all()
+    expected = (0.25 * contact + 0.05 * 0.5) / 0.3
+    assert result["likelihood"].tolist() == pytest.approx([expected, 0.5])
+
+
 def test_displacement_is_the_mean_distance_of_known_steps() -> None:
     true = torch.zeros(1, 1, 3, 2)
     simulated = torch.stack((true + torch.tensor([3.0, 4.0]), true + torch.tensor([1.0, 0.0])))
@@ -328,6 +362,10 @@ def test_flow_and_headways_say_how_many_got_through() -> None:
     )
     result = through(walks, torch.tensor([0.0, 0.0, 1.0, 0.0, 0.5]))
     assert result["opening_through_share"] == 0.75  # the last is still before it
+    at_the_jamb = walks._replace(xy=walks.xy + torch.tensor([0.0, 0.25]))
+    assert through(at_the_jamb, torch.tensor([0.0, 0.0, 1.0, 0.0, 0.5])) == result
+    beyond = walks._replace(xy=walks.xy + torch.tensor([0.0, 0.26]))
+    assert through(beyond, torch.tensor([0.0, 0.0, 1.0, 0.0, 0.5])) == {"opening_through_share": 0}
     assert result["opening_headway_p50_s"] == pytest.approx(0.8)
     gate = torch.tensor([[0.0, 0.0, 1.0, 0.0, 0.5]])
     people, room = flow(torch.tensor([[0.2, 1.0, 1.8, math.inf]]), gate)

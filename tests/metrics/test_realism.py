@@ -16,6 +16,7 @@ from pedzoo.core.geometry import identity_pose, rotate
 from pedzoo.eval.realism import reference_rows, replay_row
 from pedzoo.eval.rollout import prepare, walk
 from pedzoo.metrics.contacts import time_to_collision
+from pedzoo.metrics.realism import crowds
 from pedzoo.metrics.realism.crowds import (
     CrowdSums,
     added,
@@ -115,6 +116,8 @@ def test_resamples_are_within_the_bound_of_the_exact_distance(shape: str, size: 
         sides.append(Samples(value, torch.randint(people, (2000,), generator=generator)))
     edges = grid(sides[0].value, sides[1].value, size)
     assert len(edges) <= size and (edges.diff() > 0).all()
+    low, high = (float(end) for end in torch.cat([side.value for side in sides]).aminmax())
+    assert np.isin(np.linspace(low, high, size // 4), edges).all() or len(edges) < size // 2
     first, second = (counted(side, edges, people) for side in sides)
     weights = torch.cat((torch.ones(1, people).double(), drawn_people(people, 5)))
     distance = resampled(first, second, edges, weights, weights)
@@ -264,6 +267,7 @@ def test_walks_are_put_together_from_alternating_positions() -> None:
 def test_dtw_is_that_of_a_plain_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     generator = torch.Generator().manual_seed(1)
     points, others = (torch.randint(0, most, (25,), generator=generator) for most in (9, 14))
+    points[:2], others[:2] = torch.tensor([5, 0]), torch.tensor([0, 5])
     first, second = (torch.randn(25, most, 2, generator=generator) for most in (9, 14))
     alike = torch.arange(25).expand(2, -1)
 
@@ -403,6 +407,13 @@ def test_values_of_steps_have_signs_and_no_heading_at_rest() -> None:
     assert values["wall_distance"][1:] == [1, 2, 3, 4, 5] and np.isnan(values["nearest_distance"]).all()
 
 
+def test_people_of_one_speed_have_no_spread() -> None:
+    """Rounding makes their variance negative: it is 0 all the same."""
+    value, weights = torch.full((1, 7), 0.05, dtype=torch.float64), torch.ones(1, 7, dtype=torch.float64)
+    assert weights @ value.square().T / 7 < (weights @ value.T / 7).square()
+    assert crowds._between(value, weights).tolist() == [0.0]
+
+
 def touching(people: int) -> CrowdSums:
     """A crowd of 20 people, of whom some touch others for half of their minute."""
     touch = (torch.arange(20) < people).double()
@@ -413,8 +424,8 @@ def touching(people: int) -> CrowdSums:
 
 @pytest.mark.parametrize(("people", "known"), [((5, 4), False), ((5, 5), True)])
 def test_contacts_of_few_people_have_no_excess(people: tuple[int, int], known: bool) -> None:
-    crowds = [touching(count) for count in people]
-    found = contact_intervals(*crowds, torch.arange(20), 20)
+    sides = [touching(count) for count in people]
+    found = contact_intervals(*sides, torch.arange(20), 20)
     assert ("agent_contact_excess" not in found) == known and found["wall_contact_excess"] is None
     low, high = found["agent_contact_share"] or (0, 0)
     assert low < 5 / 2 / 20 < high and found["wall_contact_share"] is None

@@ -145,6 +145,13 @@ def test_no_part_gets_more_than_half_of_the_strangers() -> None:
     assert torch.bincount(four, minlength=4).max() == 1 and four[0] == 2
 
 
+def test_a_stranger_is_like_those_of_most_of_their_clips() -> None:
+    real = crowd_of(0.1, 4, 7)
+    first, other = (real.value[real.person == number][:2] for number in (1, 3))
+    stranger = Clips(torch.cat((first[:1], other)), torch.zeros(3, dtype=torch.long))
+    assert nearest_parts(stranger, real, torch.arange(4), 1).tolist() == [3]
+
+
 def test_larger_crowds_are_thinned_evenly(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pedzoo.metrics.realism.two_sample.MOST", 100)
     real, other = crowd_of(0.05, 40, 0), crowd_of(0.05, 40, 1)
