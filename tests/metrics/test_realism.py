@@ -424,8 +424,7 @@ def touching(people: int) -> CrowdSums:
 
 @pytest.mark.parametrize(("people", "known"), [((5, 4), False), ((5, 5), True)])
 def test_contacts_of_few_people_have_no_excess(people: tuple[int, int], known: bool) -> None:
-    sides = [touching(count) for count in people]
-    found = contact_intervals(*sides, torch.arange(20), 20)
+    found = contact_intervals(touching(people[0]), touching(people[1]), torch.arange(20), 20)
     assert ("agent_contact_excess" not in found) == known and found["wall_contact_excess"] is None
     low, high = found["agent_contact_share"] or (0, 0)
     assert low < 5 / 2 / 20 < high and found["wall_contact_share"] is None

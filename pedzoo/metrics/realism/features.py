@@ -172,8 +172,8 @@ class _Rows(NamedTuple):
 
     @classmethod
     def of(cls, steps: SampledRollout) -> "_Rows":
-        where = steps.scored.nonzero().unbind(1)
-        return cls(*where, steps.person[where])
+        episode, slot, step = steps.scored.nonzero().unbind(1)
+        return cls(episode, slot, step, steps.person[episode, slot, step])
 
     def before(self, value: Tensor) -> Tensor:
         """Return values (E, A, S, ...) one step earlier."""
@@ -183,12 +183,13 @@ class _Rows(NamedTuple):
 def surroundings(steps: SampledRollout) -> Surroundings:
     """Return the surroundings of every scored step; others count whether scored or played back."""
     rows = _Rows.of(steps)
-    moments = [
+    xy, velocity, there, known = (
         value.transpose(1, 2).flatten(0, 1)  # (E x S, A): people present at once
         for value in (steps.xy, steps.velocity, steps.person >= 0, steps.known)
-    ]
+    )
     radius = steps.radius.unsqueeze(1).expand(-1, steps.xy.shape[2], -1).flatten(0, 1)
-    return others_of(*moments, radius, rows.episode * steps.xy.shape[2] + rows.step, rows.slot)
+    moment = rows.episode * steps.xy.shape[2] + rows.step
+    return others_of(xy, velocity, there, known, radius, moment, rows.slot)
 
 
 def others_of(
@@ -214,9 +215,8 @@ def others_of(
         smooth: Times between 0 and 10 s are those of `touch_seconds`, which have gradients.
     """
     size, parts = max(1, _AT_ONCE // xy.shape[1]), []
-    scene = xy, velocity, there, known, radius
     for when, own in zip(moment.split(size), slot.split(size), strict=True):
-        parts.append(_others(*scene, when, own, smooth))
+        parts.append(_others(xy, velocity, there, known, radius, when, own, smooth))
     return Surroundings(*(torch.cat(values) for values in zip(*parts, strict=True)))
 
 

@@ -41,8 +41,9 @@ def features(walk: Unrolled, batch: TensorDict) -> dict[str, Tensor]:
     earlier = torch.cat((agents["velocity"].unsqueeze(1), velocity[:, :-1]), 1)
     radius = cast("Tensor", agents["radius"])[..., 0].unsqueeze(1).expand(walked.shape)
     scene, step, slot = walked.nonzero().unbind(1)
-    moments = (value.flatten(0, 1) for value in (xy, velocity, present, present, radius))
-    around = others_of(*moments, scene * xy.shape[1] + step, slot, smooth=True)
+    place, moving, there, body = (value.flatten(0, 1) for value in (xy, velocity, present, radius))
+    moment = scene * xy.shape[1] + step
+    around = others_of(place, moving, there, there, body, moment, slot, smooth=True)
     offset, way = xy[walked] - begin[scene, slot], (end - begin)[scene, slot]
     values = step_features(velocity[walked], earlier[walked], around, offset, way)
     return {name: value for name, (value, _) in values.items()}
