@@ -351,6 +351,8 @@ def test_columns_of_crowdes_by_hand() -> None:
     assert result["crowdes_population"] == pytest.approx(1.0)  # two people where there is one
     assert result["crowdes_density"] == pytest.approx(0.01)
     assert result["crowdes_coverage"] == 0
+    apart = columns(twice._replace(xy=torch.cat((line, line.flip(0)))), real)
+    assert apart["crowdes_coverage"] == pytest.approx(0.01)  # in two squares where one is occupied
     assert result["crowdes_diversity"] == pytest.approx(0.75)  # one of the two is nobody's nearest
 
 

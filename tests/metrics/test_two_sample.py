@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -150,6 +152,12 @@ def test_a_stranger_is_like_those_of_most_of_their_clips() -> None:
     first, other = (real.value[real.person == number][:2] for number in (1, 3))
     stranger = Clips(torch.cat((first[:1], other)), torch.zeros(3, dtype=torch.long))
     assert nearest_parts(stranger, real, torch.arange(4), 1).tolist() == [3]
+
+
+def test_trees_are_those_of_the_page() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "score.md").read_text()
+    assert f"of depth {TREES['max_depth']})" in page and TREES["max_leaf_nodes"] is None
+    assert (TREES["learning_rate"], TREES["max_bins"], TREES["min_samples_leaf"]) == (0.1, 64, 20)
 
 
 def test_larger_crowds_are_thinned_evenly(monkeypatch: pytest.MonkeyPatch) -> None:
