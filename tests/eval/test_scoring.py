@@ -287,6 +287,8 @@ def test_likelihoods_are_those_of_counted_bins() -> None:
     assert float(total) == pytest.approx(
         math.log((2 * ROLLOUTS + 0.1) / whole) + math.log(0.1 / whole), rel=1e-6
     )
+    both = measured_likelihood(simulated.expand(1, 1, 2, 4), true.expand(1, 2, 4), (0.0, 1.0))
+    assert int(both.count) == 4 and float(both.total) == pytest.approx(2 * float(total))
     touched = torch.zeros(4, 1, 2, dtype=torch.bool)
     touched[:2, 0, 0] = True
     total, _ = contact_likelihood(touched, torch.tensor([[True, True]]), torch.tensor([[True, False]]))
