@@ -74,6 +74,7 @@ EQUIVALENT = {
     "metrics/displacement.py": ("split( 257)", "there.unsqueeze(1), 1).sum"),
     "metrics/robots.py": ("clamp_min( 0), there.any",),
     "metrics/arrival.py": ("number.numel() else 1",),
+    "metrics/realism/walks.py": ("scatter_reduce( -1",),
     "metrics/statistics.py": ("(at,))[:, -1]",),
     "train/rl/rewards.py": ('["pref_speed"][..., -1]',),
     "models/blocks/variety.py": ("zeros_like(z[", "self.best_k >= 1", "self.best_k > 0"),
