@@ -10,8 +10,9 @@ from pedzoo.core.registry import DATASETS
 from pedzoo.core.spec import Spec
 from pedzoo.data.recordings import Fold, find_fold, open_fold
 from pedzoo.eval.packed_episodes import packed_episodes
-from pedzoo.eval.realism import HALVES, REAL, SPLITS, reference_rows, replay_row
+from pedzoo.eval.realism import REAL, reference_rows, replay_row
 from pedzoo.eval.results import SEEN
+from pedzoo.eval.scoring.rows import HALVES, SPLITS
 from pedzoo.eval.suite import (
     EvaluationCase,
     EvaluationOptions,
