@@ -127,14 +127,16 @@ def test_people_who_are_known_keep_their_part(monkeypatch: pytest.MonkeyPatch) -
 
 def test_blocks_of_time_lie_within_a_recording() -> None:
     taken = torch.tensor([10, 84, 85, 160, 7, 7 + 3000])
-    people = cast("Any", SimpleNamespace(taken=taken, recording=torch.tensor([0, 0, 0, 0, 1, 1])))
+    people = cast("Any", SimpleNamespace(handover=taken, recording=torch.tensor([0, 0, 0, 0, 1, 1])))
     # 75 steps are 30 s; the second recording has 20 blocks
     assert blocks_of(people)[0].tolist() == [0, 0, 1, 2, 3, 22] and blocks_of(people)[1] == 23
 
 
 def test_blocks_of_known_people_are_those_of_the_recording() -> None:
     def people(*taken: int) -> Any:
-        return SimpleNamespace(taken=torch.tensor(taken), recording=torch.zeros(len(taken), dtype=torch.long))
+        return SimpleNamespace(
+            handover=torch.tensor(taken), recording=torch.zeros(len(taken), dtype=torch.long)
+        )
 
     real = cast("Any", SimpleNamespace(people=people(0, 100, 200), seen=torch.ones(3)))
     for twin, expected in ([1, 0, -1], [1, 0, 2]), ([0, -1, 2], [0, 1, 2]), ([-1, -1, -1], [0, 1, 5]):
