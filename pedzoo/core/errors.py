@@ -15,7 +15,7 @@ EXTRAS = {
     "fast": ("numba",),
     "score": ("sklearn",),
     "bullet": ("pybullet",),
-    "video": ("cv2", "matplotlib"),
+    "video": ("matplotlib",),
     "wandb": ("wandb",),
     "gym": ("gymnasium", "pettingzoo"),
     "onnx": ("onnx", "onnxscript", "onnxruntime"),

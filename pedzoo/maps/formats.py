@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pedzoo.core.errors import UserError, need
+from pedzoo.core.errors import UserError
 from pedzoo.core.paths import write_atomically
 from pedzoo.core.size_limits import LARGEST_PICTURE, check_limit, load_yaml, read_text
 from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
@@ -240,7 +240,6 @@ def read_igibson(
     Raises:
         UserError: An image cannot be read, is not square or of another size, or a setting is out of range.
     """
-    need("video", "a plan of iGibson, which is resized as iGibson does,")
     import cv2
 
     path = Path(path)

@@ -24,7 +24,7 @@ from torch import Tensor
 from pedzoo.core.batch import is_person_sized
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.types import TOP_SPEED_RATIO, TRACE_SECONDS
-from pedzoo.maps.walls.segments import Segments
+from pedzoo.maps.segments import Segments
 from pedzoo.policies.neighbours import nearest
 
 OF_PRESET: Any = None

@@ -13,8 +13,7 @@ from torch import Tensor
 
 from pedzoo.core.bodies import HOLONOMIC, speed_and_turn
 from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
-from pedzoo.maps.walls.local_walls import LocalWalls
-from pedzoo.maps.walls.strides import Keeping, walls_ahead
+from pedzoo.maps.walls import Keeping, LocalWalls, WallsAhead
 from pedzoo.sim.state import State
 
 SKIN = 0.01
@@ -105,19 +104,14 @@ def integrate(
     length = (wanted.square().sum(0) + 1e-12).sqrt()
     keeping = Keeping(reach, radius + reach, ROUNDING, CREEP)  # no stride is longer than the reach
     here, places = position, [position]
-    ahead = walls_ahead(walls, here, keeping, length, strides)
+    ahead = WallsAhead(walls, here, keeping)
     for tick_wanted, tick_length in zip(wanted.unbind(1), length.unbind(), strict=True):
         for _ in range(strides):
             limits = ahead.limits
-            if limits.length is None:
-                target = here + tick_wanted
-            else:
-                target = torch.addcmul(here, tick_wanted, (limits.length / tick_length).clamp_max(1))
+            target = torch.addcmul(here, tick_wanted, (limits.length / tick_length).clamp_max(1))
             target = _kept_off(target, limits.bound, limits.normal)
-            if limits.blocked_bound is not None:
-                target = _kept_off(target, limits.blocked_bound, limits.blocked_normal)
-            gets_there = ahead.arrive(target)
-            here = target if gets_there is None else torch.lerp(here, target, gets_there)
+            target = _kept_off(target, limits.blocked_bound, limits.blocked_normal)
+            here = torch.lerp(here, target, ahead.arrive(target))
             places.append(here)
     ends = torch.stack(places, dim=1)
     middle = 0.5 * (ends[:, :-1] + ends[:, 1:])

@@ -13,8 +13,8 @@ from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.geometry import TURNS_FROM, heading_of, identity_pose
 from pedzoo.core.randomness import Draws, signed
 from pedzoo.core.types import TRACE_SECONDS
+from pedzoo.maps.bank import WallSegments
 from pedzoo.maps.planning.guidance import Guidance
-from pedzoo.maps.walls.segments import WallSegments
 from pedzoo.sim import warm_start as warm
 from pedzoo.sim.arrival import deadline, planned
 from pedzoo.sim.physics._base import Physics

@@ -12,7 +12,7 @@ from pedzoo.core.batch import ROBOT
 from pedzoo.core.bodies import HOLONOMIC
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS
-from pedzoo.maps.walls.segments import WallSegments
+from pedzoo.maps.bank import WallSegments
 from pedzoo.policies.orca import OrcaSettings, orca_velocity
 from pedzoo.sim import kernel
 from pedzoo.sim.observation import dense

@@ -23,8 +23,8 @@ from pedzoo.core.geometry import move_to_map
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.eval.packed_episodes import packed_episodes
 from pedzoo.eval.rollout import Recorder, prepare
+from pedzoo.maps.boxes import boxes
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.walls.boxes import boxes
 from pedzoo.sim.drawing import headings_along
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.physics.pybullet.looks import BulletLooks, Figure

@@ -11,7 +11,7 @@ from pedzoo.core.geometry import identity_pose, limit_speed
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.plans import rectangles, room, wall
-from pedzoo.maps.walls.local_walls import LocalWalls
+from pedzoo.maps.walls import LocalWalls
 from pedzoo.policies.safety_layer.clearance import ProposedSteps
 
 ROOM = rectangles(

@@ -5,22 +5,18 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 
-import cv2
 import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose, move_to_scene
-from pedzoo.maps.bank import MapBank
+from pedzoo.maps import segments as segment_table
+from pedzoo.maps.bank import MapBank, WallSegments
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.walls import segment_table
-from pedzoo.maps.walls.outlines import outlines, signed_area
-from pedzoo.maps.walls.segments import Segments, WallSegments
-from pedzoo.maps.walls.simplified import simplified
+from pedzoo.maps.segments import Segments, outlines, signed_area
 
 
 def draw(*rows: str) -> NDArray[np.bool_]:
@@ -253,17 +249,3 @@ def test_people_selected_keep_their_segments() -> None:
     some = near.select(torch.tensor([2, 0]))
     assert torch.equal(some.direction, near.direction[..., [2, 0]])
     assert torch.equal(some.valid, near.valid[:, [2, 0]])
-
-
-def test_simplified_corners_are_those_of_opencv() -> None:
-    """Solids of random shapes that touch themselves, at several tolerances."""
-    rng = np.random.default_rng(1)
-    compared = 0
-    for _ in range(60):
-        occupied = gaussian_filter(rng.random((40, 30)), rng.uniform(0, 2)) > rng.uniform(0.45, 0.55)
-        for exact in outlines(occupied, tolerance=0):
-            for tolerance in (0.5, 1.0, 2.3):
-                known = cv2.approxPolyDP(exact.astype(np.float32)[:, None], tolerance, closed=True)[:, 0]
-                assert simplified(exact, tolerance).tolist() == known.tolist()
-                compared += len(known) > 4
-    assert compared > 100

@@ -12,10 +12,11 @@ from torch import Tensor
 
 from pedzoo.core.geometry import identity_pose, move_to_map, move_to_scene, turn_to_map, turn_to_scene
 from pedzoo.maps.bank import MapBank
+from pedzoo.maps.boxes import boxes, merge_cells
 from pedzoo.maps.formats import read_plan, read_ros
 from pedzoo.maps.grid import OCCUPIED, UNKNOWN, OccupancyGrid
-from pedzoo.maps.plans import load_plan
-from pedzoo.maps.walls.boxes import boxes, merge_cells
+from pedzoo.maps.plans import load_plan, rectangles, wall
+from pedzoo.maps.walls import Keeping, WallsAhead
 
 
 def drawn(*rows: str, **options: object) -> OccupancyGrid:
@@ -277,3 +278,26 @@ def test_compiled_half_planes_are_those_of_torch():
     # a place is as far inside of its half-plane as it is away from the wall
     inside = (points * planes[1:]).sum(0) - planes[0]
     assert torch.allclose(inside[near], gap[near], atol=1e-5)
+
+
+def test_an_agent_that_runs_into_a_wall_gets_the_limit_of_both() -> None:
+    bank = MapBank([rectangles(wall((0, 1), (4, 1), 0.2), 0.05)])
+    walls = bank.walls_on_map(torch.tensor([0])).per_scene()
+    reach = 0.14
+    place = torch.tensor([[[2.0]], [[0.7]]])  # the wall begins 0.2 m above
+    ahead = WallsAhead(walls, place, Keeping(torch.full((1, 1), reach), torch.full((1, 1), 0.29), 1e-4, 0.02))
+    first = ahead.limits
+    assert torch.allclose(first.normal[:, 0, 0], torch.tensor([0.0, -1.0]), atol=1e-6)
+    assert torch.allclose(first.bound, torch.tensor([[-0.9 + reach]]), atol=1e-5)  # y may be 0.76
+    assert float(first.blocked_bound.max()) < -1e3  # it has run into no wall
+    before = [part.clone() for part in (first.bound, first.normal)]
+
+    goes_back = ahead.arrive(place + torch.tensor([0.0, 0.1]).view(2, 1, 1))
+    assert float(goes_back) == 0
+    second = ahead.limits
+    assert torch.allclose(second.length, torch.tensor([[reach]]))
+    assert torch.allclose(second.blocked_bound, first.bound, atol=1e-5)
+    assert torch.equal(second.bound, first.bound)
+    assert ahead.arrive(place + torch.tensor([0.0, 0.05]).view(2, 1, 1)) == 1
+    # autograd keeps limits that are over
+    assert all(torch.equal(part, old) for part, old in zip((first.bound, first.normal), before, strict=True))

@@ -12,9 +12,9 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose, move_to_scene, turn_to_scene
-from pedzoo.maps.bank import MapBank
+from pedzoo.maps.bank import MapBank, WallSegments
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
-from pedzoo.maps.walls.segments import Segments, WallSegments
+from pedzoo.maps.segments import Segments
 from pedzoo.policies.orca import OrcaSettings, agent_lines, orca_velocity, solve, violation, wall_lines
 
 SETTINGS = OrcaSettings(dt=0.4)

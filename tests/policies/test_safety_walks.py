@@ -13,7 +13,7 @@ from torch import Tensor
 
 from pedzoo.core.geometry import blended, limit_speed, limited
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
-from pedzoo.maps.walls.local_walls import LocalWalls
+from pedzoo.maps.walls import LocalWalls
 from pedzoo.policies.safety_layer.clearance import ProposedSteps, kept_clear_in_torch
 from pedzoo.policies.safety_layer.layer import kept_clear, safe
 from pedzoo.sim.make import make_env

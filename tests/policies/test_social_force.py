@@ -16,11 +16,10 @@ from torch import Tensor
 from pedzoo.core.batch import scene_batch
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose, move_to_scene, turn_to_scene
+from pedzoo.maps import segments as segment_table
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
-from pedzoo.maps.walls import segment_table
-from pedzoo.maps.walls.outlines import outlines
-from pedzoo.maps.walls.segment_table import SegmentTable, edges
+from pedzoo.maps.segments import SegmentTable, edges, outlines
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.rule_based.social_force import (
     SocialForce,

@@ -28,11 +28,10 @@ from rich.table import Table
 from torch import Tensor
 
 from pedzoo.core.geometry import identity_pose
-from pedzoo.maps.bank import MapBank
+from pedzoo.maps.bank import MapBank, WallSegments
 from pedzoo.maps.formats import read_plan
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
-from pedzoo.maps.walls.segment_table import NOWHERE, SegmentTable, edges
-from pedzoo.maps.walls.segments import WallSegments
+from pedzoo.maps.segments import NOWHERE, SegmentTable, edges
 from pedzoo.policies.orca import OrcaSettings, nearest_permitted, orca_velocity, wall_lines
 from tools.bench.rvo2_peer import Rvo2
 

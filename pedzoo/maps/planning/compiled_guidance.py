@@ -19,7 +19,7 @@ def guidance_compiled(
     seconds: float,
 ) -> Guidance:
     """Return what `Planner.guidance` does."""
-    from pedzoo.maps.walls.compiled import guidance_loop
+    from pedzoo.maps.planning.compiled_sight import guidance_loop
 
     carrot, desired, waypoint, goal = (torch.empty(*goal_id.shape, 2) for _ in range(4))
     made = Guidance(carrot, desired, waypoint, goal, torch.empty(goal_id.shape))

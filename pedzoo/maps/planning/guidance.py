@@ -9,7 +9,7 @@ from torch import Tensor
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.planning.planar import ScenePose
 from pedzoo.maps.planning.waypoint_table import WaypointLookup
-from pedzoo.maps.walls.local_walls import LocalWalls
+from pedzoo.maps.walls import LocalWalls
 
 EPSILON = 1e-6
 """Metres: an agent so near to a point is on it."""

@@ -8,7 +8,7 @@ from tensordict import TensorDictBase
 from pedzoo.core import randomness
 from pedzoo.core.batch import ROBOT, ids_of, maps_of
 from pedzoo.core.types import TRACE_SECONDS
-from pedzoo.maps.walls.segments import FASTEST, WallSegments
+from pedzoo.maps.bank import FASTEST, WallSegments
 from pedzoo.policies.neighbours import separation_push
 from pedzoo.policies.orca import OrcaSettings, orca_velocity
 from pedzoo.policies.policy import Policy, deterministic, drawn_vectors

@@ -18,7 +18,7 @@ from pedzoo.core.batch import ROBOT, agents_of, ids_of, is_person_sized, maps_of
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.geometry import move_to_map, turn_to_scene
 from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
-from pedzoo.maps.walls.segment_table import SegmentTable
+from pedzoo.maps.segments import SegmentTable
 from pedzoo.policies.neighbours import Neighbors, nearest
 from pedzoo.policies.orca import cross, dot, right
 from pedzoo.policies.policy import Policy, deterministic, drawn_vectors

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from pedzoo.core.geometry import limit_speed
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
-from pedzoo.maps.walls.local_walls import LocalWalls
+from pedzoo.maps.walls import LocalWalls
 
 LEAST_ASKED = 0.05
 """Metres: a shorter step that is asked for has less of a direction."""

@@ -22,7 +22,7 @@ from pedzoo.core import randomness
 from pedzoo.core.batch import ROBOT, agents_of, ids_of, is_person_sized, maps_of
 from pedzoo.core.machine import compiles
 from pedzoo.core.types import STEP_SECONDS
-from pedzoo.maps.walls.local_walls import LocalWalls
+from pedzoo.maps.walls import LocalWalls
 from pedzoo.policies.safety_layer.clearance import (
     MARGIN,
     SHOULDERS,

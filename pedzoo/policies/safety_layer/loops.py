@@ -11,7 +11,7 @@ import numpy as np
 
 from pedzoo.core.compiled import compiled, jit
 from pedzoo.core.types import TRACE_SECONDS
-from pedzoo.maps.walls.compiled import quarter, wall_gap
+from pedzoo.maps.walls_numba import quarter, wall_gap
 from pedzoo.policies.safety_layer.clearance import (
     AHEAD,
     BEYOND,

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from pedzoo.core.compiled import compiled, jit
 from pedzoo.core.types import TRACE_SECONDS
-from pedzoo.maps.walls.local_walls import LocalWalls
+from pedzoo.maps.walls import LocalWalls
 from pedzoo.policies.safety_layer.clearance import BEYOND, FIRST, ROUNDS, ProposedSteps
 from pedzoo.policies.safety_layer.loops import (
     PAIR,

@@ -16,7 +16,7 @@ from pedzoo.core.geometry import move_to_scene
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.walls.local_walls import LocalWalls
+from pedzoo.maps.walls import LocalWalls
 from pedzoo.sim.arrival import arrived
 from pedzoo.sim.camera import Camera, Lens, free_corners, person_color
 from pedzoo.sim.drawing import draw_goal

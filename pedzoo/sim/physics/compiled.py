@@ -19,8 +19,8 @@ from pedzoo.core.compiled import jit
 from pedzoo.core.geometry import TURNS_FROM
 from pedzoo.core.machine import compiles
 from pedzoo.core.types import GOAL_RADIUS, TRACE_SECONDS
-from pedzoo.maps.walls.compiled import quarter, wall_gap
-from pedzoo.maps.walls.constants import NO_WALL
+from pedzoo.maps.constants import NO_WALL
+from pedzoo.maps.walls_numba import quarter, wall_gap
 from pedzoo.sim.dynamics import CREEP, ROUNDING, SKIN, STRIDE
 from pedzoo.sim.physics._base import Bodies
 from pedzoo.sim.physics.torch import Torch

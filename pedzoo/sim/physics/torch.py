@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pedzoo.maps.walls.local_walls import LocalWalls
+from pedzoo.maps.walls import LocalWalls
 from pedzoo.sim.camera import Camera
 from pedzoo.sim.drawing import draw_top_view
 from pedzoo.sim.physics._base import REACH, Bodies, Physics

@@ -13,8 +13,8 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.maps.bank import MapBank
+from pedzoo.maps.boxes import boxes
 from pedzoo.maps.grid import OccupancyGrid, Unknown
-from pedzoo.maps.walls.boxes import boxes
 from pedzoo.sim.camera import Affine, scene_to_grid
 from pedzoo.sim.physics._base import Bodies
 from pedzoo.sim.physics.pybullet.client import AWAY, SHAPES, UPRIGHT, build_walls, check_connected, connect

@@ -1,12 +1,59 @@
-"""Loops over segments and cells of walls compiled by numba: buckets of segments, look-ups, and rays."""
+"""Loops over walls, compiled by numba: distances, rays, and the nearest segments.
+
+Every look-up has its equal in torch, and tests compare them.
+"""
 
 import math
 
 import numpy as np
 
 from pedzoo.core.compiled import compiled, jit
-from pedzoo.maps.walls.compiled import quarter, wall_gap
-from pedzoo.maps.walls.constants import BUCKET, HALF, INTO, NO_WALL, ROUNDED, WALL
+from pedzoo.maps.constants import BUCKET, CANDIDATES, HALF, INTO, ROUNDED, WALL
+
+
+@jit
+def in_half_cells(x, y, frame):
+    """Return where a scene position is in half cells."""
+    return frame[4] + frame[0] * x + frame[2] * y, frame[5] + frame[1] * x + frame[3] * y
+
+
+@jit
+def quarter_at(cell_x, cell_y, place):
+    """Return the number of the quarter of a cell that a place in half cells lies in."""
+    # the order of the arguments makes the first number of what is not a number
+    column = int(min(max(0.0, cell_x), place[0] - 1.0))
+    row = int(min(max(0.0, cell_y), place[1] - 1.0))
+    return place[2] + row * place[0] + column
+
+
+@jit
+def quarter(x, y, frame, place):
+    """Return where a scene position is in half cells, and the number of its quarter of a cell."""
+    cell_x, cell_y = in_half_cells(x, y, frame)
+    return cell_x, cell_y, quarter_at(cell_x, cell_y, place)
+
+
+@jit
+def wall_gap(x, y, frame, place, choice, option, limit):
+    """Return the distance to the nearest wall and the direction in which it grows (gap, x, y)."""
+    cell_x, cell_y, index = quarter(x, y, frame, place)
+    chosen = choice[index]
+    best, off_x, off_y = 1e300, 0.0, 0.0
+    for k in range(CANDIDATES):
+        dx = cell_x - min(max(cell_x, option[chosen, k]), option[chosen, 2 * CANDIDATES + k])
+        dy = cell_y - min(max(cell_y, option[chosen, CANDIDATES + k]), option[chosen, 3 * CANDIDATES + k])
+        squared = dx * dx + dy * dy
+        if squared < best:
+            best, off_x, off_y = squared, dx, dy
+    sign, depth, side = option[chosen, 4 * CANDIDATES], math.sqrt(best), frame[6]
+    distance = depth * side
+    if distance >= limit:
+        return limit * sign, 0.0, 0.0
+    if depth < 1e-9:
+        return distance * sign, 0.0, 0.0
+    scale = sign * side / depth
+    off_x, off_y = off_x * scale, off_y * scale
+    return distance * sign, frame[0] * off_x + frame[1] * off_y, frame[2] * off_x + frame[3] * off_y
 
 
 @jit
@@ -131,50 +178,6 @@ def look(points, within, frames, places, choice, option, least, limit, result):
                     gap, away_x, away_y = wall_gap(x, y, frame, place, choice, option, limit)
                 result[0, k, b, a], result[1, k, b, a] = gap, x * away_x + y * away_y - gap
                 result[2, k, b, a], result[3, k, b, a] = away_x, away_y
-
-
-@compiled(
-    "UniTuple(b1, 2)(i8, f4[:,:,:], f4[:,:], f4[:,:], f4[:,:], f4[:,:,:], i8, f4, f4,"
-    " f4[:,:,:], i4[:,:,:], i4[:], f4[:,:], f4[:], f8, f4[:,:,:,::1])"
-)
-def ahead(
-    stride, points, within, reach, allowed, wanted, each, rounding, creep,
-    frames, places, choice, option, least, limit, columns,
-):  # fmt: skip
-    """Write the numbers (8, N, B, A) of a stride that begins at points (2, B, A): see `WallsAhead.arrive`.
-
-    They are its length, the bounds of both walls, what `arrive` returns, and both normals.
-    Operations are those of torch, in their order and precision. Stride 0 is the first.
-    Returns whether any agent has run into a wall, and whether any wants more than the stride's length.
-    """
-    frame, place = np.empty(7), np.empty(3, np.int64)
-    length, bound, blocked, gets_there, normal_x, normal_y, blocked_x, blocked_y = columns
-    n, before, stuck, short = stride, max(stride - 1, 0), False, False
-    tick = min(n // each, len(wanted) - 1)
-    for b in range(points.shape[1]):
-        frame[:], place[:] = frames[:, b, 0], places[:, b, 0]
-        for a in range(points.shape[2]):
-            x, y = points[0, b, a], points[1, b, a]
-            _, _, index = quarter(x, y, frame, place)
-            new_gap, away_x, away_y = float(least[index]), 0.0, 0.0
-            if not new_gap > within[b, a]:
-                new_gap, away_x, away_y = wall_gap(x, y, frame, place, choice, option, limit)
-            line, free = np.float32(x * away_x + y * away_y - new_gap), np.float32(new_gap)
-            hits = n > 0 and free < allowed[b, a] - rounding
-            allowed[b, a] = min(max(free, allowed[b, a]), reach[b, a]) if n > 0 else min(free, reach[b, a])
-            length[n, b, a], gets_there[n, b, a] = max(allowed[b, a], creep), 1.0 - hits
-            short |= length[n, b, a] < wanted[tick, b, a]
-            line += allowed[b, a]
-            blocked[n, b, a], blocked_x[n, b, a], blocked_y[n, b, a] = -NO_WALL, 0.0, 0.0
-            stuck |= hits
-            if hits:
-                blocked[n, b, a], blocked_x[n, b, a], blocked_y[n, b, a] = line, away_x, away_y
-                bound[n, b, a] = bound[before, b, a]
-                normal_x[n, b, a], normal_y[n, b, a] = normal_x[before, b, a], normal_y[before, b, a]
-            else:
-                bound[n, b, a] = line
-                normal_x[n, b, a], normal_y[n, b, a] = away_x, away_y
-    return stuck, short
 
 
 @compiled("void(f8[:,:,:], f8[:,:,:], f4[:], i4[:,:], f8[:], f8, f8[:,:])")

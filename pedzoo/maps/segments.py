@@ -1,10 +1,11 @@
-"""Outlines of walls as line segments in buckets: the one look-up of those that a position is outside of."""
+"""Outlines of walls as line segments, and the few of them that matter to each person."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple, cast
 
 import numpy as np
 import torch
@@ -12,11 +13,131 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.core.machine import compiles
+from pedzoo.core.types import BODY_RADIUS
+from pedzoo.maps.constants import BUCKET, ROUNDED
 from pedzoo.maps.grid import OccupancyGrid, Unknown
-from pedzoo.maps.walls.constants import BUCKET, ROUNDED
-from pedzoo.maps.walls.outlines import outlines, without_hollows
 
 Floats = NDArray[np.float64]
+
+# directions of unit steps along cell edges: right, up, left, down; a left turn adds one
+_STEPS = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
+
+
+def outlines(occupied: NDArray[np.bool_], tolerance: float = 0.5) -> list[Floats]:
+    """Return the borders between occupied and free cells (H, W) as polygons (V, 2), x and y in cells.
+
+    Walls lie to the left of every edge: solids run counter-clockwise, free spaces inside them clockwise. The
+    world outside the map is free, so walls that touch its border are closed there. Solids that touch at a
+    corner only are polygons of their own: OpenCV's contours would join them. A simplified border (Douglas
+    and Peucker, Cartographica 10, 1973) departs from the exact one by ``tolerance`` cells at most, unless it
+    would lose its area.
+    """
+    import cv2
+
+    result = []
+    for exact in map(np.float64, _trace(occupied)):
+        short = exact
+        if tolerance > 0:
+            corners = exact.astype(np.float32)[:, None]
+            short = cv2.approxPolyDP(corners, tolerance, closed=True)[:, 0].astype(np.float64)
+        # thin and tiny walls may collapse or turn inside out
+        result.append(short if len(short) > 2 and signed_area(short) * signed_area(exact) > 0 else exact)
+    return result
+
+
+def without_hollows(grid: OccupancyGrid, unknown: Unknown) -> NDArray[np.bool_]:
+    """Return the walls (H, W) of a floor plan, filled up where no body fits between walls.
+
+    Scanned walls are often two thin lines with nothing between; the far one would push through the near one.
+    """
+    from scipy.ndimage import label, maximum
+
+    # the world around the map is free and wide
+    distance = np.pad(grid.signed_distance(unknown), 1, constant_values=np.inf)
+    parts, count = cast("tuple[NDArray[np.int32], int]", label(distance > 0))
+    widest = np.asarray(maximum(distance, parts, np.arange(count + 1)))
+    return grid.occupied(unknown) | (widest < BODY_RADIUS)[parts][1:-1, 1:-1]
+
+
+def _trace(occupied: NDArray[np.bool_]) -> list[NDArray[np.int64]]:
+    """Return the exact borders as corners between straight runs (V, 2)."""
+    solid = np.pad(occupied, 1).astype(np.int8)
+    up, right = np.diff(solid, axis=0)[:, 1:-1], np.diff(solid, axis=1)[1:-1]
+    width = occupied.shape[1] + 1
+
+    # The edge that leaves each lattice point (row, column) in each direction, with the wall on its left.
+    leaves = np.zeros((occupied.shape[0] + 1, width, 4), dtype=bool)
+    leaves[:, :-1, 0] = up == 1
+    leaves[:, 1:, 2] = up == -1
+    leaves[:-1, :, 1] = right == -1
+    leaves[1:, :, 3] = right == 1
+    leaves = leaves.reshape(-1, 4)
+    point, heading = np.nonzero(leaves)
+    number = np.full(leaves.shape, -1)
+    number[leaves] = np.arange(len(point))
+
+    # Left first where two edges go on: solids that touch at a corner stay apart.
+    end = point + _STEPS[heading, 0] + width * _STEPS[heading, 1]
+    options = np.stack([number[end, (heading + turn) % 4] for turn in (1, 0, -1)])
+    following = np.take_along_axis(options, (options >= 0).argmax(0)[None], axis=0)[0]
+    corner = np.empty(len(end), dtype=bool)  # does an edge start where the border turns?
+    corner[following] = heading[following] != heading
+
+    places = np.column_stack((point % width, point // width))
+    polygons, seen, successors = [], np.zeros(len(point), dtype=bool), following.tolist()
+    for first in corner.nonzero()[0].tolist():
+        if seen[first]:
+            continue
+        cycle, edge = [first], successors[first]
+        while edge != first:
+            cycle.append(edge)
+            edge = successors[edge]
+        seen[cycle] = True
+        polygons.append(places[[edge for edge in cycle if corner[edge]]])
+    return polygons
+
+
+def signed_area(polygon: Floats) -> float:
+    """Return the area inside a polygon (V, 2), positive if it runs counter-clockwise."""
+    x, y = polygon.T
+    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
+
+
+class Segments(NamedTuple):
+    """Up to K segments of walls near each of N people, nearest first, seen from the person.
+
+    Each has a frame of its own around the person: x along the segment, y towards the wall, so that both
+    corners are at y = ``line_distance``. Values of corners come twice. The left corner is at x = -``along``.
+    The right one has x turned round, at x = ``along`` - ``length``, so that both are treated alike.
+
+    Attributes:
+        along: How far the person is past the left corner (K, N), metres.
+        line_distance: How far the person is from the segment's line (K, N), more than 0.
+        length: Of the segment (K, N).
+        direction: Unit vector from the left to the right corner, in the scene (2, K, N).
+        side: 1 where the wall is to the left of ``direction``, -1 in mirrored scenes (1, N).
+        neighbor: Unit vectors along the neighbouring segments, away from each corner (x and y, corner, K, N).
+        convex: Whether the corners are convex, 1 or 0 (corner, K, N).
+        valid: Which of the K there are (K, N), 1 or 0; the others hold any segment.
+    """
+
+    along: Tensor
+    line_distance: Tensor
+    length: Tensor
+    direction: Tensor
+    side: Tensor
+    neighbor: Tensor
+    convex: Tensor
+    valid: Tensor
+
+    def select(self, people: Tensor) -> Segments:
+        """Return those of some people (M,) long."""
+        return Segments(*(part.index_select(-1, people) for part in self))
+
+    def nearest(self, most: int) -> Segments:
+        """Return at most so many of each person."""
+        return Segments(*(part[..., :most, :] for part in self))
+
 
 NOWHERE = np.array([[0.0, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 1, 1]])
 """Stands for no segment; it could be one, so that sums with it stay finite."""
@@ -105,7 +226,7 @@ class SegmentTable:
     @classmethod
     def build(cls, maps: Sequence[Floats], reach: float, most: int | None) -> SegmentTable:
         """Return the table of the segments (S, 13) of each map; see `edges` and `Walls.segments`."""
-        from pedzoo.maps.walls.compiled_walls import bucket_lists
+        from pedzoo.maps.walls_numba import bucket_lists
 
         segments = _seen_from_themselves(np.concatenate([*maps, NOWHERE]))
         lists, counts, lows, sizes, before = [np.zeros(0, np.int32)], [np.zeros(0, np.int64)], [], [], 0
@@ -150,7 +271,7 @@ class SegmentTable:
         CPU single precision is looked up by compiled loops.
         """
         if compiles(place):
-            from pedzoo.maps.walls.compiled_walls import nearest
+            from pedzoo.maps.walls_numba import nearest
 
             number = torch.full((self.most, len(row)), self.segments.shape[1] - 1)
             squared = torch.full((self.most, len(row)), math.inf)

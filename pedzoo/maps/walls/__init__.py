@@ -1,1 +1,0 @@
-"""Walls: exact distances, rays, outlines, look-ups for people."""
