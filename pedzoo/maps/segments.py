@@ -35,11 +35,11 @@ def outlines(occupied: NDArray[np.bool_], tolerance: float = 0.5) -> list[Floats
     import cv2
 
     result = []
-    for exact in map(np.float64, _trace(occupied)):
-        short = exact
+    for traced in _trace(occupied):
+        exact = short = np.asarray(traced, dtype=np.float64)
         if tolerance > 0:
             corners = exact.astype(np.float32)[:, None]
-            short = cv2.approxPolyDP(corners, tolerance, closed=True)[:, 0].astype(np.float64)
+            short = np.asarray(cv2.approxPolyDP(corners, tolerance, closed=True), dtype=np.float64)[:, 0]
         # thin and tiny walls may collapse or turn inside out
         result.append(short if len(short) > 2 and signed_area(short) * signed_area(exact) > 0 else exact)
     return result

@@ -80,7 +80,7 @@ def _of_trees(position: Tensor, reach: float, place: Tensor) -> tuple[Tensor, Te
     """Return the same (N, C) of as many others as anybody has."""
     scenes, agents = position.shape[:2]
     points: NDArray[np.float32 | np.float64] = position.detach().cpu().numpy()
-    there: NDArray[np.bool_] = np.isfinite(points).all(-1)
+    there = np.asarray(np.isfinite(points).all(-1))
     found = [np.zeros((2, 0), dtype=np.int64)]
     for scene in range(scenes):
         here = there[scene].nonzero()[0]
