@@ -130,11 +130,6 @@ def left(a: Tensor) -> Tensor:
     return torch.stack((-a[1], a[0]))
 
 
-def right(a: Tensor) -> Tensor:
-    """Return the vectors (2, ...) a quarter turn to the right."""
-    return torch.stack((a[1], -a[0]))
-
-
 def above(a: Tensor, b: Tensor | float) -> Tensor:
     """Return the share 1 where ``a`` > ``b``, else 0; no gradient flows, as in the next three."""
     return torch.gt(a, b, out=a.new_empty(0))
@@ -273,7 +268,7 @@ def agent_lines(
 
     # An agent does half of what is needed, and all of it where the other one does nothing.
     to_leg.lerp_(to_circle, on_circle).mul_(theirs[5]).add_(own[2:4, None])
-    lines = torch.cat((to_leg, side.lerp_(right(outward), on_circle)))
+    lines = torch.cat((to_leg, side.lerp_(-left(outward), on_circle)))
     return lines if near is None else lines.mul_(near.to(lines.dtype))
 
 
@@ -442,7 +437,7 @@ def nearest_permitted(
     count = lines.shape[1]
     if not count:
         return start.clone(), torch.zeros_like(max_speed, dtype=torch.long)
-    if _few(lines):
+    if lines.shape[1] ** 2 * lines.shape[2] <= AT_ONCE:
         return _at_once(lines, start, None, optimum, max_speed, towards)
     result, failed = start.clone(), torch.full_like(max_speed, count, dtype=torch.long)
     number = torch.arange(count, device=lines.device, dtype=lines.dtype)[:, None]
@@ -455,7 +450,7 @@ def nearest_permitted(
             return result, failed
         rows, line, max_speed = (part.index_select(0, still) for part in (rows, line, max_speed))
         lines, own, optimum = (_of(part, still) for part in (lines, own, optimum))
-        if _few(lines):
+        if lines.shape[1] ** 2 * lines.shape[2] <= AT_ONCE:
             own, line = _at_once(lines, own, line - 1, optimum, max_speed, towards)
             return result.index_copy_(1, rows, own), failed.index_copy_(0, rows, line)
         chosen = lines.gather(1, line.long().expand(4, 1, -1))[:, 0]
@@ -465,11 +460,6 @@ def nearest_permitted(
         last = pick(feasible, line, end)  # people who are stuck have no further lines
         result.index_copy_(1, rows, own)
         failed.index_copy_(0, rows, pick(feasible, end, line).long())
-
-
-def _few(lines: Tensor) -> bool:
-    """Return whether looking at everything at once is faster."""
-    return lines.shape[1] * lines.shape[1] * lines.shape[2] <= AT_ONCE
 
 
 def _at_once(
