@@ -1,109 +1,112 @@
-"""`tools/pages/house.py` and the pages for newcomers: they say what the code says."""
+"""The shape of the house: its budget, its floor, imports one way, and what pages say of its files."""
 
 from __future__ import annotations
 
 import ast
-import inspect
-import json
 import re
-import subprocess
-import sys
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
 
-from pedzoo.policies.load import load_policy
-from tools.pages import house
-
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "pedzoo"
 
+BUDGET = {"pedzoo": 53_100, "tests": 36_500, "tools": 8_600}
+"""Lines at most, which only fall: the aim is 38,000, 28,000 and 7,000."""
 
-def test_the_picture_shows_the_packages_as_they_are() -> None:
-    drawn = json.loads((ROOT / "docs" / "architecture.json").read_text())
-    assert house.differences(drawn, house.read_house(ROOT)) == []
-    assert (ROOT / "docs" / "architecture.png").read_bytes().startswith(b"\x89PNG")
+LONGEST, TABLES = 400, 600
+"""Lines of a file; of one table or one algorithm."""
 
-
-def test_arrows_that_others_imply_are_left_out() -> None:
-    diamond = {("d", "b"), ("d", "c"), ("b", "a"), ("c", "a"), ("d", "a")}
-    assert house.reduced(diamond) == diamond - {("d", "a")}
-    assert house.reduced({("c", "b"), ("b", "a"), ("c", "a")}) == {("c", "b"), ("b", "a")}
+SLICES, LONELY_FOLDERS = 22, 6
+"""Modules under 100 lines with one importer, and folders under 4 files, at most."""
 
 
-def test_imports_are_found_wherever_they_stand(tmp_path: Path) -> None:
-    file = tmp_path / "file.py"
-    file.write_text(
-        "import pedzoo.maps.grid\n"
-        "from pedzoo import sim\n"
-        "from pedzoo.core.types import OBS_LEN\n"
-        "if TYPE_CHECKING:\n    from pedzoo.train import run\n"
-        "def late():\n    from pedzoo.data.tracks import Tracks\n"
-        "import torch\n"
-    )
-    assert house.imported(file) == {"maps", "sim", "core", "data"}
+def lines_of(folder: str) -> dict[str, int]:
+    """Return the lines of each Python file below a folder, by its path from the root."""
+    files = sorted((ROOT / folder).rglob("*.py"))
+    return {str(file.relative_to(ROOT)): len(file.read_text().splitlines()) for file in files}
 
 
-def checkout(folder: Path, **packages: str) -> Path:
-    """Return a checkout of all floors, whose packages have one more file with the text given for each."""
-    names = [name for _, floor in house.FLOORS for name in floor]
-    for name in names:
-        package = folder / "pedzoo" / name
-        package.mkdir(parents=True)
-        (package / "__init__.py").write_text(f'"""About {name}."""\n')
-        (package / "part.py").write_text(packages.get(name, ""))
-    layers = ["cli", "train", "viz", "eval", "metrics", "sim", "policies", "models", "data", "maps", "core"]
-    contract = f'[[tool.importlinter.contracts]]\ntype = "layers"\nlayers = {json.dumps(layers)}\n'
-    (folder / "pyproject.toml").write_text(contract)
-    return folder
+@cache
+def imports() -> dict[str, set[str]]:
+    """Return which modules of pedzoo each module names, also for types alone and by `import_module`."""
+    files = {
+        ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): file
+        for file in PACKAGE.rglob("*.py")
+    }
+
+    def module(name: str) -> str | None:
+        while name and name not in files:
+            name = name.rpartition(".")[0]
+        return name or None
+
+    found = defaultdict[str, set[str]](set)
+    for name, file in files.items():
+        for node in ast.walk(ast.parse(file.read_text())):
+            named: list[str] = []
+            if isinstance(node, ast.Import):
+                named = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                named = [f"{node.module}.{alias.name}" for alias in node.names]
+            elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
+                named = [str(one.value) for one in node.args if isinstance(one, ast.Constant)]
+            found[name] |= {other for one in named if (other := module(one)) and other != name}
+    found.pop("pedzoo", None)  # the lazy front door names everything
+    return {name: others - {"pedzoo"} for name, others in found.items()}
 
 
-def test_a_house_is_read_from_a_checkout(tmp_path: Path) -> None:
-    result = house.read_house(checkout(tmp_path, sim="import pedzoo.maps.part, pedzoo.core.part"))
-    assert list(result["packages"])[:3] == ["core", "maps", "data"]
-    assert result["packages"]["sim"] == {"purpose": "About sim.", "files": 2}
-    assert result["arrows"] == [["sim", "core"], ["sim", "maps"]]
+def circle(edges: dict[str, set[str]]) -> list[str]:
+    """Return the names along one circle of imports; empty where there is none."""
+    done: set[str] = set()
+
+    def search(name: str, path: list[str]) -> list[str]:
+        if name in path:
+            return path[path.index(name) :]
+        if name in done:
+            return []
+        for other in sorted(edges.get(name, ())):
+            if found := search(other, [*path, name]):
+                return found
+        done.add(name)
+        return []
+
+    return next((found for name in sorted(edges) if (found := search(name, []))), [])
 
 
-def test_imports_that_go_up_and_packages_without_a_floor_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(SystemExit, match=r"pedzoo\.maps imports pedzoo\.sim"):
-        house.read_house(checkout(tmp_path / "up", maps="from pedzoo.sim import part"))
-    more = checkout(tmp_path / "more")
-    (more / "pedzoo" / "cellar").mkdir()
-    (more / "pedzoo" / "cellar" / "__init__.py").write_text("")
-    with pytest.raises(SystemExit, match="cellar"):
-        house.read_house(more)
+@pytest.mark.parametrize("folder", BUDGET)
+def test_the_budget_of_lines_is_kept(folder: str) -> None:
+    assert sum(lines_of(folder).values()) <= BUDGET[folder]
 
 
-def test_one_more_file_needs_no_new_picture(tmp_path: Path) -> None:
-    drawn = house.read_house(checkout(tmp_path))
-    now = json.loads(json.dumps(drawn))
-    now["packages"]["sim"]["files"] += 3
-    assert house.differences(drawn, now) == []
-    now["packages"]["sim"]["files"] += 1
-    now["packages"]["maps"]["purpose"] = "Something else."
-    now["arrows"] = [["sim", "core"]]
-    assert house.differences(drawn, now) == [
-        "maps: drawn as 'About maps.', now 'Something else.'",
-        "sim: drawn with 2 files, now 6",
-        "arrow sim -> core: not drawn",
+def test_files_are_as_large_as_an_idea() -> None:
+    long = {file: count for file, count in lines_of("pedzoo").items() if count > LONGEST}
+    assert {file: count for file, count in long.items() if count > TABLES} == {}
+    assert len(long) <= 11
+
+
+def test_slices_and_small_folders_are_few() -> None:
+    importers = Counter(other for others in imports().values() for other in others)
+    counts = lines_of("pedzoo")
+    slices = [
+        file
+        for file, count in counts.items()
+        if count < 100 and importers[".".join(Path(file).with_suffix("").parts)] == 1
     ]
-    assert house.differences({}, now) == ["there is no docs/architecture.json"]
+    assert len(slices) <= SLICES, slices
+    folders = Counter(str(Path(file).parent) for file in counts if Path(file).stem != "__init__")
+    assert len([folder for folder, files in folders.items() if files < 4]) <= LONELY_FOLDERS
 
 
-def test_check_says_what_is_out_of_date(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(house, "ROOT", checkout(tmp_path))
-    monkeypatch.setattr(house, "PAGE", tmp_path / "docs" / "architecture.json")
-    assert house.main(["--check"]) == 1
-    assert house.main([]) == 0 and house.main(["--check"]) == 0
-    (tmp_path / "pedzoo" / "data" / "part.py").write_text("import pedzoo.maps")
-    capsys.readouterr()
-    assert house.main(["--check"]) == 1
-    assert "arrow data -> maps: not drawn" in capsys.readouterr().out
+def test_imports_have_no_circles() -> None:
+    assert circle(imports()) == []
+
+
+def test_circles_are_found() -> None:
+    assert circle({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == ["b", "c"]
+    assert circle({"a": {"b", "c"}, "b": {"c"}}) == []
 
 
 def named(text: str) -> list[str]:
@@ -111,60 +114,14 @@ def named(text: str) -> list[str]:
     return re.findall(r"`([\w/]+\.py)`", text)
 
 
-def walks() -> str:
-    """Return the part of CONTRIBUTING that names the files of five runs."""
-    _, _, rest = (ROOT / "CONTRIBUTING.md").read_text().partition("## A walk for newcomers\n")
-    return rest.partition("\n## ")[0]
-
-
-def test_all_files_of_the_walks_exist() -> None:
-    files = named(walks())
-    assert len(files) > 100
-    assert [name for name in files if not (ROOT / "pedzoo" / name).is_file()] == []
-
-
-TRACED = """
-import sys
-from pathlib import Path
-import pedzoo
-from pedzoo.policies.load import load_policy
-
-package, entered = Path(pedzoo.__file__).parent, []
-
-def note(frame, event, _):
-    file = Path(frame.f_code.co_filename)
-    if event == "call" and package in file.parents:
-        entered.append(str(file.relative_to(package)))
-
-load_policy("orca:radius=0.3")  # imports
-sys.setprofile(note)
-load_policy("orca:radius=0.3")
-sys.setprofile(None)
-print(*dict.fromkeys(entered))
-"""
-"""Prints the files of pedzoo that a policy's string enters, in order."""
-
-
-def test_a_policy_string_becomes_a_policy_in_the_files_of_the_walk() -> None:
-    """At most six of them, in that order, and `load_policy` has at most two returns."""
-    walk = walks().partition("### A policy string to velocities")[2].partition("\nThen the call")[0]
-    # a process of its own: what other tests have done to this one must not matter
-    traced = subprocess.run([sys.executable, "-c", TRACED], capture_output=True, text=True, check=True)
-    entered = traced.stdout.split()
-    assert entered == list(dict.fromkeys(named(walk))) and len(entered) <= 6
-    returns = [
-        node for node in ast.walk(ast.parse(inspect.getsource(load_policy))) if isinstance(node, ast.Return)
-    ]
-    assert len(returns) <= 2
-
-
-def test_files_and_folders_are_small() -> None:
-    files = sorted(PACKAGE.rglob("*.py"))
-    assert len(files) > 200
-    lines = {str(file.relative_to(PACKAGE)): len(file.read_text().splitlines()) for file in files}
-    assert {name: count for name, count in lines.items() if count > 300} == {}
-    loose = Counter(str(file.parent.relative_to(PACKAGE)) for file in files if file.name != "__init__.py")
-    assert {folder: count for folder, count in loose.items() if count > 15} == {}
+@pytest.mark.parametrize("page", ["CONTRIBUTING.md", "docs/glossary.md"])
+def test_pages_name_files_that_exist(page: str) -> None:
+    text = re.sub(r"\S*(\bmy_\w+|NAME)\.py", "", (ROOT / page).read_text())
+    named_files = [name for name in named(text) if "/" in name]
+    assert named_files
+    assert [
+        name for name in named_files if not any((root / name).is_file() for root in (ROOT, PACKAGE))
+    ] == []
 
 
 TUPLES = {"_replace", "_asdict", "_fields", "_make"}
@@ -197,6 +154,7 @@ def own_names(tree: ast.Module) -> Iterator[str]:
 def foreign(trees: dict[str, ast.Module]) -> dict[str, set[str]]:
     """Return the private names of other libraries that files read: those that none of the files defines."""
     own = {name for tree in trees.values() for name in own_names(tree)} | TUPLES | {"_exit"}  # `os._exit`
+    own |= {Path(file).stem for file in trees}
     read = {file: set(private_names(tree)) - own for file, tree in trees.items()}
     return {file: names for file, names in read.items() if names}
 
@@ -224,4 +182,3 @@ def test_the_glossary_names_files_and_is_in_order() -> None:
     assert len(words) > 40 and words == sorted(set(words))
     for row in rows:
         assert len(row) == 4 and named(row[3]), f"{row[0]}: expected word, meaning, unit or shape, files"
-    assert [name for name in named(page) if not (ROOT / "pedzoo" / name).is_file()] == []

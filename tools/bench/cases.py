@@ -260,7 +260,6 @@ def trainings(scenes: int, people: int) -> Iterator[TimedCase]:
                 batches = iter(data.train_dataloader())
                 batch = next(batches)
             loss = model.loss(batch)
-            loss = sum(loss.values()) if isinstance(loss, dict) else loss
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
