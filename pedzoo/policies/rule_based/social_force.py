@@ -20,7 +20,7 @@ from pedzoo.core.geometry import move_to_map, turn_to_scene
 from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
 from pedzoo.maps.segments import SegmentTable
 from pedzoo.policies.neighbours import Neighbors, nearest
-from pedzoo.policies.orca import cross, dot, right
+from pedzoo.policies.orca import cross, dot, left
 from pedzoo.policies.policy import Policy, deterministic, drawn_vectors
 
 Anisotropy = Literal["view", "smooth", "none"]
@@ -181,7 +181,7 @@ def off_line(offset: Tensor, heading: Tensor) -> Tensor:
     """
     ahead = -dot(offset, heading.unsqueeze(1))
     tie = (cross(heading.unsqueeze(1).expand_as(offset), offset).abs() < EXACT * ahead).to(offset.dtype)
-    return offset + tie * OFF_LINE * ahead * right(heading).unsqueeze(1)
+    return offset + tie * OFF_LINE * ahead * -left(heading).unsqueeze(1)
 
 
 def driving_force(velocity: Tensor, desired_velocity: Tensor, tau: float) -> Tensor:
