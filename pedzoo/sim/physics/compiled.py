@@ -88,7 +88,8 @@ class Compiled(Torch):
             return None
         shape, ticks, fields = state.mask.shape, rules.ticks, state._asdict() | {"commands": commands}
         before = _Before(*_arrays(*(fields[name] for name in _Before._fields)))
-        moved = {name: torch.empty_like(fields[name]) for name in _After._fields[:-2]}
+        # without gaps, whatever strides the state has: loops write into arrays, not into copies
+        moved = {name: fields[name].new_empty(fields[name].shape) for name in _After._fields[:-2]}
         moving, sets_out = torch.empty(2, *shape, dtype=torch.bool)
         events = torch.empty(3, *shape, ticks, dtype=torch.bool)
         after = _After(*_arrays(*moved.values(), moving, sets_out))
