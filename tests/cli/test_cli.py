@@ -364,11 +364,16 @@ def test_wheel_holds_configs_and_checkpoints(elsewhere):
     subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
     (wheel,) = elsewhere.glob("*.whl")
     names = set(zipfile.ZipFile(wheel).namelist())
-    folders = (ROOT / "configs", ROOT / "checkpoints")
-    shipped = [path for folder in folders for path in folder.rglob("*.*") if path.is_file()]
-    shipped += [
-        path.relative_to(ROOT / "pedzoo") for path in (ROOT / "pedzoo" / "data" / "embedded").glob("*.*")
-    ]
-    for path in shipped:
-        assert f"pedzoo/{path.relative_to(ROOT) if path.is_absolute() else path}" in names
+    readme = (ROOT / "README.md").read_text()
+    weights = {
+        name
+        for name in re.findall(r"`([a-z_]+\.[a-z0-9_]+)`", readme)
+        if (ROOT / "checkpoints" / name).is_dir()
+    }
+    folders = [ROOT / "configs", *(ROOT / "checkpoints" / name for name in sorted(weights))]
+    shipped = [path.relative_to(ROOT) for one in folders for path in one.rglob("*.*") if path.is_file()]
+    embedded = ROOT / "pedzoo" / "data" / "embedded"
+    shipped += [path.relative_to(ROOT / "pedzoo") for path in embedded.glob("*.*")]
+    assert weights and {f"pedzoo/{path}" for path in shipped} <= names
+    assert wheel.stat().st_size < 10e6 and not any("results" in Path(name).parts for name in names)
     assert "pedzoo/py.typed" in names and not any("test" in Path(name).parts for name in names)

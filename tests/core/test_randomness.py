@@ -15,7 +15,7 @@ from pedzoo.core.bodies import RobotBody
 from pedzoo.core.errors import UserError
 from pedzoo.core.randomness import Draws, join, mix, normal, uniform
 from pedzoo.core.registry import SCENARIOS
-from pedzoo.core.spec import Spec, build
+from pedzoo.core.spec import Spec, build, build_ungrouped
 from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.suite import EvaluationOptions
 from pedzoo.models.zoo.loading import untrained
@@ -90,7 +90,8 @@ def test_counts_of_any_library_are_counts(kind: Callable[[int], Any]) -> None:
     assert torch.equal(*(cast("Tensor", one.reset()["scene_key"]) for one in (env, other)))
     for name in ("door", "standing", "queue", "groups"):
         given = {"people": four}
-        scenes = build(SCENARIOS, Spec(name, given), Scenario), SCENARIOS.get(name, Scenario)(**given)
+        made = build_ungrouped(SCENARIOS.get(name, Scenario), given)
+        scenes = build(SCENARIOS, Spec(name, given), Scenario), made
         assert all(type(scene.people) is int and scene.people == 4 for scene in scenes)
     goals = (
         Goals("flat", people=(kind(2), four)),
