@@ -108,3 +108,19 @@ def test_compiled_decision_is_that_of_the_kernel(env: PedestrianEnv, leave: bool
         state, guidance, events = other
         reached = max(reached, int(events.reached.max()))
     assert reached > 0 and state.failed.tolist() == [False, True, False] and state.overdue.any()
+
+
+def test_strides_of_a_state_do_not_matter() -> None:
+    """A state whose agents lie across scenes in memory is walked as one without gaps."""
+    env = make_env("circle:people=3", 4, "compiled")
+    env.reset()
+    state, commands = env.state, 0.5 * torch.ones(*env.state.mask.shape, 2)
+    crossed = state._replace(**{
+        name: value.transpose(0, 1).contiguous().transpose(0, 1)
+        for name, value in state._asdict().items()
+        if isinstance(value, torch.Tensor) and value.shape[:2] == state.mask.shape
+    })  # fmt: skip
+    plain, other = (kernel.step(one, commands, env.physics, env.rules)[0] for one in (state, crossed))
+    for name, value in plain._asdict().items():
+        if isinstance(value, torch.Tensor):
+            assert torch.equal(value, getattr(other, name)), name

@@ -112,7 +112,7 @@ def test_goals_at_the_start_make_way_for_others(scenario: str, warm_start: Liter
     for episode in (0, *state.goal_index.any(1).nonzero()[:3, 0].tolist()):
         alone = make_env(env.prepared, 1, seed=2, first_episode=episode, warm_start=warm_start)
         alone.reset()
-        for key in ("goal_id", "drawn", "goal_point", "remaining_path"):
+        for key in ("goal_id", "goal_index", "goal_point", "remaining_path"):
             assert torch.equal(getattr(alone.state, key)[0], getattr(state, key)[episode])
 
 
