@@ -22,7 +22,6 @@ LESS = {
     "fit": SHORT,
     "forecast": ["--samples", "2"],
     "rollout": ["--episodes", "2", "--video_seconds", "1"],
-    "bench": ["--quick", "--seconds", "0.01", "--turns", "1", "--size", "2x5"],
     "evaluate": ["--suite", "door", "--episodes", "1"],
     **{name: [] for name in ("models", "info", "robots", "export", "plans")},
 }
@@ -36,6 +35,7 @@ ELSEWHERE += [
     for command in (
         "evaluate sgan_goal_map.zara1 --from-card",  # tests/eval/test_card_numbers.py
         "export sgan_goal.eth_ucy --onnx model.onnx",  # tests/models/test_onnx.py
+        "bench environment --before HEAD~1",  # tests/tools/test_bench.py
         "reproduce table1 --out pages",  # tests/tools/test_reproduce.py
         "reproduce figure4 --out pages --quick",
         "evaluate straight orca --suite robots --people orca,sgan_goal_map.indoor,replay "

@@ -154,29 +154,26 @@ def rows(taken: Mapping[Case, Sequence[float]]) -> list[dict[str, Any]]:
     ours = [case for case in taken if case.program.name == "pedzoo"]
     result = []
     for case, seconds in taken.items():
+        values = {"ms": [1e3 * second for second in seconds]}
+        if case.scenes:
+            values["agent_steps_per_s"] = [case.scenes * case.people / second for second in seconds]
         row: dict[str, Any] = {
             "program": case.program.name,
             "section": case.section,
             "name": case.name,
-            "size": f"{case.scenes} x {case.people}" if case.scenes else "",
+            "case": {"size": f"{case.scenes} x {case.people}" if case.scenes else ""},
             "n": len(seconds),
-            "ms": quartiles([1e3 * second for second in seconds]),
             "note": case.note,
         }
-        if case.scenes:
-            row["agent_steps_per_s"] = case.scenes * case.people / median(seconds)
         same = [own for own in ours if work(own) == work(case)]
         same.sort(key=lambda own: own.name != case.name)
         if same and case.program.name != "pedzoo":
             row["beside"] = same[0].name
-            row["times_as_fast"] = quartiles([a / b for a, b in zip(seconds, taken[same[0]], strict=False)])
+            values["times_as_fast"] = [a / b for a, b in zip(seconds, taken[same[0]], strict=False)]
+        row["metrics"] = {key: median(each) for key, each in values.items()}
+        row["quartiles"] = {key: np.quantile(each, (0.25, 0.75)).tolist() for key, each in values.items()}
         result.append(row)
     return result
-
-
-def quartiles(values: Sequence[float]) -> list[float]:
-    """Return the median and both quartiles."""
-    return np.quantile(values, (0.5, 0.25, 0.75)).tolist()
 
 
 def show(report: Mapping[str, Any]) -> None:
@@ -191,9 +188,13 @@ def show(report: Mapping[str, Any]) -> None:
         )
         for row in report["rows"]:
             if row["section"] == section:
-                speed = f"{row['agent_steps_per_s']:,.0f}" if "agent_steps_per_s" in row else ""
-                times = "{:.2f} ({:.2f} to {:.2f})".format(*row["times_as_fast"]) if "beside" in row else ""
-                table.add_row(row["name"], row["size"], row["program"], f"{row['ms'][0]:.3g}", speed, times)
+                value, ends = row["metrics"], row["quartiles"]
+                speed = f"{value['agent_steps_per_s']:,.0f}" if "agent_steps_per_s" in value else ""
+                times = ""
+                if "times_as_fast" in value:
+                    times = "{:.2f} ({:.2f} to {:.2f})".format(value["times_as_fast"], *ends["times_as_fast"])
+                size, ms = row["case"]["size"], f"{value['ms']:.3g}"
+                table.add_row(row["name"], size, row["program"], ms, speed, times)
         plain_console().print(table)
 
 
