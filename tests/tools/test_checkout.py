@@ -27,7 +27,7 @@ def test_a_wheel_says_how_to_get_a_checkout(
 
 
 def test_the_overview_has_the_commands_of_a_checkout() -> None:
-    assert "pedzoo bench loop orca" in overview() and "pedzoo reproduce table2" in overview()
+    assert "pedzoo bench policies" in overview() and "pedzoo reproduce table2" in overview()
 
 
 def test_a_second_folder_of_drop_ins() -> None:

@@ -32,8 +32,7 @@ API = {
     "sim.robots.rollout.RobotRollout sim.robots.sensor sim.robots.reward",
     "models": "Models and data: core.batch models.base.Forecaster models.architectures.sgan.SGAN "
     "data.datamodule.TrajectoryDataModule data.recordings data.tracks.Tracks",
-    "maps": "Maps: maps.named_plans maps.grid.OccupancyGrid maps.from_rectangles "
-    "maps.planning.planner.Planner",
+    "maps": "Maps: maps.plans maps.grid.OccupancyGrid maps.formats maps.planning.planner.Planner",
     "eval": "Metrics and evaluation: metrics.arrival metrics.contacts metrics.door metrics.smoothness "
     "metrics.displacement metrics.robots eval.suite eval.scoring.score",
 }
