@@ -44,7 +44,7 @@ class HunavPeople:
         updated, first = deepcopy(agents), self.controller is None
         if self.controller is None:
             speeds = {agent.id: agent.desired_velocity or 1.3 for agent in agents.agents}
-            self.controller = self.policy.controller(self.map, dt=self.dt, pref_speed=speeds)
+            self.controller = pedzoo.controller(self.policy, self.map, dt=self.dt, pref_speed=speeds)
         elif stamp == self.now:
             return updated
         people = {agent.id: _xy(agent.position.position) for agent in agents.agents}
