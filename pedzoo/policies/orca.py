@@ -23,12 +23,13 @@ from torch import Tensor
 
 from pedzoo.core.batch import is_person_sized
 from pedzoo.core.errors import UserError, unknown
+from pedzoo.core.machine import compiles
 from pedzoo.core.types import TOP_SPEED_RATIO, TRACE_SECONDS
 from pedzoo.maps.segments import Segments
+from pedzoo.policies import orca_numba
 from pedzoo.policies.neighbours import nearest
 
-OF_PRESET: Any = None
-"""Default of a setting that has the value of the preset."""
+OF_PRESET: Any = None  # the value of the preset
 
 
 @dataclass(frozen=True)
@@ -189,18 +190,15 @@ def orca_velocity(
             all of avoiding them, and half of avoiding each other. None for none.
         radius: Radii of the disks (B, A), metres; None for that of the settings.
     """
-    # A scene of few people takes hundreds of short operations: not to track them at all saves a sixth.
-    with torch.inference_mode():
-        if radius is None:
-            radius = max_speed.new_full(mask.shape, settings.radius)
+    with torch.inference_mode():  # not to track hundreds of short operations at all saves a sixth
+        radius = max_speed.new_full(mask.shape, settings.radius) if radius is None else radius
         radius = radius.to(position)
         asked = mask if passive is None else mask & ~passive
         rows = None if asked.all() else asked.flatten().nonzero()[:, 0]
         if rows is not None:  # placeholders of absent people
             position, velocity = (torch.where(mask[..., None], part, 0) for part in (position, velocity))
         share = torch.full_like(radius, 0.5)
-        if passive is not None:
-            share = torch.where(passive, 1.0, share)
+        share = share if passive is None else torch.where(passive, 1.0, share)
         lines = agent_lines(position, velocity, radius, share, mask, rows, settings)
         state = position, velocity, pref_velocity, max_speed[..., None], radius[..., None]
         people = torch.cat([part.flatten(0, 1).T for part in state])
@@ -282,7 +280,7 @@ _TOUCHING = 1e-6
 def wall_lines(walls: Segments, velocity: Tensor, radius: Tensor, settings: OrcaSettings) -> Tensor:
     """Return the constraints (4, K, N) of N people from the wall segments near them, nearest first.
 
-    Those that do not count are 0.
+    Those that do not count are 0; compiled loops leave them out.
 
     Args:
         walls: K segments of each person, nearest first.
@@ -291,6 +289,8 @@ def wall_lines(walls: Segments, velocity: Tensor, radius: Tensor, settings: Orca
         settings: Horizon and number of segments.
     """
     walls = walls.nearest(settings.max_obstacles)
+    if compiles(velocity):
+        return orca_numba.wall_lines(walls, velocity, radius, settings.time_horizon_obst, EPSILON)
     right, ahead = walls.direction, walls.side * left(walls.direction)
     own_x, own_y = dot(right, velocity[:, None]), dot(ahead, velocity[:, None])
     x, y, dx, dy, counts = _lines(walls, own_x, own_y, radius, settings)
@@ -406,6 +406,8 @@ def solve(lines: Tensor, walls: int, preferred: Tensor, max_speed: Tensor) -> Te
         preferred: Preferred velocities (2, N), m/s.
         max_speed: Top speeds (N,), m/s.
     """
+    if compiles(lines, preferred, max_speed):
+        return orca_numba.solve(lines, walls, preferred, max_speed)
     speed = (preferred[0] * preferred[0]).add_(preferred[1] * preferred[1]).sqrt_()
     slower = preferred * (1 / speed.clamp_min(torch.finfo(speed.dtype).tiny)) * max_speed
     start = pick(above(speed, max_speed), slower, preferred)
