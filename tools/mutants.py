@@ -49,7 +49,7 @@ MODULES: dict[str, tuple[str, str]] = {
         "pedzoo/maps/planning/*.py",
         "tests/maps/test_planner.py tests/maps/test_online_planner.py tests/sim/test_kernel.py",
     ),
-    "orca": ("pedzoo/policies/orca.py", "tests/policies/test_orca.py"),
+    "orca": ("pedzoo/policies/orca.py pedzoo/policies/orca_numba.py", "tests/policies/test_orca.py"),
     "pooling": (
         "pedzoo/models/blocks/people/pooling.py pedzoo/models/blocks/people/approach.py",
         "tests/models/test_blocks.py tests/models/test_loop_blocks.py tests/models/test_social_walker.py",

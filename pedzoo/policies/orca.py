@@ -28,6 +28,7 @@ from pedzoo.core.types import TOP_SPEED_RATIO, TRACE_SECONDS
 from pedzoo.maps.segments import Segments
 from pedzoo.policies import orca_numba
 from pedzoo.policies.neighbours import nearest
+from pedzoo.policies.orca_numba import EPSILON, FAR, TOUCHING
 
 OF_PRESET: Any = None  # the value of the preset
 
@@ -270,13 +271,6 @@ def agent_lines(
     return lines if near is None else lines.mul_(near.to(lines.dtype))
 
 
-_FAR = 1e30
-"""More than any square of a speed, and farther along a line than anything."""
-
-_TOUCHING = 1e-6
-"""Metres: people are farther from walls than this. Padding without a wall may be anywhere."""
-
-
 def wall_lines(walls: Segments, velocity: Tensor, radius: Tensor, settings: OrcaSettings) -> Tensor:
     """Return the constraints (4, K, N) of N people from the wall segments near them, nearest first.
 
@@ -290,7 +284,7 @@ def wall_lines(walls: Segments, velocity: Tensor, radius: Tensor, settings: Orca
     """
     walls = walls.nearest(settings.max_obstacles)
     if compiles(velocity):
-        return orca_numba.wall_lines(walls, velocity, radius, settings.time_horizon_obst, EPSILON)
+        return orca_numba.wall_lines(walls, velocity, radius, settings.time_horizon_obst)
     right, ahead = walls.direction, walls.side * left(walls.direction)
     own_x, own_y = dot(right, velocity[:, None]), dot(ahead, velocity[:, None])
     x, y, dx, dy, counts = _lines(walls, own_x, own_y, radius, settings)
@@ -324,7 +318,7 @@ def _lines(
     In order: x and y of a point of the line, x and y of its direction, whether it counts.
     """
     scale = 1 / settings.time_horizon_obst
-    apart = walls.line_distance.clamp_min(_TOUCHING)
+    apart = walls.line_distance.clamp_min(TOUCHING)
     corner = torch.stack((-walls.along, walls.along - walls.length))
     apart2 = apart * apart
 
@@ -367,9 +361,9 @@ def _lines(
     right_round = rounded[1] - rounded[1] * single
     on_round = left_round + right_round
 
-    to_leg = (from_x * leg_y).sub_(from_y * leg_x).square_().add_(past, alpha=_FAR)
+    to_leg = (from_x * leg_y).sub_(from_y * leg_x).square_().add_(past, alpha=FAR)
     nowhere = outside[0] + outside[1] + single
-    to_cutoff = (from_y * from_y).add_(nowhere, alpha=_FAR)
+    to_cutoff = (from_y * from_y).add_(nowhere, alpha=FAR)
     on_cutoff = at_least(to_leg.amin(0), to_cutoff)
     right = pick(on_round, right_round, above(to_leg[0], to_leg[1]))
 
@@ -389,9 +383,6 @@ def _lines(
     turn = 1 - 2 * right
     return x.mul_(turn), y, dx, dy.mul_(turn), ignored.lt_(1).mul_(walls.valid)
 
-
-EPSILON = 1e-5
-"""RVO2's: lines whose directions have a smaller cross product count as parallel."""
 
 AT_ONCE = 40_000
 """Pairs of lines, of all people together, up to which computing all of them is faster than choosing."""
@@ -517,8 +508,8 @@ def _best_on(
     ahead = (y - py).mul_(qx).sub_((x - px).mul_(qy)).mul_(before)
     parallel = across.abs().le_(EPSILON)
     cut = ahead / (across + parallel)
-    high = cut.add(at_most(across, EPSILON), alpha=_FAR).amin(0).minimum(half - along)
-    low = cut.sub_(across.ge_(-EPSILON), alpha=_FAR).amax(0).maximum(half.neg_().sub_(along))
+    high = cut.add(at_most(across, EPSILON), alpha=FAR).amin(0).minimum(half - along)
+    low = cut.sub_(across.ge_(-EPSILON), alpha=FAR).amax(0).maximum(half.neg_().sub_(along))
     behind = parallel.mul_(ahead).amin(0)
     feasible = inside.ge_(0).mul_(at_least(high, low)).mul_(behind.ge_(0))
 

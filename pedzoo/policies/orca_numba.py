@@ -17,15 +17,25 @@ from pedzoo.core.compiled import compiled, jit
 from pedzoo.maps.segments import Segments
 
 _0, _1, _2, _HALF = np.float32(0), np.float32(1), np.float32(2), np.float32(0.5)
-_FAR, _TOUCHING, _TINY = np.float32(1e30), np.float32(1e-6), np.finfo(np.float32).tiny
-_EPSILON = np.float32(1e-5)
+_TINY = np.finfo(np.float32).tiny
+
+FAR = 1e30
+"""More than any square of a speed, and farther along a line than anything."""
+
+TOUCHING = 1e-6
+"""Metres: people are farther from walls than this. Padding without a wall may be anywhere."""
+
+EPSILON = 1e-5
+"""RVO2's: lines whose directions have a smaller cross product count as parallel."""
+
+_FAR, _TOUCHING, _EPSILON = np.float32(FAR), np.float32(TOUCHING), np.float32(EPSILON)
 
 
-def wall_lines(walls: Segments, velocity: Tensor, radius: Tensor, horizon: float, epsilon: float) -> Tensor:
+def wall_lines(walls: Segments, velocity: Tensor, radius: Tensor, horizon: float) -> Tensor:
     """Return the lines (4, K, N) that count, as `pedzoo.policies.orca.wall_lines`; ``horizon`` in seconds."""
     lines = torch.zeros(4, *walls.along.shape)
     given = [part.numpy() for part in (*walls, velocity, radius)]
-    count = compiled_lines(*given, 1 / horizon, epsilon, lines.numpy())
+    count = compiled_lines(*given, 1 / horizon, EPSILON, lines.numpy())
     return lines[:, :count]
 
 

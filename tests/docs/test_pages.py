@@ -56,7 +56,7 @@ ELSEWHERE += [
         "fit --config robot/rooms --model.people social_force:preset=indoor",
         "fit --config robot/rooms --model.people sgan_goal_map.indoor",
         "evaluate orca:radius=0.3 sgan_goal_map.indoor --suite door,goals --keep_episodes 3 "
-        "--json results.json",  # tests/eval/test_episodes.py
+        "--json results.json",  # tests/eval/test_packed_episodes.py
         "report results.json runs -o report.html",  # tests/viz/test_report.py
         "view door sgan_goal_map.indoor",  # tests/viz/test_live.py
         "view door sgan_goal_map.indoor --serve",

@@ -290,9 +290,30 @@ def test_a_wall_by_hand() -> None:
     assert chosen.flatten().tolist() == pytest.approx([1, -0.4, 1, 0, 1, -1], abs=1e-5)
 
 
+def test_compiled_loops_give_the_lines_that_torch_gives() -> None:
+    """In double precision nothing is compiled; lines that do not count are left out or zero."""
+    grid, settings = room(), replace(SETTINGS, max_obstacles=6)
+    torch.manual_seed(0)
+    many = 3000
+    position, velocity = torch.rand(many, 2) * 6, torch.randn(2, many)
+    pose = torch.stack((torch.rand(many) * 6, torch.randint(2, (many,)) * 2.0 - 1, *torch.rand(2, many)), 1)
+    ids, radius = torch.full((many,), grid.map_id), 0.1 + 0.3 * torch.rand(many)
+    near = WallSegments(MapBank([grid])).near(move_to_scene(position[:, None], pose)[:, 0], ids, pose, 3.6)
+    lines = wall_lines(near, velocity, radius, settings)
+    exact = Segments(*(part.double() for part in near))
+    expected = wall_lines(exact, velocity.double(), radius.double(), settings)
+    differ = 0
+    for i in range(many):
+        result, wanted = (part[:, :, i][:, part[2:, :, i].any(0)] for part in (lines, expected))
+        same = result.shape == wanted.shape and bool((result - wanted).abs().lt(1e-4).all())
+        differ += not same
+    assert expected[2:].any(0).sum() > 7500
+    assert differ <= 1  # conditions that rounding decides
+
+
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_opposite_lines_are_violated_equally(dtype: torch.dtype) -> None:
-    """At least 0.7 m/s and at most -0.1 m/s along one direction: 0.3 m/s."""
+    """At least 0.7 m/s and at most -0.1 m/s along one direction: 0.3 m/s, in compiled loops and in torch."""
     turn = torch.tensor(math.radians(30), dtype=dtype)
     along, across = torch.stack((turn.cos(), turn.sin())), torch.stack((-turn.sin(), turn.cos()))
     lines = torch.stack((torch.cat((0.7 * across, along)), torch.cat((-0.1 * across, -along))), 1)
@@ -302,7 +323,7 @@ def test_opposite_lines_are_violated_equally(dtype: torch.dtype) -> None:
     assert float((chosen[:, 0] * across).sum()) == pytest.approx(0.3, abs=1e-5)
 
 
-def test_walls_hold_where_not_all_lines_can_be_obeyed() -> None:
+def test_compiled_programs_choose_what_torch_chooses() -> None:
     """Random lines, a third of them left out, most of which cannot all be obeyed; walls hold in any case."""
     random = torch.Generator().manual_seed(0)
     angle = torch.rand(9, 800, generator=random) * 2 * math.pi
