@@ -174,6 +174,8 @@ def _transfer(url: str, part: Path, size: int | None, limit: int | None, token: 
             reason = " ".join(str(error).split()) or type(error).__name__
             if answer is not None:
                 reason = f"{answer.status_code} {answer.reason_phrase}"
+            elif isinstance(error, RecursionError):  # the client goes on after each byte by calling itself
+                reason = "breaks off again and again"
             elif reason.startswith("Consistency check failed"):
                 reason = f"has {file.tell()} bytes, expected {size}"
             # an answer to its end that is too short, or a part that is longer than the file
