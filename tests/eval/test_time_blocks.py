@@ -14,7 +14,8 @@ from pedzoo.metrics.forecast import ForecastScore, NegativeLogLikelihood
 from pedzoo.metrics.statistics import ratio_interval
 from pedzoo.models.base import known_displacements, true_displacements
 from pedzoo.models.zoo.loading import load
-from tools.paper.line_density import NATS, line_likelihood, log_density, strayed
+from tools.paper.forecast_pages import NATS
+from tools.paper.forecasts import line_likelihood, log_density, strayed
 
 
 def test_blocks_are_as_long_as_a_window_and_within_a_recording() -> None:

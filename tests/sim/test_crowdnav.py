@@ -30,7 +30,7 @@ from pedzoo.sim.crowdnav import (
     cases,
     step,
 )
-from tools.paper.crowdnav_runs import CaseResults, run
+from tools.paper.crowdnav import CaseResults, run
 
 NAMES = {SUCCESS: "success", COLLISION: "collision", TIMEOUT: "timeout", FAILED: "failed"}
 
@@ -140,7 +140,7 @@ def test_orca_that_people_see_ends_as_with_rvo2() -> None:
 
 
 def test_social_forces_among_20_people_end_as_in_the_published_log() -> None:
-    from tools.paper.crowdnav_published import SOCIAL_FORCE_LOG
+    from tools.paper.published import SOCIAL_FORCE_LOG
 
     seeds = SOCIAL_FORCE_LOG.seeds[:20]
     made = run(load_local_planner("crowdnav_social_force", TIME_STEP), CROWDNAV_PP, cases(CROWDNAV_PP, seeds))
@@ -150,7 +150,7 @@ def test_social_forces_among_20_people_end_as_in_the_published_log() -> None:
 def test_rvo2_with_random_people_ends_as_in_the_published_log_of_orca() -> None:
     pytest.importorskip("pyrvo")
     from tools.bench.crowdnav_rvo2 import compare
-    from tools.paper.crowdnav_published import ORCA_LOG
+    from tools.paper.published import ORCA_LOG
 
     assert compare(ORCA_LOG, "orca", random_people=True, cases=8) == 8
 

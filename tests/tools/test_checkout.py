@@ -33,7 +33,7 @@ def test_the_overview_has_the_commands_of_a_checkout() -> None:
 def test_a_second_folder_of_drop_ins() -> None:
     assert {"door", "table2"} <= set(SUITES.names())
     assert SUITES.describe("table2").startswith("Table II")
-    assert SUITES.get("table2").__module__ == "tools.paper.suites.table2"
+    assert SUITES.get("table2").__module__ == "tools.paper.suites"
     assert SUITES.get("door").__module__ == "pedzoo.eval.suites.door"
     nowhere = Registry("suite", "pedzoo.eval.suites", "tools.nowhere")
     assert "door" in nowhere.names() and "table2" not in nowhere.names()

@@ -20,14 +20,9 @@ from pedzoo.eval.suites.goals import DRAWN
 from pedzoo.metrics.ratios import summarised
 from pedzoo.models.zoo.card import ModelCard, read_card, write_card
 from pedzoo.sim.make import make_scenario
-from tools.paper.choices import first_through, passing_side, varied
-from tools.paper.loop import BASELINES, FORCE, ORCA, Loop, _plans, targets
-from tools.paper.loop_forecasts import forecasts
-from tools.paper.suites.loop_buildings import OFFICES, LoopBuildings
-from tools.paper.suites.loop_doors import Doorway, LoopDoors
-from tools.paper.suites.loop_noise import CHOICES, DRAWS, LoopNoise
-from tools.paper.suites.loop_replay import LoopReplay
-from tools.paper.targets import Target, verdict
+from tools.paper.loop import BASELINES, FORCE, ORCA, Loop, Target, _plans, forecasts, targets, verdict
+from tools.paper.meetings import first_through, passing_side, varied
+from tools.paper.suites import CHOICES, DRAWS, OFFICES, LoopBuildings, LoopDoors, LoopNoise, LoopReplay
 
 NAN = float("nan")
 GATE = torch.tensor([[0.0, 0.0, 1.0, 0.0, 0.85]], dtype=torch.float64)
@@ -136,7 +131,7 @@ def test_policies_without_noise_have_no_part_in_what_noise_changes() -> None:
 
 
 def test_noise_changes_what_draws_do_in_the_same_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tools.paper.suites.loop_noise.DRAWS", 3)
+    monkeypatch.setattr("tools.paper.suites.DRAWS", 3)
     suite = LoopNoise("loop_noise")
     case = suite.cases(EvaluationOptions(episodes=4))[1]
     (unit,) = suite.units(case, ["sgan_goal.eth_ucy"], (0,), False)
@@ -219,8 +214,11 @@ def test_loop_writes_page_and_report_and_names_what_is_missing(
     monkeypatch.setattr(Loop, "models", ("sgan_goal.nowhere",))
     monkeypatch.setattr(Loop, "baselines", ("go_to_goal",))
     monkeypatch.setattr(
-        "tools.paper.suites.loop_doors.DOORWAYS",
-        {"hard": Doorway("door:sync=0.4", 500), "flow of 20": Doorway("room_exit:width=0.9", 20)},
+        "tools.paper.suites.DOORWAYS",
+        {
+            "hard": ("door:sync=0.4", 500, "bullet", 2),
+            "flow of 20": ("room_exit:width=0.9", 20, "bullet", 2),
+        },
     )
     assert main(["reproduce", "loop", "--episodes", "2", "--physics", "compiled", "--out", "made"]) == 0
     said, page = capsys.readouterr().out, Path("made/LOOP.md").read_text()

@@ -10,7 +10,7 @@ from helpers.walks import made
 
 from pedzoo.metrics.arrival import seconds_per_goal
 from pedzoo.metrics.ratios import summarised
-from tools.paper.outcome import OUTCOMES, bearing_sweep, outcome_ratios, outcomes
+from tools.paper.meetings import OUTCOMES, bearing_sweep, outcome_ratios, outcomes
 
 
 def test_time_per_goal_by_hand() -> None:

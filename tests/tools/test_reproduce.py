@@ -15,19 +15,14 @@ from pedzoo.core.spec import Spec
 from pedzoo.eval.results import ResultTable
 from pedzoo.eval.suite import EvaluationOptions
 from pedzoo.models.zoo.loading import list_models
-from tools.paper import table1 as module
+from tools.paper import forecasts as module
 from tools.paper.base import Reproduction, markdown
-from tools.paper.crowdnav_published import ORCA_LOG, SOCIAL_FORCE_LOG
-from tools.paper.crowdnav_tables import TABLES, agreement_page
+from tools.paper.crowdnav import TABLES, agreement_page
 from tools.paper.figure4 import Figure4, outcome
-from tools.paper.folds import mean_errors, means
-from tools.paper.forecasting_pages import forecasting_pages
-from tools.paper.forecasting_published import PEERS
-from tools.paper.line_density import NATS
-from tools.paper.outcome import OUTCOMES
-from tools.paper.paper import FOLDS, RELEASED, Errors
-from tools.paper.table1 import Table1
-from tools.paper.table1_pages import table1_pages
+from tools.paper.forecast_pages import NATS, floor_pages, table1_pages
+from tools.paper.forecasts import Table1, means
+from tools.paper.meetings import OUTCOMES
+from tools.paper.published import FOLDS, ORCA_LOG, PEERS, RELEASED, SOCIAL_FORCE_LOG, errors, mean_errors
 from tools.paper.table2 import Table2, in_steps, steps_per_goal_at_most
 
 VERSIONS = {"pedzoo": "1", "torch": "2", "commit": "abc"}
@@ -87,9 +82,9 @@ def test_mean_over_folds_has_all_folds_and_the_interval_of_a_mean() -> None:
 
 def test_released_models_have_the_printed_means() -> None:
     """As the facts have them: V .48/.96 and VP .53/1.04 for 12 steps, .34/.68 and .37/.71 for 8."""
-    result = [[mean_errors(model.errors[steps]) for steps in (12, 8)] for model in RELEASED]
+    result = [[mean_errors(model["errors"][steps]) for steps in ("12", "8")] for model in RELEASED]
     printed = [[(0.48, 0.96), (0.34, 0.68)], [(0.53, 1.04), (0.37, 0.71)]]
-    assert [[tuple(round(value, 2) for value in errors) for errors in row] for row in result] == printed
+    assert [[tuple(round(value, 2) for value in one.values()) for one in row] for row in result] == printed
 
 
 def test_ratio_of_means_and_seeds_on_the_pages() -> None:
@@ -220,9 +215,9 @@ def test_forecasts_stand_beside_published_rows_and_targets() -> None:
         "means": means(rows, FOLDS),
         "blocks": [case | {"rows": ["constant_velocity", "anchor_net"]}],
         "training": training,
-        "published": [peer.plain() for peer in PEERS],
+        "published": PEERS,
     }
-    targets, published, columns, seeds = forecasting_pages(report)
+    targets, published, columns, seeds = floor_pages(report)
     said = {(row[0], row[2]): row[-2:] for row in targets.rows if row[1] == "8 -> 12, none"}
     assert said["anchor_net", "mean"] == ["0.180 / 0.340 (2 seeds)", "short by 0.005"]
     assert said["anchor_net", "without eth"] == ["0.110 / 0.210 (2 seeds)", "met"]
@@ -388,10 +383,6 @@ def test_page_has_command_notes_pictures_tables_and_lines_within_cells() -> None
         def parts(self) -> tuple[int, int]:
             return 0, 0
 
-        @property
-        def others(self) -> int:
-            return 0
-
         def run(self, workers: int = 1, progress: Any = None) -> None:
             pass
 
@@ -413,8 +404,8 @@ def test_page_has_command_notes_pictures_tables_and_lines_within_cells() -> None
 
 
 def test_paper_has_five_folds_and_models_of_the_zoo() -> None:
-    assert Errors(0.21, 0.42) == RELEASED[0].errors[8]["zara1"]
-    assert set(RELEASED[1].errors[12]) == set(FOLDS)
+    assert errors(0.21, 0.42) == RELEASED[0]["errors"]["8"]["zara1"]
+    assert set(RELEASED[1]["errors"]["12"]) == set(FOLDS)
     assert any(name.startswith("sgan.") for name in list_models())
 
 

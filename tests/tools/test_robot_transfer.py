@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from pedzoo.cli.main import main
+from tools.paper import suites
 from tools.paper.robots import COLUMNS, RobotTransfer, grouped, transfer_pages
-from tools.paper.suites import transfer
-from tools.paper.suites.transfer import PLACES, REACTING, RECORDED, Place
+from tools.paper.suites import PLACES, REACTING, RECORDED
 from tools.zoo.robots import PEOPLE
 
 
@@ -36,14 +36,14 @@ def test_seeds_count_as_one_robot_and_places_weigh_the_same() -> None:
 
 
 def test_the_command_makes_page_report_and_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(transfer, "PEOPLE", {"orca": "orca", "sgan": "orca"})
+    monkeypatch.setattr(suites, "PEOPLE", {"orca": "orca", "sgan": "orca"})
     monkeypatch.setattr("tools.paper.robots.COLUMNS", (("doors", "orca"), ("reacting", "sgan")))
     monkeypatch.setattr("tools.paper.robots.PLACES", {"doors": PLACES["doors"]})
     monkeypatch.setattr("tools.paper.robots.RECORDED", {"reacting": RECORDED["reacting"]})
-    monkeypatch.setattr(transfer, "PLACES", {"doors": Place("doors", "door:people=2", 1.0)})
-    recorded = Place("recorded", "replay:fold=embedded,simulated=around,share=0.02", 1.0)
-    monkeypatch.setattr(transfer, "RECORDED", {"reacting": recorded})
-    monkeypatch.setattr(transfer, "FOLD", "embedded")
+    monkeypatch.setattr(suites, "PLACES", {"doors": ("doors", "door:people=2", 1.0)})
+    recorded = ("recorded", "replay:fold=embedded,simulated=around,share=0.02", 1.0)
+    monkeypatch.setattr(suites, "RECORDED", {"reacting": recorded})
+    monkeypatch.setattr(suites, "FOLD", "embedded")
     monkeypatch.setattr(RobotTransfer, "baselines", ("straight",))
     out = ["--out", str(tmp_path), "--episodes", "2"]
     assert main(["reproduce", "robots", "--models", "robot_ppo.circle", *out]) == 0

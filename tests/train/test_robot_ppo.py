@@ -34,7 +34,7 @@ from pedzoo.train.robots.experience import act, walked_once
 from pedzoo.train.robots.ppo import RobotPPO
 from pedzoo.train.robots.teacher import taught, teacher_of
 from tools.kills import difference
-from tools.paper.crowdnav_runs import run
+from tools.paper.crowdnav import run
 
 pytestmark = [
     *LIGHTNING_MARKS,

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from pyrvo.pyrvo import RVOSimulator
 
-from tools.paper.crowdnav_published import ORCA_LOG, SOCIAL_FORCE_LOG, Log
+from tools.paper.published import ORCA_LOG, SOCIAL_FORCE_LOG, Log
 
 DT = 0.25
 LETTERS = {"success": "s", "collision": "c", "timeout": "t"}

@@ -7,12 +7,21 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import closing
+from io import BytesIO
 from pathlib import Path
-from typing import Any, ClassVar
+from statistics import fmean, stdev
+from typing import TYPE_CHECKING, Any, ClassVar
 
+from pedzoo.core.paths import write_atomically
+from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.parallel import finished
-from pedzoo.eval.results import ResultTable, markdown_table
+from pedzoo.eval.results import INTERVALS, ResultTable, legend, markdown_table, protocol_line
+from pedzoo.eval.suite import EvaluationOptions
 from pedzoo.eval.work_units import Journal, Progress, ProgressReport
+from pedzoo.models.zoo.store import names as zoo_names
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 class Reproduction(ABC):
@@ -21,20 +30,17 @@ class Reproduction(ABC):
     Attributes:
         title: Of its page.
         stem: Of its files.
+        others: How many parts the journal had of other requests, weights or code.
     """
 
     title: ClassVar[str]
     stem: ClassVar[str]
+    others: int = 0
 
     @property
     @abstractmethod
     def parts(self) -> tuple[int, int]:
         """How many parts are done, and how many there are."""
-
-    @property
-    @abstractmethod
-    def others(self) -> int:
-        """How many parts the journal had of other requests, weights or code."""
 
     @abstractmethod
     def run(self, workers: int = 1, progress: Progress | None = None) -> None:
@@ -67,8 +73,7 @@ class Jobs(Reproduction):
 
     def __init__(
         self,
-        jobs: Sequence[Any],
-        digests: Sequence[str],
+        jobs: Mapping[str, Any],
         work: Callable[[Any], list[dict[str, Any]]],
         journal: Path | None,
         group: Callable[[Any], Hashable] | None = None,
@@ -76,15 +81,15 @@ class Jobs(Reproduction):
         """Take the jobs, and take from the journal what is done.
 
         Args:
-            jobs: Picklable, each with a ``label``.
-            digests: One of each job.
+            jobs: By digest; picklable, each with a ``label``.
             work: Does a job and returns its rows, or why they cannot be made (``missing``).
             journal: A file that keeps finished jobs.
             group: See `pedzoo.eval.parallel.finished`.
         """
-        self.jobs, self._digests, self._journal = list(jobs), list(digests), Journal(journal)
+        self.jobs, self._journal = dict(jobs), Journal(journal)
         self._work, self._group, done = work, group, self._journal.done
-        self._done = {number: done[key] for number, key in enumerate(self._digests) if key in done}
+        self._done = {key: done[key] for key in self.jobs if key in done}
+        self.others = len(done) - len(self._done)
 
     @property
     def parts(self) -> tuple[int, int]:
@@ -92,30 +97,99 @@ class Jobs(Reproduction):
         return len(self._done), len(self.jobs)
 
     @property
-    def others(self) -> int:
-        """See `Reproduction.others`."""
-        return len(self._journal.done.keys() - set(self._digests))
-
-    @property
     def rows(self) -> list[dict[str, Any]]:
         """The rows of all jobs that are done, in the order of jobs."""
-        return [row for number in sorted(self._done) for row in self._done[number]]
+        return [row for key in self.jobs for row in self._done.get(key, ())]
 
     def run(self, workers: int = 1, progress: Progress | None = None) -> None:
         """See `Reproduction.run`."""
-        missing = [number for number in range(len(self.jobs)) if number not in self._done]
+        missing = [key for key in self.jobs if key not in self._done]
         start, total = time.perf_counter(), len(self.jobs)
-        jobs = [self.jobs[number] for number in missing]
+        jobs = [self.jobs[key] for key in missing]
         with closing(finished(jobs, self._work, workers, group=self._group)) as results:
             for count, (place, rows) in enumerate(results, 1):
-                number = missing[place]
-                self._done[number] = rows
+                self._done[missing[place]] = rows
                 if "missing" not in rows[0]:  # what is missing may be there next time
-                    self._journal.add(self._digests[number], rows)
+                    self._journal.add(missing[place], rows)
                 if progress:
                     left = (time.perf_counter() - start) / count * (len(missing) - count)
-                    done, label = len(self._done), self.jobs[number].label
+                    done, label = len(self._done), jobs[place].label
                     progress(ProgressReport(label, done / total, done, total, rows[0]["seconds"], left))
+
+
+class Walked(Reproduction):
+    """What is walked by some policies and their baselines: an evaluation on suites of cases.
+
+    Attributes:
+        suites: Names of the suites.
+        models: Weights that walk unless others are asked for; those that are absent are noted.
+        baselines: Policies beside them.
+    """
+
+    suites: ClassVar[tuple[str, ...]]
+    models: ClassVar[tuple[str, ...]]
+    baselines: ClassVar[tuple[str, ...]]
+
+    def __init__(
+        self,
+        models: Sequence[str] = (),
+        options: EvaluationOptions | None = None,
+        seeds: Sequence[int] = (0,),
+        journal: Path | None = None,
+    ) -> None:
+        """Say what is to be done; errors as of `pedzoo.evaluate`.
+
+        Args:
+            models: Instead of the usual ones; an unknown one is refused.
+            options: Episodes, physics, floor plans, and whether it is to be quick.
+            seeds: Of the scenes.
+            journal: A file that keeps finished parts.
+        """
+        present = set(zoo_names())
+        self.missing = [] if models else [name for name in self.models if name not in present]
+        self.policies = list(models) or [name for name in self.models if name in present]
+        names = [*self.policies, *self.baselines]
+        self.evaluation = Evaluation(names, self.suites, options, seeds, resume=journal)
+        self.others = self.evaluation.others
+
+    @property
+    def parts(self) -> tuple[int, int]:
+        """See `Reproduction.parts`."""
+        return self.evaluation.done, len(self.evaluation.units)
+
+    def run(self, workers: int = 1, progress: Progress | None = None) -> None:
+        """See `Reproduction.run`."""
+        self.evaluation.run(workers, progress=progress)
+
+    def report(self) -> dict[str, Any]:
+        """Return the report of the evaluation with notes, and what others have printed."""
+        result = self.evaluation.report()
+        shown = protocol_line(result, self.evaluation.shown) if result["rows"] else "nothing is done yet"
+        # megabytes of what each person did are left out: `pedzoo evaluate --suite` has them
+        rows = [{key: row[key] for key in row if key != "per_agent"} for row in result["rows"]]
+        notes = [f"{shown}. {INTERVALS}", *self.notes(), *result["notes"]]
+        if self.missing:
+            notes.append(f"not here, no such weights: {', '.join(self.missing)}")
+        return {**result, "rows": rows, "notes": notes, "missing": self.missing, "paper": self.printed()}
+
+    def legend(self) -> dict[str, str]:
+        """Return what the metrics of the suites' tables are."""
+        columns = [key for shown in self.evaluation.shown.values() for key in shown.columns]
+        known = legend()
+        return {key: known[key] for key in columns if key in known}
+
+    def notes(self) -> list[str]:
+        """Return what has to be known to read the numbers."""
+        return []
+
+    def printed(self) -> dict[str, Any]:
+        """Return what the paper has printed, as plain values; nothing where it is not about that."""
+        return {}
+
+    def case_rows(self, report: Mapping[str, Any], **case: str) -> dict[str, dict[str, Any]]:
+        """Return the rows of one case by policy."""
+        rows = (row for row in report["rows"] if case.items() <= row["case"].items())
+        return {row["name"]: row for row in rows}
 
 
 def markdown(
@@ -130,11 +204,10 @@ def markdown(
         pictures: Files beside the page.
     """
     versions = report["versions"]
-    seeds = " ".join(map(str, report["seeds"]))
     lines = [
         f"# {made.title}\n",
         f"Made by `{shlex.join(command)}` with pedzoo {versions['pedzoo']}, torch {versions['torch']}, commit"
-        f" {versions.get('commit', 'unknown')}; seeds {seeds}.\n",
+        f" {versions.get('commit', 'unknown')}; seeds {' '.join(map(str, report['seeds']))}.\n",
         *(f"* {note}" for note in report["notes"]),
         "",
         *(f"![{picture.stem}]({picture.name})\n" for picture in pictures),
@@ -147,6 +220,19 @@ def markdown(
     return "\n".join(lines).rstrip() + "\n"
 
 
+def save(figure: Figure, path: Path, dpi: int) -> list[Path]:
+    """Write a picture as PNG; returns its path in a list."""
+    figure.savefig(data := BytesIO(), format="png", dpi=dpi)
+    write_atomically(path, data.getvalue())
+    return [path]
+
+
 def interval_text(ends: Sequence[float] | None, digits: int = 2) -> str:
     """Return an interval in brackets, nothing where there is none."""
     return f"[{', '.join(f'{end:.{digits}f}' for end in ends)}]" if ends else ""
+
+
+def spread_text(values: Sequence[float], digits: int) -> str:
+    """Return the mean of some values, and their standard deviation behind ± where there are several."""
+    text = f"{fmean(values):.{digits}f}"
+    return f"{text} ± {stdev(values):.{digits}f}" if len(values) > 1 else text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -12,29 +13,19 @@ from pedzoo.core.errors import UserError, unknown
 if TYPE_CHECKING:
     from tools.paper.base import Reproduction
 
-ONLY = {
-    "folds": ("table1", "forecasting"),
-    "data_root": ("table1", "forecasting", "loop", "robots"),
-    "maps": ("table2", "loop"),
-    "models": ("table2", "figure4", "loop", "crowdnav", "robots"),
-    "episodes": ("table2", "figure4", "loop", "crowdnav", "robots"),
-    "physics": ("table2", "figure4", "loop", "robots"),
+_WALKED = "models episodes physics"
+MADE = {
+    "table1": ("forecasts.Table1", "folds data_root"),
+    "forecasting": ("forecasts.Forecasting", "folds data_root"),
+    "table2": ("table2.Table2", f"{_WALKED} maps"),
+    "figure4": ("figure4.Figure4", _WALKED),
+    "loop": ("loop.Loop", f"{_WALKED} maps data_root"),
+    "crowdnav": ("crowdnav.Crowdnav", "models episodes"),
+    "robots": ("robots.RobotTransfer", f"{_WALKED} data_root"),
 }
-"""Options that only some have a use for."""
+"""What can be made: its class, and those of its options that only some have a use for."""
 
-
-class Arguments(ArgumentParser):
-    """argparse with pedzoo's exit code and one line in place of the usage."""
-
-    def error(self, message: str) -> NoReturn:
-        """Refuse the command line."""
-        raise UserError(f"{message} (see {self.prog} --help)")
-
-
-def run(argv: list[str]) -> int:
-    """Do what is not done, print the tables and write page, report and picture; returns the exit code."""
-    about = f"""{HELP}
-
+_ABOUT = """
 table1   forecasts on ETH/UCY: five folds, 8 and 12 steps, every protocol, released Social GANs
 forecasting  a best of 20 with a floor: centroids, networks on them, published rows and their leaks
 table2   from goal to goal: total steps, goals per person, steps per goal, at two speeds
@@ -45,32 +36,43 @@ robots   robots trained among each kind of people, tested among all others and i
 
 Writes TABLE1.md and .json, TABLE2, FIGURE4, LOOP, FORECASTING, CROWDNAV, ROBOTS.
 What was interrupted goes on."""
+
+_FLAGS = {"data_root": "data.root", "maps": "map"}
+
+
+class Arguments(ArgumentParser):
+    """argparse with pedzoo's exit code and one line in place of the usage."""
+
+    def error(self, message: str) -> NoReturn:
+        """Refuse the command line."""
+        raise UserError(f"{message} (see {self.prog} --help)")
+
+
+def _parser() -> ArgumentParser:
     parser = Arguments(
         "pedzoo reproduce",
-        description=f"{about}\n\nexample: {EXAMPLE}",
+        description=f"{HELP}\n{_ABOUT}\n\nexample: {EXAMPLE}",
         allow_abbrev=False,
         formatter_class=RawDescriptionHelpFormatter,
     )
-    parser.add_argument(
-        "what",
-        choices=("table1", "forecasting", "table2", "figure4", "loop", "crowdnav", "robots"),
-        help="what is made",
-    )
-    parser.add_argument("--out", metavar="FOLDER", default=".", help="for page, report and picture")
-    parser.add_argument("--quick", action="store_true", help="zara1 alone; a tenth of the episodes")
-    parser.add_argument("--seeds", default="0", help="of samples or scenes, between commas (forecasts: one)")
-    parser.add_argument("--workers", type=int, default=1, help="processes; the numbers stay the same")
-    parser.add_argument("--folds", metavar="FOLD,...", help="forecasts: test scenes (default: all five)")
-    parser.add_argument(
-        "--data.root", dest="data_root", metavar="FOLDER", help="forecasts, loop, robots: the recordings"
-    )
-    parser.add_argument("--models", nargs="+", metavar="NAME", help="not table1: instead of the usual ones")
-    parser.add_argument("--episodes", type=int, help="not table1: of every case and seed")
-    parser.add_argument("--physics", metavar="NAME", help="not table1 (default: as each case says)")
-    parser.add_argument(
-        "--map", dest="maps", nargs="+", metavar="PLAN", help="table2, loop: floor plans, files or names"
-    )
-    options = parser.parse_args(argv)
+    add = parser.add_argument
+    add("what", choices=MADE, help="what is made")
+    add("--out", metavar="FOLDER", default=".", help="for page, report and picture")
+    add("--quick", action="store_true", help="zara1 alone; a tenth of the episodes")
+    add("--seeds", default="0", help="of samples or scenes, between commas (forecasts: one)")
+    add("--workers", type=int, default=1, help="processes; the numbers stay the same")
+    add("--folds", metavar="FOLD,...", help="forecasts: test scenes (default: all five)")
+    add("--data.root", dest="data_root", metavar="FOLDER", help="forecasts, loop, robots: the recordings")
+    add("--models", nargs="+", metavar="NAME", help="not table1: instead of the usual ones")
+    add("--episodes", type=int, help="not table1: of every case and seed")
+    add("--physics", metavar="NAME", help="not table1 (default: as each case says)")
+    add("--map", dest="maps", nargs="+", metavar="PLAN", help="table2, loop: floor plans, files or names")
+    return parser
+
+
+def run(argv: list[str]) -> int:
+    """Do what is not done, print the tables and write page, report and picture; returns the exit code."""
+    options = _parser().parse_args(argv)
 
     from pedzoo.cli.check import whole_numbers
     from pedzoo.cli.output import check_outputs, print_tables, write_json, write_text
@@ -78,9 +80,10 @@ What was interrupted goes on."""
     from pedzoo.core.machine import versions
     from tools.paper.base import markdown
 
-    for key, having in ONLY.items():
-        if getattr(options, key) is not None and options.what not in having:
-            flag = {"data_root": "data.root", "maps": "map"}.get(key, key)
+    for key, value in vars(options).items():
+        having = [name for name, (_, uses) in MADE.items() if key in uses.split()]
+        if having and value is not None and options.what not in having:
+            flag = _FLAGS.get(key, key)
             raise UserError(f"--{flag}: no use for it in {options.what}; {', '.join(having)} would have")
     folder, stem = Path(options.out), options.what.upper()
     page, file, journal = (folder / f"{stem}{end}" for end in (".md", ".json", ".json.partial"))
@@ -124,36 +127,31 @@ def _made(options: Namespace, journal: Path, seeds: list[int]) -> Reproduction:
         UserError: A fold, policy or floor plan that is not there, or recordings that are not.
     """
     from pedzoo.eval.suite import EvaluationOptions
-    from tools.paper.paper import FOLDS
+    from tools.paper.published import FOLDS
 
-    if options.what in ("table1", "forecasting"):
-        from tools.paper.forecasting import Forecasting
-        from tools.paper.table1 import Table1
-
+    where, uses = MADE[options.what]
+    file, _, name = where.partition(".")
+    make = getattr(import_module(f"tools.paper.{file}"), name)
+    if "folds" in uses:
         if len(seeds) != 1:
             raise UserError(f"--seeds {options.seeds}: {options.what} has one seed of its samples")
         folds = options.folds.split(",") if options.folds else ["zara1"] if options.quick else list(FOLDS)
         for fold in folds:
             if fold not in FOLDS:
                 raise unknown("fold", fold, FOLDS)
-        made = Table1 if options.what == "table1" else Forecasting
-        return made(folds, seeds[0], options.data_root, journal)
+        return make(folds, seeds[0], options.data_root, journal)
     if options.what == "crowdnav":
-        from tools.paper.crowdnav import CASES, Crowdnav
+        from tools.paper.crowdnav import CASES
 
         if seeds != [0]:
             raise UserError(f"--seeds {options.seeds}: crowdnav has the seeds of its cases")
         count = options.episodes if options.episodes is not None else CASES // 10 if options.quick else CASES
-        return Crowdnav(options.models or (), count, journal)
-    if options.what == "table2":
-        from tools.paper.table2 import Table2 as Walked
-    elif options.what == "loop":
-        from tools.paper.loop import Loop as Walked
-    elif options.what == "robots":
-        from tools.paper.robots import RobotTransfer as Walked
-    else:
-        from tools.paper.figure4 import Figure4 as Walked
-    evaluation_options = EvaluationOptions(
-        options.episodes, options.quick, options.physics, tuple(options.maps or ()), options.data_root
+        return make(options.models or (), count, journal)
+    settings = EvaluationOptions(
+        episodes=options.episodes,
+        quick=options.quick,
+        physics=options.physics,
+        maps=tuple(options.maps or ()),
+        root=options.data_root,
     )
-    return Walked(options.models or (), evaluation_options, seeds, journal)
+    return make(options.models or (), settings, seeds, journal)

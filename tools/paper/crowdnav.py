@@ -4,26 +4,95 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.fetch import sha256_of
 from pedzoo.eval.results import ResultTable
 from pedzoo.eval.work_units import fingerprint
 from pedzoo.metrics.ratios import Ratio, mean, of_sums, ratio, share, summarised
+from pedzoo.policies.robots._base import LocalPlanner, ObservedPeople, Robot
 from pedzoo.policies.robots._weights import load_planner
-from pedzoo.sim.crowdnav import COLLISION, FAILED, SUCCESS, TIME_STEP, TIMEOUT, cases
-from tools.paper.base import Jobs
-from tools.paper.crowdnav_published import PUBLISHED
-from tools.paper.crowdnav_runs import CaseResults, run
-from tools.paper.crowdnav_tables import LEGEND, NOTES, TABLES, agreement_page, table_page
+from pedzoo.sim.crowdnav import (
+    COLLISION,
+    CROWDNAV,
+    CROWDNAV_PP,
+    FAILED,
+    GOES_ON,
+    SUCCESS,
+    TEST,
+    TIME_STEP,
+    TIMEOUT,
+    Setting,
+    State,
+    cases,
+    step,
+)
+from tools.paper.base import Jobs, interval_text
+from tools.paper.published import CROWDNAV_ROWS, ORCA_LOG, ORCA_PP, SOCIAL_FORCE_LOG, Log
 
 CASES = 500
 """Cases of each table."""
 
+DISCOUNT = 0.9
+"""Of rewards per second at 1 m/s: CrowdNav's."""
+
 LETTERS = {SUCCESS: "s", COLLISION: "c", TIMEOUT: "t", FAILED: "f"}
 """How a case ended, as rows of the report have it."""
+
+
+class Table(NamedTuple):
+    """A setting and the robots that are tested in it.
+
+    Attributes:
+        title: What people call it.
+        setting: Its rules.
+        first: Seed of its first case.
+        robots: Names with settings.
+        columns: Metrics that are shown.
+    """
+
+    title: str
+    setting: Setting
+    first: int
+    robots: tuple[str, ...]
+    columns: tuple[str, ...]
+
+
+LEARNED = ("robot_ppo.circle", "robot_ppo.crowd")
+"""Robots that have learned: among CrowdNav's people, and among those of CrowdNav++."""
+
+_SPACE = "crowdnav_orca:safety_space=0.15"
+_RULES = ("crowdnav_orca", _SPACE, "straight", "stop", "crowdnav_social_force", "sampling", "dwa")
+_COLUMNS = ("success", "collision", "timeout", "time_s", "path_m")
+TABLES = {
+    "crowdnav": Table(
+        "CrowdNav: 5 people who do not see the robot",
+        CROWDNAV,
+        TEST,
+        (*_RULES, *LEARNED),
+        (*_COLUMNS, "discomfort", "return"),
+    ),
+    "crowdnav_visible": Table(
+        "CrowdNav: 5 people who see the robot",
+        replace(CROWDNAV, visible=True),
+        TEST,
+        ("crowdnav_orca", _SPACE, "sampling", *LEARNED),
+        (*_COLUMNS, "discomfort", "return"),
+    ),
+    "crowdnav_pp": Table(
+        "CrowdNav++: 20 people who do not see the robot",
+        CROWDNAV_PP,
+        SOCIAL_FORCE_LOG.first,
+        (ORCA_PP, "crowdnav_social_force", "straight", "sampling", *LEARNED),
+        (*_COLUMNS, "intrusion_ratio", "intrusion_distance_m"),
+    ),
+}
 
 
 class Job(NamedTuple):
@@ -60,23 +129,25 @@ class Crowdnav(Jobs):
             raise UserError(f"--episodes {count}: expected 1 to {CASES} cases")
         for name in robots:  # a wrong one is refused before any work
             load_planner(name, TIME_STEP)
-        names = {table: tuple(robots) or TABLES[table].robots for table in TABLES}
-        self.count = count
-        jobs = [Job(table, robot, count) for table in TABLES for robot in names[table]]
-        super().__init__(jobs, [fingerprint(job, _file_sum(job.robot)) for job in jobs], work, journal)
+        self.count, jobs = count, {}
+        for name, table in TABLES.items():
+            for job in (Job(name, robot, count) for robot in tuple(robots) or table.robots):
+                file = Path(job.robot.partition(".py:")[0] + ".py")
+                code = sha256_of(file) if ".py:" in job.robot and file.is_file() else ""
+                jobs[fingerprint(job, code)] = job
+        super().__init__(jobs, work, journal)
 
     def report(self) -> dict[str, Any]:
         """Return all rows, and what others have printed."""
+        seeds = {
+            name: f"seeds {table.first} to {table.first + self.count - 1}" for name, table in TABLES.items()
+        }
         return {
-            "protocol": {"cases": self.count, "time_step_s": TIME_STEP}
-            | {
-                name: f"seeds {table.first} to {table.first + self.count - 1}"
-                for name, table in TABLES.items()
-            },
+            "protocol": {"cases": self.count, "time_step_s": TIME_STEP} | seeds,
             "seeds": sorted({table.first for table in TABLES.values()}),
             "notes": list(NOTES),
             "rows": self.rows,
-            "published": {name: [row._asdict() for row in rows] for name, rows in PUBLISHED.items()},
+            "published": CROWDNAV_ROWS,
         }
 
     def pages(self, report: Mapping[str, Any]) -> list[ResultTable]:
@@ -98,14 +169,75 @@ def work(job: Job) -> list[dict[str, Any]]:
     seconds = time.perf_counter() - started
     metrics, ci95 = summarised(ratios(runs))
     ends = "".join(LETTERS[end] for end in runs.outcome.tolist())
-    row = {
-        "name": job.robot,
-        "case": {"setting": job.table},
-        "n": job.count,
-        "metrics": metrics,
-        "ci95": ci95,
-    }
-    return [row | {"outcomes": ends, "seconds": round(seconds, 2)}]
+    row = {"name": job.robot, "case": {"setting": job.table}, "n": job.count, "metrics": metrics}
+    return [row | {"ci95": ci95, "outcomes": ends, "seconds": round(seconds, 2)}]
+
+
+class CaseResults(NamedTuple):
+    """How B cases went.
+
+    Attributes:
+        outcome: How they ended (B,) long, one of `pedzoo.sim.crowdnav`.
+        seconds: When they did (B,).
+        steps: How many steps they had (B,).
+        path: Metres that the robot went (B,).
+        reward: Discounted sum (B,).
+        disturbed: Steps in which a body was nearer than the discomfort distance, at the end none (B,).
+        gap: Sum of the distances in these (B,), metres.
+        intruded: Steps in which the robot stood where a person would be, at the end none (B,).
+        intrusion: Sum of the distances between centres in these (B,), metres.
+    """
+
+    outcome: Tensor
+    seconds: Tensor
+    steps: Tensor
+    path: Tensor
+    reward: Tensor
+    disturbed: Tensor
+    gap: Tensor
+    intruded: Tensor
+    intrusion: Tensor
+
+
+@torch.no_grad()
+def run(policy: LocalPlanner, setting: Setting, cases: State) -> CaseResults:
+    """Return how cases go with a policy; they stay as they were.
+
+    Args:
+        policy: A new one for each call. It is asked in single precision.
+        setting: The rules.
+        cases: Where every person starts.
+
+    Raises:
+        ValueError: The policy's answer is not of the shape (B, 2).
+    """
+    state = cases.copy()
+    scenes = len(cases.goal)
+    outcome, seconds = torch.full((scenes,), GOES_ON), torch.zeros(scenes).double()
+    sums = {name: torch.zeros_like(seconds) for name in CaseResults._fields[2:]}
+    while bool((going := state.going).any()):
+        place, moving, radius, mask = state.known
+        known = ObservedPeople(place.float(), moving.float(), radius.float(), mask)
+        velocity = policy(Robot(*(part.float() for part in state.robot)), known)
+        if velocity.shape != (scenes, 2):
+            raise ValueError(f"the robot's policy gave velocities {tuple(velocity.shape)}, not {(scenes, 2)}")
+        before, (state, events) = state, step(setting, state, velocity)
+        on = state.going
+        disturbed = on & (events.clearance < setting.discomfort_dist)
+        intruded = on & events.intruded.isfinite()
+        added = {
+            "steps": torch.ones_like(seconds),
+            "path": (state.robot.position - before.robot.position).norm(dim=-1),
+            "reward": DISCOUNT**before.seconds * events.reward,
+            "disturbed": disturbed,
+            "gap": events.clearance.where(disturbed, 0),
+            "intruded": intruded,
+            "intrusion": events.intruded.where(intruded, 0),
+        }
+        sums = {name: total + torch.where(going, added[name], 0) for name, total in sums.items()}
+        seconds = torch.where(going, events.seconds, seconds)
+        outcome = torch.where(going, events.outcome, outcome)
+    return CaseResults(outcome, seconds, **sums)
 
 
 def ratios(runs: CaseResults) -> dict[str, Ratio]:
@@ -127,6 +259,81 @@ def ratios(runs: CaseResults) -> dict[str, Ratio]:
     return result if bool(runs.intruded.any()) else {key: result[key] for key in list(result)[:-2]}
 
 
-def _file_sum(robot: str) -> str:
-    path = Path(robot.partition(".py:")[0] + ".py")
-    return sha256_of(path) if ".py:" in robot and path.is_file() else ""
+def table_page(name: str, rows: Sequence[Mapping[str, Any]]) -> ResultTable:
+    """Return the table of the setting ``name``: our robots, and below them those that only others have."""
+    table, own = TABLES[name], {row["name"]: row for row in rows if row["case"]["setting"] == name}
+    published = {row["ours"]: row for row in CROWDNAV_ROWS[name] if row["ours"]}
+    body = [
+        [robot, str(row["n"]), *(_cell(row, key) for key in table.columns), _printed(published.get(robot))]
+        for robot, row in own.items()
+    ]
+    others = (row for row in CROWDNAV_ROWS[name] if row["ours"] not in own)
+    body += [[row["robot"], *["-"] * (1 + len(table.columns)), _printed(row)] for row in others]
+    head = ["robot", "n", *table.columns, "published (success / collision / time_s)"]
+    return ResultTable(table.title, head, body, 2)
+
+
+def agreement_page(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
+    """Return how many cases of CrowdNav++'s logs end here as they do there."""
+    own = {row["name"]: row for row in rows if row["case"]["setting"] == "crowdnav_pp"}
+    body = [_agreement(log, own[log.robot]) for log in (SOCIAL_FORCE_LOG, ORCA_LOG) if log.robot in own]
+    head = ["log", "robot", "cases", "end alike", "success there", "success here"]
+    return ResultTable("CrowdNav++: case by case", head, body, 2)
+
+
+def _agreement(log: Log, row: Mapping[str, Any]) -> list[str]:
+    here = row["outcomes"][log.first - TABLES["crowdnav_pp"].first :: 2]
+    pairs = list(zip(here, log.outcomes, strict=False))
+    alike = sum(one == other for one, other in pairs)
+    shares = [sum(pair[side] == "s" for pair in pairs) / len(pairs) for side in (1, 0)]
+    return [log.name, log.robot, str(len(pairs)), str(alike), *(f"{value:.3f}" for value in shares)]
+
+
+def _cell(row: Mapping[str, Any], key: str) -> str:
+    if key not in row["metrics"]:
+        return "-"
+    digits = 2 if key.endswith(("_s", "_m")) else 3
+    return f"{row['metrics'][key]:.{digits}f} {interval_text(row['ci95'].get(key), digits)}".strip()
+
+
+def _printed(row: Mapping[str, str] | None) -> str:
+    if row is None:
+        return "-"
+    more = f", intrusion {row['intrusion_ratio']}" if row["intrusion_ratio"] else ""
+    return f"{row['success']} / {row['collision']} / {row['time_s']}{more} ({row['source']})"
+
+
+LEGEND = {
+    "success": "share of cases in which the robot comes within its radius of the goal",
+    "collision": "share of cases that end because the robot touches a person",
+    "timeout": "share of cases that go on until 1 s before the limit (25 s, CrowdNav++ 50 s)",
+    "time_s": "until the goal, mean of successful cases; CrowdNav counts the last step, CrowdNav++ does not",
+    "path_m": "metres that the robot went, mean of the successful cases",
+    "discomfort": "share of all steps in which the robot is nearer than 0.2 m to a person, body to body",
+    "return": "CrowdNav's discounted reward, 0.9 per second",
+    "intrusion_ratio": "share of a case's steps in which the robot stands where people will be within 1.25 s",
+    "intrusion_distance_m": "distance between centres in these steps, to the nearest such person",
+}
+
+NOTES = (
+    "`robot_ppo.circle` and `robot_ppo.crowd` have learned, in other crowds of CrowdNav and CrowdNav++; the"
+    " others have not. `sampling` has settings that were chosen on other cases, seeds 0 to 499 of CrowdNav's"
+    " validation. In brackets 95 % intervals over n cases: Wilson's for shares, Student's t otherwise",
+    "`dwa` is a differential drive (1 m/s, 1 m/s^2, 1.5 rad/s); the others go in any direction at once",
+    "CrowdNav: cases, rules and clock are its own. Of 500 cases with `crowdnav_orca` 499 end as with RVO2 at"
+    " the same time; one collides a step earlier. The test is tests/sim/test_crowdnav.py",
+    "CrowdNav, visible: ORCA is printed with .99 and 12.29 s. A safety space of 0.15 m gives exactly that."
+    " The `test.py` of today sets 0 m, which gives 1.00 and 10.02 s",
+    "CrowdNav++: the seeds are its own, 1000 + 425 + number of the case. Nothing in a case is left to chance:"
+    " people who arrive are replaced by draws from the case's own stream. Those keep clear of the robot, so"
+    " the crowd depends on it",
+    "CrowdNav++: its 500 runs are 250 cases twice. Each run is reset twice, and the number of the case goes"
+    " on at each, modulo 500. All its logs list each failure twice, 250 apart. Intervals are those of 250",
+    "CrowdNav++: the log of ORCA (folder `ORCA_no_rand`) is not of the crowd that its config names. It begins"
+    ' with "Randomize human\'s radius and preferred speed". With random radii, speeds and goals RVO2 ends as'
+    " the log in 250 of 250 cases, after 14.77 s: `python -m tools.bench.crowdnav_rvo2`",
+    "CrowdNav++: the simulation here leaves random people out. Theirs keep the radii of people who are gone,"
+    " one memory for each pair, and their robot that of the first case for ever. That cannot be batched",
+    "CrowdNav++: GST's log has other seeds, 1125, 1127, .... Path lengths of its logs have the jump from the"
+    " end of a run to the next start, and are left out",
+)

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
 
-from pedzoo.core.paths import write_atomically
 from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.eval.results import ResultTable, cell, pages
 from pedzoo.eval.rollout import rollout
 from pedzoo.viz.trajectories import draw_episode, legend, meeting_and_end
-from tools.paper.outcome import OUTCOMES
-from tools.paper.paper import FIGURE_4
-from tools.paper.suites.figure4 import RATIO, SCENARIOS
-from tools.paper.walked import Walked
+from tools.paper.base import Walked, save
+from tools.paper.meetings import OUTCOMES
+from tools.paper.published import FIGURE_4
+from tools.paper.suites import NARROW_DOORS, SPEED_RATIO
 
 SPEEDS = ("equal", "unequal")
 UNSEEN = "orca:radius=0.5,walls=false"
@@ -46,8 +44,8 @@ class Figure4(Walked):
         """Return what has to be known to read the numbers."""
         return [
             "door 0.85 m wide in a wall of 0.15 m; people come head-on at 1.3 m/s (unequal: the one from the"
-            f" right at {RATIO} of that), starts jittered by 0.1 m, 2.5 m from the wall when the policy takes"
-            " over; the paper gives no measures",
+            f" right at {SPEED_RATIO} of that), starts jittered by 0.1 m, 2.5 m from the wall when the policy"
+            " takes over; the paper gives no measures",
             "radius 0.5, geometry or avoidance? With walls seen it is geometry: a disk 1.0 m wide does not"
             f" fit through 0.85 m, not even alone. With walls unseen (`{UNSEEN}`; iGibson's ORCA sees none)"
             " it gets through alone: what blocks two of them then is their mutual avoidance",
@@ -66,9 +64,6 @@ class Figure4(Walked):
         """Return the paper beside ours, and every metric of the three cases."""
         if not report["rows"]:
             return []
-        return [self._beside(report), *pages(report, self.evaluation.shown)[1:]]
-
-    def _beside(self, report: Mapping[str, Any]) -> ResultTable:
         cases = {case: self.case_rows(report, speeds=case) for case in (*SPEEDS, "alone")}
         head = ["controller", "the paper shows"]
         for speeds in SPEEDS:
@@ -78,10 +73,12 @@ class Figure4(Walked):
             line = [name, FIGURE_4.get(name, "-")]
             for speeds in SPEEDS:
                 row = cases[speeds].get(name)
-                line += [outcome(row), _half(row)]
+                least = row["metrics"].get("least_distance_m") if row else None
+                line += [outcome(row), "-" if least is None else f"{least / 2:.2f}"]
             alone = cases["alone"].get(name)
             body.append([*line, cell(alone, "success") if alone else "-"])
-        return ResultTable("The paper beside ours", [*head, "alone: gets through"], body, 1)
+        beside = ResultTable("The paper beside ours", [*head, "alone: gets through"], body, 1)
+        return [beside, *pages(report, self.evaluation.shown)[1:]]
 
     def draw(self, folder: Path) -> list[Path]:
         """Draw the first episode of each, equal and unequal speeds, at the same two times in every row."""
@@ -93,7 +90,7 @@ class Figure4(Walked):
         for number, speeds in enumerate(SPEEDS):
             walked = []
             for name in names:
-                result, env = rollout(name, SCENARIOS[speeds], unit.case.physics, 1, unit.seeds[0])
+                result, env = rollout(name, NARROW_DOORS[speeds], unit.case.physics, 1, unit.seeds[0])
                 env.physics.close()
                 walked.append(PolicyRollout(name, result, env))
             for place, point in enumerate(meeting_and_end(walked)):
@@ -105,11 +102,7 @@ class Figure4(Walked):
         for row, name in zip(grid, names, strict=True):
             row[0].set_ylabel(name.replace(":", "\n", 1).replace(",", "\n"), fontsize=8)
         figure.legend(handles=legend(), loc="outside lower center", ncols=5, frameon=False, fontsize=8)
-        data = BytesIO()
-        figure.savefig(data, format="png", dpi=120)
-        path = folder / f"{self.stem}.png"
-        write_atomically(path, data.getvalue())
-        return [path]
+        return save(figure, folder / f"{self.stem}.png", dpi=120)
 
 
 def outcome(row: Mapping[str, Any] | None) -> str:
@@ -119,8 +112,3 @@ def outcome(row: Mapping[str, Any] | None) -> str:
     shares = {name: row["metrics"][f"outcome_{name}"] for name in OUTCOMES}
     often = sorted((name for name in OUTCOMES if shares[name] >= RARE), key=lambda name: -shares[name])
     return ", ".join(f"{name} {shares[name]:.2f}" for name in often)
-
-
-def _half(row: Mapping[str, Any] | None) -> str:
-    least = row["metrics"].get("least_distance_m") if row else None
-    return "-" if least is None else f"{least / 2:.2f}"

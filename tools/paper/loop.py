@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import operator
 import re
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 from pedzoo.core.paths import weight_files
 from pedzoo.core.spec import parse
@@ -13,11 +14,80 @@ from pedzoo.eval.results import ResultTable, cell
 from pedzoo.eval.suites.goals import DRAWN
 from pedzoo.metrics.realism.crowds import TAIL
 from pedzoo.models.zoo.card import read_config
-from tools.paper.loop_forecasts import forecasts
-from tools.paper.suites.loop_buildings import OFFICES
-from tools.paper.suites.loop_noise import DRAWS
-from tools.paper.targets import Target, verdict
-from tools.paper.walked import Walked
+from pedzoo.models.zoo.store import find
+from tools.paper.base import Walked
+from tools.paper.suites import DRAWS, OFFICES
+
+Rows = Mapping[str, Mapping[str, Any]]
+"""Rows of one table by policy."""
+
+_SENSES: dict[str, Callable[[float, float], bool]] = {
+    "at least": operator.ge,
+    "above": operator.gt,
+    "at most": operator.le,
+    "below": operator.lt,
+}
+
+
+class Target(NamedTuple):
+    """A bound of one metric: a number, or what others have in the same table.
+
+    Attributes:
+        key: Name of the metric.
+        sense: Which side of the bound is enough, one of `_SENSES`.
+        bound: The number; what others' is multiplied by where there are ``others``.
+        others: Policies whose mean is the bound. Where one of them has no such number there is no bound.
+        of: Whether the bound is the ``mean`` of the others, or the ``least`` of them.
+    """
+
+    key: str
+    sense: str
+    bound: float = 1.0
+    others: tuple[str, ...] = ()
+    of: str = "mean"
+
+    @property
+    def text(self) -> str:
+        """The target in words."""
+        if not self.others:
+            return f"{self.key} {self.sense} {self.bound:g}"
+        what = f"the {self.of} of " if len(self.others) > 1 else ""
+        times = f"{self.bound:g} x " if self.bound != 1 else ""
+        return f"{self.key} {self.sense} {times}{what}{', '.join(self.others)}"
+
+    def limit(self, rows: Rows) -> float | None:
+        """Return the bound as a number, None where it is not known."""
+        if not self.others:
+            return self.bound
+        values = [rows[name]["metrics"].get(self.key) if name in rows else None for name in self.others]
+        known = [value for value in values if value is not None]
+        if len(known) < len(values):
+            return None
+        return self.bound * (min(known) if self.of == "least" else sum(known) / len(known))
+
+    def met(self, name: str, rows: Rows) -> bool | None:
+        """Return whether a policy meets it; None where its bound or its number is not known.
+
+        A policy without a number (no arrivals, no meetings) misses the target: see `verdict`.
+        """
+        limit, value = self.limit(rows), rows[name]["metrics"].get(self.key)
+        return None if limit is None or value is None else _SENSES[self.sense](value, limit)
+
+
+def verdict(targets: Sequence[Target], name: str, rows: Rows) -> str:
+    """Return ``met``, or the metrics whose targets the row ``name`` does not meet, with their bounds."""
+    missing, unknown = [], []
+    for target in targets:
+        limit, value = target.limit(rows), rows[name]["metrics"].get(target.key)
+        if limit is None:
+            unknown.append(target.key)
+        elif not target.met(name, rows):
+            result = "-" if value is None else f"{value:.3f}"
+            missing.append(f"{target.key} {result}, not {target.sense} {limit:.3f}")
+    if missing:
+        return "\n".join(missing)
+    return f"nothing to compare {', '.join(unknown)} with" if unknown else "met"
+
 
 ORCA = "orca:radius=0.3"
 FORCE = "social_force:preset=indoor"
@@ -35,20 +105,9 @@ APART = (
 """What the training does without the safety layer, and the layer without the training, and all alone."""
 
 _SEVERAL = (Target("clean", "at least", 0.95), Target("deadlock", "at most", 0.0))
-_BUILDING = (
-    Target("episode_success", "at least", 0.99),
-    Target("contact_free", "at least", 0.95),
-    Target("time_ratio", "at most", others=(ORCA,)),
-)
 _CROWD = (
     Target("success", "at least", 0.95),
     Target("contacts_per_min", "below", others=(ORCA, FORCE)),
-)
-_HUMAN = (
-    Target("realism", "below", others=BASELINES, of="least"),
-    *(Target(f"acceleration_{tail}_ratio", "at least", 0.85) for tail in TAIL),
-    *(Target(f"acceleration_{tail}_ratio", "at most", 1.15) for tail in TAIL),
-    Target("agent_contact_excess", "at most", 0.005),
 )
 
 TARGETS: dict[str, tuple[Target, ...]] = {
@@ -71,15 +130,24 @@ TARGETS: dict[str, tuple[Target, ...]] = {
     "loop_buildings crowd of 50": _CROWD,
     "loop_noise who goes first": (Target("varied", "at least", 0.3),),
     "loop_noise passing side": (Target("varied", "at least", 0.3),),
+    "loop_buildings": (
+        Target("episode_success", "at least", 0.99),
+        Target("contact_free", "at least", 0.95),
+        Target("time_ratio", "at most", others=(ORCA,)),
+    ),
+    "loop_replay": (
+        Target("realism", "below", others=BASELINES, of="least"),
+        *(Target(f"acceleration_{tail}_ratio", "at least", 0.85) for tail in TAIL),
+        *(Target(f"acceleration_{tail}_ratio", "at most", 1.15) for tail in TAIL),
+        Target("agent_contact_excess", "at most", 0.005),
+    ),
 }
-"""By table; those on floor plans and folds, of which there may be any, are in `targets`."""
+"""By table; the last two are those of the suites' tables on any floor plan or fold."""
 
 
 def targets(table: str) -> tuple[Target, ...]:
     """Return what the rows of a table have to show."""
-    if table in TARGETS:
-        return TARGETS[table]
-    return {"loop_buildings": _BUILDING, "loop_replay": _HUMAN}[table.split()[0]]
+    return TARGETS.get(table) or TARGETS[table.split()[0]]
 
 
 class Loop(Walked):
@@ -96,11 +164,17 @@ class Loop(Walked):
 
     def notes(self) -> list[str]:
         """Return what has to be known to read the numbers."""
-        result = [
+        maps = self.evaluation.options.maps
+        given = f", and those that were given: {', '.join(maps)}" if maps else ""
+        trained = {}
+        for policy in self.policies:
+            file = weight_files().get(parse(policy).name)
+            trained[policy] = _plans(read_config(file)) if file else []
+        return [
             "a target is met by the number itself, not by its interval; every row says what is missing",
             f"unseen floor plans: {', '.join(DRAWN)} (crowds: {', '.join(OFFICES)})"
-            f"{self._given()}; training in the loop walks through apartment.100 to 111, office.100 and 101",
-            *self._trained(),
+            f"{given}; training in the loop walks through apartment.100 to 111, office.100 and 101",
+            *(f"{policy} was trained on {', '.join(plans)}" for policy, plans in trained.items() if plans),
             "doors of the tests are like those of training; width 1.1, offset -0.4 and seeds are their own",
             "free walking: the planner's way at the preferred speed; time ratios are of people who arrive",
             f"no slower than {ORCA}: by `time_ratio`, all times of those who arrive by those of free walking",
@@ -108,21 +182,6 @@ class Loop(Walked):
             " noise would walk it alike and have no rows. Who walks through others varies, too: see `clean`",
             "cpu: seconds of one thread, all cases of the table",
         ]
-        return result
-
-    def _given(self) -> str:
-        result = self.evaluation.options.maps
-        return f", and those that were given: {', '.join(result)}" if result else ""
-
-    def _trained(self) -> list[str]:
-        """Return on which floor plans weights say that they were trained."""
-        result = []
-        for policy in self.policies:
-            file = weight_files().get(parse(policy).name)
-            plans = _plans(read_config(file)) if file else []
-            if plans:
-                result.append(f"{policy} was trained on {', '.join(plans)}")
-        return result
 
     def pages(self, report: Mapping[str, Any]) -> list[ResultTable]:
         """Return which targets are met, and every table with what is missing in each row."""
@@ -137,33 +196,24 @@ class Loop(Walked):
         walked = [self._page(table, rows) for table, rows in tables.items()]
         return [_overview(tables), *walked, *([forecast] if forecast else [])]
 
-    def _page(self, table: str, rows: Mapping[str, Mapping[str, Any]]) -> ResultTable:
-        suite = next(iter(rows.values()))["case"]["suite"]
-        shown = self.evaluation.shown[suite]
+    def _page(self, table: str, rows: Rows) -> ResultTable:
+        case = next(iter(rows.values()))["case"]
+        shown = self.evaluation.shown[case["suite"]]
         known = [key for key in shown.columns if any(key in row["metrics"] for row in rows.values())]
         if not any(row["metrics"].get("failed") for row in rows.values()):
             known = [key for key in known if key != "failed"]
-        wanted = targets(table)
-        body = [
-            [
-                name,
-                "" if name.startswith("real") else verdict(wanted, name, rows),
-                str(row["n"]),
-                *(cell(row, key) for key in known),
-                f"{row['seconds']['cpu']:.0f}",
-            ]
-            for name, row in rows.items()
-        ]
-        physics = next(iter(rows.values()))["case"]["physics"]
-        title = f"{_plain(table)} ({physics}): {'; '.join(target.text for target in wanted)}"
+        wanted, body = targets(table), []
+        for name, row in rows.items():
+            said = "" if name.startswith("real") else verdict(wanted, name, rows)
+            numbers = [cell(row, key) for key in known]
+            body.append([name, said, str(row["n"]), *numbers, f"{row['seconds']['cpu']:.0f}"])
+        title = f"{_plain(table)} ({case['physics']}): {'; '.join(target.text for target in wanted)}"
         return ResultTable(title, ["policy", "target", shown.counted, *known, "cpu"], body, 1)
 
 
-def _overview(tables: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> ResultTable:
+def _overview(tables: Mapping[str, Rows]) -> ResultTable:
     """Return the targets as rows and the policies as columns: the numbers, and which are enough."""
-    names = list(
-        dict.fromkeys(name for rows in tables.values() for name in rows if not name.startswith("real"))
-    )
+    names = dict.fromkeys(name for rows in tables.values() for name in rows if not name.startswith("real"))
     body = []
     for table, rows in tables.items():
         for target in targets(table):
@@ -184,9 +234,49 @@ def _plain(table: str) -> str:
 
 def _plans(config: Any) -> list[str]:
     """Return the floor plans of all scenarios in a training's settings."""
-    if isinstance(config, Mapping):
-        return list(dict.fromkeys(plan for value in config.values() for plan in _plans(value)))
-    if isinstance(config, list):
-        return list(dict.fromkeys(plan for value in config for plan in _plans(value)))
+    if isinstance(config, Mapping | list):
+        values = config.values() if isinstance(config, Mapping) else config
+        return list(dict.fromkeys(plan for value in values for plan in _plans(value)))
     result = re.findall(r"map=(?:\[([^]]*)\]|([^,\s]+))", config) if isinstance(config, str) else []
     return [plan.strip() for several, one in result for plan in (several or one).split(",")]
+
+
+MOST = 1.15
+"""How much larger ADE may become by training in the loop."""
+
+
+def forecasts(policies: Iterable[str]) -> ResultTable | None:
+    """Return ADE of the most likely forecast beside that of the weights before, None where there are none.
+
+    Both cards have to tell of the same windows by the same protocol; ``pedzoo evaluate NAME --from-card``
+    measures them again.
+
+    Args:
+        policies: Any; those that are no weights of the zoo, or began with none, are left out.
+    """
+    body = []
+    for name in dict.fromkeys(parse(policy).name for policy in policies):
+        entry = find(name)
+        begun = (entry.card.training["overrides"] or {}).get("weights") if entry else None
+        before = find(begun) if isinstance(begun, str) else None
+        if entry is None or before is None:
+            continue
+        theirs = [(report["protocol"], ade) for report, ade in _errors(before.card.evaluations)]
+        for report, ade in _errors(entry.card.evaluations):
+            other = next((value for protocol, value in theirs if protocol == report["protocol"]), None)
+            if other is None:
+                continue
+            ratio = ade / other
+            met = "met" if ratio <= MOST else f"{ratio:.3f}, not at most {MOST}"
+            where = f"{report['protocol']['fold']} {report['protocol']['split']}"
+            body.append([name, where, met, f"{ade:.4f}", before.card.name, f"{other:.4f}", f"{ratio:.3f}"])
+    title = f"forecasts: ade_m at most {MOST} x that of the weights before (cards, goal of the window's end)"
+    head = ["weights", "windows", "target", "ade_m", "before", "ade_m", "ratio"]
+    return ResultTable(title, head, body, 2) if body else None
+
+
+def _errors(evaluations: Iterable[dict[str, Any]]) -> list[tuple[dict[str, Any], float]]:
+    """Return the reports of forecasts on a card with their ADE."""
+    reports = [one for one in evaluations if one["command"] == "forecast"]
+    values = [one["rows"][0]["metrics"].get("ade_m") for one in reports]
+    return [(one, value) for one, value in zip(reports, values, strict=True) if value is not None]

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
-from io import BytesIO
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 from matplotlib.figure import Figure
 
-from pedzoo.core.paths import write_atomically
 from pedzoo.eval.cards import only
 from pedzoo.eval.results import ResultTable
-from tools.paper.suites.transfer import PLACES, REACTING, RECORDED, Transfer
-from tools.paper.walked import Walked
+from tools.paper.base import Walked, save
+from tools.paper.suites import PLACES, REACTING, RECORDED, Transfer
 from tools.zoo.robots import PEOPLE, SEEDS
 
 COLUMNS: Sequence[tuple[str, str]] = (
@@ -31,8 +31,6 @@ SHOWN = {
 }
 """Metrics of the tables, with digits."""
 
-_SEED = re.compile(r"-seed\d+$")
-
 
 class RobotTransfer(Walked):
     """Robots trained among each kind of people x people whom they are tested among."""
@@ -48,9 +46,8 @@ class RobotTransfer(Walked):
     def notes(self) -> list[str]:
         """Return what has to be known to read the numbers."""
         kinds = "; ".join(f"{kind}: `{people}`" for kind, people in PEOPLE.items())
-        places = "; ".join(
-            f"{name}: {place.title}, `{place.scenario}`" for name, place in ({**PLACES, **RECORDED}).items()
-        )
+        everywhere = {**PLACES, **RECORDED}
+        places = "; ".join(f"{name}: {title}, `{scene}`" for name, (title, scene, _) in everywhere.items())
         return [
             f"people: {kinds}",
             f"places: {places}",
@@ -77,7 +74,10 @@ class RobotTransfer(Walked):
         groups = grouped(self.evaluation.report()["rows"])
         if not groups:
             return []
-        values = [[_mean(rows, "success", *column) for column in COLUMNS] for rows in groups.values()]
+        values = [
+            [fmean(_values(rows, "success", column) or [math.nan]) for column in COLUMNS]
+            for rows in groups.values()
+        ]
         figure = Figure(figsize=(0.62 * len(COLUMNS) + 2.6, 0.42 * len(groups) + 2.2), layout="constrained")
         axes = figure.subplots()
         image = axes.imshow(values, vmin=0.5, vmax=1, cmap="viridis", aspect="auto")
@@ -91,11 +91,7 @@ class RobotTransfer(Walked):
                 axes.text(x, y, f"{value:.2f}", ha="center", va="center", fontsize=8, color=colour)
         axes.set_title("success; mean over trainings")
         figure.colorbar(image, ax=axes, shrink=0.8)
-        data = BytesIO()
-        figure.savefig(data, format="png", dpi=130)
-        path = folder / f"{self.stem}.png"
-        write_atomically(path, data.getvalue())
-        return [path]
+        return save(figure, folder / f"{self.stem}.png", dpi=130)
 
 
 def transfer_pages(rows: Sequence[Mapping[str, Any]]) -> list[ResultTable]:
@@ -105,7 +101,15 @@ def transfer_pages(rows: Sequence[Mapping[str, Any]]) -> list[ResultTable]:
         return []
     head = ["robot", *(f"{place}\n{kind}" for place, kind in COLUMNS)]
     tables = [
-        ResultTable(title, head, [[name, *_cells(tested, key, digits)] for name, tested in groups.items()], 1)
+        ResultTable(
+            title,
+            head,
+            [
+                [name, *(_spread(_values(tested, key, one), digits) for one in COLUMNS)]
+                for name, tested in groups.items()
+            ],
+            1,
+        )
         for key, (title, digits) in SHOWN.items()
     ]
     return [_answer(groups), *tables]
@@ -120,21 +124,12 @@ def grouped(rows: Sequence[Mapping[str, Any]]) -> dict[str, Group]:
     result: dict[str, dict[tuple[str, str], list[Mapping[str, Any]]]] = {}
     for row in rows:
         where = row["case"]["place"], row["case"]["people"]
-        result.setdefault(_SEED.sub("", row["name"]), {}).setdefault(where, []).append(row)
+        result.setdefault(re.sub(r"-seed\d+$", "", row["name"]), {}).setdefault(where, []).append(row)
     return {name: cases for name, cases in result.items() if all(column in cases for column in COLUMNS)}
 
 
-def _values(rows: Group, key: str, place: str, kind: str) -> list[float]:
-    return [row["metrics"][key] for row in rows[place, kind] if key in row["metrics"]]
-
-
-def _mean(rows: Group, key: str, place: str, kind: str) -> float:
-    values = _values(rows, key, place, kind)
-    return sum(values) / len(values) if values else float("nan")
-
-
-def _cells(rows: Group, key: str, digits: int) -> list[str]:
-    return [_spread(_values(rows, key, *column), digits) for column in COLUMNS]
+def _values(rows: Group, key: str, column: tuple[str, str]) -> list[float]:
+    return [row["metrics"][key] for row in rows[column] if key in row["metrics"]]
 
 
 def _spread(values: Sequence[float], digits: int) -> str:
@@ -150,31 +145,15 @@ def _answer(groups: Mapping[str, Group]) -> ResultTable:
     places = [*PLACES, *RECORDED]
 
     def means(rows: Group, key: str) -> list[list[float]]:
-        """Return means over kinds, for each training, of each place."""
-        trainings = min(len(cases) for cases in rows.values())
-        return [
-            [
-                sum(values) / len(values)
-                for number in range(trainings)
-                if (
-                    values := [
-                        _values(rows, key, *column)[number] for column in COLUMNS if column[0] == place
-                    ]
-                )
-            ]
-            for place in places
-        ]
+        """Return the mean over kinds in each place, of every training."""
+        by_place = [[_values(rows, key, one) for one in COLUMNS if one[0] == place] for place in places]
+        return [[fmean(training) for training in zip(*kinds, strict=False)] for kinds in by_place]
 
     body = []
     for name, rows in groups.items():
-        by_place = means(rows, "success")
-        overall = [sum(seed) / len(seed) for seed in zip(*by_place, strict=True)]
-        touches = [sum(seed) / len(seed) for seed in zip(*means(rows, "collision_person"), strict=True)]
-        body.append(
-            [name, *(_spread(values, 3) for values in (overall, touches)), *(_spread(v, 2) for v in by_place)]
-        )
+        by_place, touches = means(rows, "success"), means(rows, "collision_person")
+        overall = [[fmean(training) for training in zip(*one, strict=False)] for one in (by_place, touches)]
+        body.append([name, *(_spread(one, 3) for one in overall), *(_spread(one, 2) for one in by_place)])
     body.sort(key=lambda line: -float(line[1].split()[0]))
-    head = ["robot", "success everywhere", "touches a person", *places]
-    return ResultTable(
-        "Among whom should a robot learn? Success, mean over all kinds of people", head, body, 1
-    )
+    title = "Among whom should a robot learn? Success, mean over all kinds of people"
+    return ResultTable(title, ["robot", "success everywhere", "touches a person", *places], body, 1)

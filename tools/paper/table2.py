@@ -8,10 +8,9 @@ from typing import Any, NamedTuple
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.eval.results import ResultTable, cell
 from pedzoo.eval.suites.goals import CELLS
-from tools.paper.base import interval_text
-from tools.paper.paper import DEFAULT_STEPS_PER_GOAL, IGIBSON_STEP, TABLE_2_GOALS, TABLE_2_STEPS
-from tools.paper.suites.table2 import SPEEDS
-from tools.paper.walked import Walked
+from tools.paper.base import Walked, interval_text
+from tools.paper.published import DEFAULT_STEPS_PER_GOAL, IGIBSON_STEP, TABLE_2_GOALS, TABLE_2_STEPS
+from tools.paper.suites import SPEEDS
 
 STEPS = (IGIBSON_STEP, STEP_SECONDS)
 """Seconds of a step of iGibson, and of a decision of a learned model."""
@@ -87,7 +86,8 @@ class Table2(Walked):
         return [self._page(report, speed, shown) for speed in SPEEDS for shown in SHOWN]
 
     def _page(self, report: Mapping[str, Any], speed: str, shown: Shown) -> ResultTable:
-        body = [] if shown.key not in _PAPER else [[PAPER, *(_PAPER[shown.key](*cell) for cell in CELLS)]]
+        printed = [_printed(shown.key, *cell) for cell in CELLS]
+        body = [[PAPER, *printed]] if all(printed) else []
         columns = [
             self.case_rows(report, speed=speed, people=str(people), goals=str(goals))
             for people, goals in CELLS
@@ -108,14 +108,12 @@ def _cell(row: Mapping[str, Any] | None, shown: Shown) -> str:
         return "-"
     if not shown.in_steps:
         return cell(row, shown.key)
-    return "\n".join(_steps_text(row, shown.key, step) for step in STEPS)
-
-
-def _steps_text(row: Mapping[str, Any], key: str, step: float) -> str:
-    value, ends = row["metrics"][key], row["ci95"].get(key, ())
-    text = f"{in_steps(value, step):.0f} {interval_text([in_steps(end, step) for end in ends], 0)}".strip()
-    share = f" ({in_steps(value, step) / DEFAULT_STEPS_PER_GOAL:.0%})" if key == "seconds_per_goal" else ""
-    return text + share
+    value, ends, lines = row["metrics"][shown.key], row["ci95"].get(shown.key, ()), []
+    for step in STEPS:
+        text = f"{in_steps(value, step):.0f} {interval_text([in_steps(end, step) for end in ends], 0)}"
+        share = f" ({in_steps(value, step) / DEFAULT_STEPS_PER_GOAL:.0%})"
+        lines.append(text.strip() + share * (shown.key == "seconds_per_goal"))
+    return "\n".join(lines)
 
 
 def steps_per_goal_at_most(people: int, goals: int) -> float:
@@ -123,18 +121,11 @@ def steps_per_goal_at_most(people: int, goals: int) -> float:
     return TABLE_2_STEPS[people, goals] / TABLE_2_GOALS[people, goals]
 
 
-def _paper_total(people: int, goals: int) -> str:
-    return str(TABLE_2_STEPS[people, goals])
-
-
-def _paper_per_goal(people: int, goals: int) -> str:
+def _printed(key: str, people: int, goals: int) -> str:
+    """Return a cell of the paper's own row, '' for what it has not."""
     steps = steps_per_goal_at_most(people, goals)
-    return f"at most {steps:.0f} ({steps / DEFAULT_STEPS_PER_GOAL:.0%})"
-
-
-def _paper_goals(people: int, goals: int) -> str:
-    return f"at least {TABLE_2_GOALS[people, goals]}"
-
-
-_PAPER = {"time_s": _paper_total, "seconds_per_goal": _paper_per_goal, "goals_per_person": _paper_goals}
-"""Cells of the paper's own row."""
+    return {
+        "time_s": str(TABLE_2_STEPS[people, goals]),
+        "seconds_per_goal": f"at most {steps:.0f} ({steps / DEFAULT_STEPS_PER_GOAL:.0%})",
+        "goals_per_person": f"at least {TABLE_2_GOALS[people, goals]}",
+    }.get(key, "")

@@ -1,0 +1,354 @@
+"""Forecasts on the five folds of ETH/UCY: Table I of the paper, and forecasts with a floor under them.
+
+Both stand beside what others have printed, and beside trivial lines.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import redirect_stdout
+from functools import lru_cache
+from pathlib import Path
+from statistics import fmean
+from typing import Any, ClassVar, NamedTuple, cast
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+
+from pedzoo.core.batch import agents_of
+from pedzoo.core.errors import UserError
+from pedzoo.core.paths import shipped
+from pedzoo.core.types import GoalProtocol
+from pedzoo.data.datamodule import TrajectoryDataModule
+from pedzoo.eval.forecast import BASELINES, FLOOR, BlockSums, forecast_row
+from pedzoo.eval.results import ResultTable, mean_interval
+from pedzoo.eval.suites.replay import digest_of
+from pedzoo.eval.work_units import fingerprint
+from pedzoo.metrics.forecast import NegativeLogLikelihood
+from pedzoo.metrics.statistics import FEWEST, Interval
+from pedzoo.models.base import known_displacements, true_displacements
+from pedzoo.models.zoo.loading import load
+from pedzoo.models.zoo.store import find
+from tools.paper.base import Jobs
+from tools.paper.forecast_pages import NATS, floor_notes, floor_pages, table1_notes, table1_pages
+from tools.paper.published import FOLDS, PEERS, RELEASED, TABLE_1
+
+SAMPLES = 20
+
+NETWORKS = ("anchor_mlp", "anchor_net")
+
+RECORD = "FORECAST.json"
+"""Every training seed of the zoo on the test scenes, by ``tools/zoo/train_zoo.py table``."""
+
+
+class Block(NamedTuple):
+    """What is compared under one protocol.
+
+    Attributes:
+        pred_len: Predicted steps of 0.4 s.
+        goal: Goal protocol.
+        models: Architectures, one row each.
+        tag: The end of their weights' names, behind the fold.
+    """
+
+    pred_len: int
+    goal: GoalProtocol
+    models: tuple[str, ...]
+    tag: str = ""
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The untrained predictors that stand beside them."""
+        return BASELINES if self.goal != "none" else BASELINES[:1]
+
+
+class Job(NamedTuple):
+    """One model on one fold under one protocol: the smallest part that is kept.
+
+    Attributes:
+        row: What the row is called.
+        weights: What is loaded.
+        fold: The test scene.
+        goal: Goal protocol.
+        pred_len: Predicted steps.
+        samples: K.
+        seed: Of the samples.
+        root: Folder with recordings.
+    """
+
+    row: str
+    weights: str
+    fold: str
+    goal: GoalProtocol
+    pred_len: int
+    samples: int
+    seed: int
+    root: str | None
+
+    @property
+    def label(self) -> str:
+        """What is said while it is done."""
+        return f"{self.fold}, 8 -> {self.pred_len}, {self.goal}: {self.row}"
+
+
+class Table1(Jobs):
+    """Every model of the zoo that was trained for a fold, on that fold."""
+
+    title = "Table I: forecasts on ETH/UCY, leave one scene out"
+    stem = "TABLE1"
+    # 12 steps are for the comparison with the released models, which have no goal
+    blocks: ClassVar[tuple[Block, ...]] = (
+        Block(8, "none", (FLOOR, "sgan", "sgan_pool", "social_vrnn")),
+        Block(8, "window_end", (FLOOR, "sgan_goal", "sgan_goal_map", "sgan_goal_map_alexnet")),
+        Block(8, "destination", (FLOOR, "sgan_goal"), "_destination"),
+        Block(12, "none", (FLOOR, "sgan", "sgan_pool"), "_pred12"),
+    )
+
+    def __init__(
+        self,
+        folds: Sequence[str] = FOLDS,
+        seed: int = 0,
+        root: str | None = None,
+        journal: Path | None = None,
+    ) -> None:
+        """Say what is to be done.
+
+        Args:
+            folds: Test scenes.
+            seed: Of the random samples.
+            root: Folder with recordings; None for the usual places.
+            journal: A file that keeps finished parts.
+
+        Raises:
+            UserError: A fold has no recordings.
+        """
+        self.folds, self.seed = tuple(folds), seed
+        self.missing: dict[str, str] = {}
+        jobs: dict[str, Job] = {}
+        recordings = {fold: digest_of(fold, root) for fold in self.folds}
+        for fold in self.folds:
+            for block in self.blocks:
+                for row, weights, digest in self._rows(block, fold):
+                    job = Job(row, weights, fold, block.goal, block.pred_len, SAMPLES, seed, root)
+                    jobs[fingerprint(job._replace(root=None), digest, recordings[fold])] = job
+        super().__init__(jobs, work, journal, lambda job: (job.fold, job.pred_len))
+
+    def _rows(self, block: Block, fold: str) -> list[tuple[str, str, str]]:
+        """Return name, weights and their sum of all rows of a block that can be made."""
+        rows = [(name, name, "") for name in block.lines]
+        for architecture in block.models:
+            # the floor sees no goal: it is the same for all protocols
+            tag = block.tag.removesuffix("_destination") if architecture == FLOOR else block.tag
+            weights = f"{architecture}.{fold}{tag}"
+            if entry := find(weights):
+                rows.append((architecture, weights, entry.card.sha256))
+            else:
+                self.missing[weights] = "no such weights"
+        return rows
+
+    def report(self) -> dict[str, Any]:
+        """Return all rows, means over folds, and what others have printed."""
+        missing = self.missing | {row["weights"]: row["missing"] for row in self.rows if "missing" in row}
+        rows = [row for row in self.rows if "missing" not in row]
+        protocol = {"folds": list(self.folds), "obs_len": 8, "samples": SAMPLES, "split": "test"}
+        protocol |= {"clock": "benchmark", "keep_people": "complete", "min_people": 2}
+        blocks = [
+            {
+                "pred_len": str(one.pred_len),
+                "goal": one.goal,
+                "tag": one.tag,
+                "rows": [*one.lines, *one.models],
+            }
+            for one in self.blocks
+        ]
+        report = {"protocol": protocol, "seeds": [self.seed], "notes": [], "missing": missing}
+        report |= {"blocks": blocks, "rows": rows, "means": means(rows, self.folds)}
+        return report | self._beside(report)
+
+    def _beside(self, report: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the notes of a report, and what stands beside its rows."""
+        known = {name: _training(name) for name in sorted({row["weights"] for row in report["rows"]})}
+        return {
+            "notes": table1_notes(report["missing"]),
+            "training_seeds": {name: seeds for name, seeds in known.items() if seeds},
+            "paper": TABLE_1,
+            "released": RELEASED,
+        }
+
+    def pages(self, report: Mapping[str, Any]) -> list[ResultTable]:
+        """Return the tables."""
+        return table1_pages(report)
+
+
+class Forecasting(Table1):
+    """The zoo's forecasters on every fold, with the spread over training seeds, beside published rows."""
+
+    title = "Forecasting with a floor: best of 20 on ETH/UCY, leave one scene out"
+    stem = "FORECASTING"
+    blocks: ClassVar[tuple[Block, ...]] = (
+        Block(12, "none", (FLOOR, *NETWORKS, "sgan"), "_pred12"),
+        Block(8, "none", (FLOOR, *NETWORKS)),
+        Block(8, "destination", ("anchor_net_goal", "sgan_goal"), "_destination"),
+        Block(8, "window_end", ("anchor_net_goal", "sgan_goal")),
+    )
+
+    def _rows(self, block: Block, fold: str) -> list[tuple[str, str, str]]:
+        """Return the rows of a block; with a goal where the zoo has the network that it is about."""
+        if block.goal != "none" and not find(f"anchor_net_goal.{fold}{block.tag}"):
+            self.missing[f"anchor_net_goal.{fold}{block.tag}"] = "no such weights"
+            return []
+        return super()._rows(block, fold)
+
+    def _beside(self, report: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the notes of a report, the training seeds on record, and the published rows."""
+        notes = floor_notes(report["missing"])
+        return {"notes": notes, "training": trainings(self.folds), "published": PEERS}
+
+    def pages(self, report: Mapping[str, Any]) -> list[ResultTable]:
+        """Return the tables."""
+        return floor_pages(report)
+
+
+def work(job: Job) -> list[dict[str, Any]]:
+    """Do a part and return its one row, or why it cannot be made."""
+    started = time.perf_counter()
+    where = {"fold": job.fold, "goal": job.goal, "pred_len": str(job.pred_len)}
+    row: dict[str, Any] = {"weights": job.weights}
+    try:
+        model = load(job.weights, job.goal)
+        with redirect_stdout(io.StringIO()):  # counts of windows and people: each row has its n
+            data = _data(job.fold, job.goal, job.pred_len, job.root)
+            row |= forecast_row(job.row, model, data, job.samples, job.seed)
+            if (job.row, job.goal) == (BASELINES[0], "none"):  # it has no likelihood of its own
+                row["metrics"][NATS], ends = line_likelihood(data)
+                row["ci95"] |= ends
+        test = data.sets["test"]
+        row |= {"case": where, "windows": len(test), "blocks": BlockSums(test).count}
+    except UserError as error:  # such as AlexNet's convolutions, which are not in the weights
+        row |= {"missing": str(error)}
+    return [row | {"seconds": round(time.perf_counter() - started, 2)}]
+
+
+@lru_cache(maxsize=1)
+def _data(fold: str, goal: GoalProtocol, pred_len: int, root: str | None) -> TrajectoryDataModule:
+    return TrajectoryDataModule(fold, root, pred_len=pred_len, goal=goal)
+
+
+def _training(name: str) -> dict[str, Any] | None:
+    """Return what a card says about the seeds that were trained, None where it does not."""
+    entry = find(name)
+    if entry is None or not entry.card.training["seeds"]:
+        return None
+    return {key: cast("Any", entry.card.training[key]) for key in ("seeds", "seed", "chosen_by")}
+
+
+def means(rows: Sequence[dict[str, Any]], folds: Sequence[str]) -> list[dict[str, Any]]:
+    """Return the mean over the folds of every row that all of them have, with its interval.
+
+    Each fold counts the same. ``blocks`` is the smallest number of blocks of time among them. A fold of
+    fewer than `FEWEST` has no interval, and so nothing that it is part of has one.
+    """
+    grouped: dict[tuple[str, str, str], dict[str, dict[str, Any]]] = {}
+    for row in rows:
+        key = row["name"], row["case"]["goal"], row["case"]["pred_len"]
+        grouped.setdefault(key, {})[row["case"]["fold"]] = row
+    result = []
+    for (name, goal, pred_len), by_fold in grouped.items():
+        if len(folds) < 2 or set(by_fold) != set(folds):
+            continue
+        mine = [by_fold[fold] for fold in folds]
+        metrics, ci95, blocks = {}, {}, min(row["blocks"] for row in mine)
+        for key in mine[0]["metrics"]:
+            values = [row["metrics"][key] for row in mine]
+            metrics[key] = sum(values) / len(values)
+            if blocks < FEWEST:
+                continue
+            # who is always exactly right has no interval either
+            ends = [row["ci95"].get(key, (value, value)) for row, value in zip(mine, values, strict=True)]
+            low, high = mean_interval(values, ends)
+            ci95 |= {key: (low, high)} if low < high else {}
+        case = {"fold": "mean", "goal": goal, "pred_len": pred_len}
+        n = sum(row["n"] for row in mine)
+        row = {"name": name, "case": case, "n": n, "blocks": blocks, "metrics": metrics, "ci95": ci95}
+        result.append(row)
+    return result
+
+
+def trainings(folds: tuple[str, ...]) -> list[dict[str, Any]]:
+    """Return the errors of every training seed on the test scenes, by fold, and their means over the folds.
+
+    Each has ``name``, ``case`` and ``seeds``: the metrics of seed 0, 1, ... A mean is of as many seeds as all
+    folds have.
+    """
+    record = shipped("checkpoints") / "results" / RECORD
+    models = {(block.pred_len, block.goal): block.models for block in Forecasting.blocks}
+    result: list[dict[str, Any]] = []
+    by_case: dict[tuple[str, str, str], list[list[dict[str, float]]]] = {}
+    for row in json.loads(record.read_text())["rows"]:
+        case = {"pred_len": 8} | row["case"]
+        name = row["name"].removesuffix("_destination")
+        wanted = name in models.get((case["pred_len"], case["goal"]), ()) and case["fold"] in folds
+        if not wanted or "per_seed" not in row:
+            continue
+        values, case["pred_len"] = row["per_seed"], str(case["pred_len"])
+        seeds = [{key: values[key][seed] for key in values} for seed in range(row["seeds"])]
+        result.append({"name": name, "case": case, "seeds": seeds})
+        by_case.setdefault((name, case["goal"], case["pred_len"]), []).append(seeds)
+    for (name, goal, pred_len), of_folds in by_case.items():
+        if len(of_folds) < max(2, len(folds)):
+            continue
+        together = zip(*of_folds, strict=False)
+        seeds = [{key: fmean(one[key] for one in each) for key in each[0]} for each in together]
+        case = {"fold": "mean", "goal": goal, "pred_len": pred_len}
+        result.append({"name": name, "case": case, "seeds": seeds})
+    return result
+
+
+# A trivial density for likelihoods to stand beside: constant velocity, and how far people stray from it
+
+LEAST = 0.02
+"""Metres per step: the smallest standard deviation, for people who stand at exactly one place."""
+
+
+def line_likelihood(data: TrajectoryDataModule) -> tuple[float, dict[str, Interval]]:
+    """Return minus the log density of the test windows, nats per person and step, and its 95 % interval.
+
+    Every displacement is Gaussian around the last observed one, alike in all directions and independent of
+    other steps, with the standard deviation that the training windows have at that step.
+    """
+    data.setup("fit")
+    data.setup("test")
+    scale = strayed(data)
+    metric, sums, loader = NegativeLogLikelihood(), BlockSums(data.sets["test"]), data.test_dataloader()
+    for draw, batch in zip(loader.sampler, loader, strict=True):
+        metric.update(log_density(batch, scale), known_displacements(batch))
+        sums.add(draw.scenes, {NATS: metric.latest})
+    return float(metric.compute()), sums.intervals()
+
+
+def strayed(data: TrajectoryDataModule) -> Tensor:
+    """Return the standard deviation (T,) of training windows' displacements from the last observed one."""
+    square = count = torch.zeros(data.pred_len)
+    for batch in data.train_dataloader():
+        known = known_displacements(batch)
+        square = square + _off(batch).square().mean(-1).where(known, 0).sum((0, 1))
+        count = count + known.sum((0, 1))
+    return (square / count).sqrt().clamp_min(LEAST)
+
+
+def log_density(batch: TensorDict, scale: Tensor) -> Tensor:
+    """Return every person's log density (B, A), nats, for standard deviations (T,), metres per step."""
+    squares = (_off(batch) / scale.unsqueeze(-1)).square().sum(-1)
+    nats = -0.5 * squares - 2 * scale.log() - math.log(2 * math.pi)
+    return nats.where(known_displacements(batch), 0).sum(-1)
+
+
+def _off(batch: TensorDict) -> Tensor:
+    """Return true displacements (B, A, T, 2) minus the last observed one."""
+    history = cast("Tensor", agents_of(batch)["history"])
+    return true_displacements(batch) - (history[:, :, -1:] - history[:, :, -2:-1])

@@ -1,0 +1,149 @@
+"""How two people meet: how they get past each other at a door, and what they settle between them.
+
+Pure functions over the 0.1 s trace of closed-loop episodes: E episodes of A people (padded), T trace points;
+gates and pairs as in `pedzoo.metrics.door`. Every episode at a door has exactly one outcome:
+
+* ``blocked``: not both arrive in time, and one of them was deadlocked.
+* ``lost``: not both arrive in time, though no person stood still.
+* ``through``: both arrive, but their centres came closer than the radius of a body (0.15 m): no avoidance.
+* ``circle``: both arrive, and while they were closer than 0.6 m the bearing of the other turned by 90 degrees
+  or more: they turn around each other.
+* ``pass``: both arrive at a distance, or one after the other.
+
+A choice is 0 or 1, NaN where it is not settled.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from pedzoo.metrics import arrival, contacts, door
+from pedzoo.metrics.ratios import Ratio, finite, ratio, share
+from pedzoo.sim.rollout import Rollout
+
+OUTCOMES = ("blocked", "lost", "through", "circle", "pass")
+
+ABOUT = 0.6
+"""Metres: people farther away are not turned around."""
+
+QUARTER = math.pi / 2
+"""Radians that the bearing turns at least where two turn around each other, or are past each other."""
+
+
+def pair_at_door(rollout: Rollout) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the gates, the pair that meets there, and where one does (E,) bool, see `pedzoo.metrics.door`.
+
+    Raises:
+        ValueError: The scenario has no door.
+    """
+    if rollout.gate is None:
+        raise ValueError("this is about a door, and this scenario has none")
+    return rollout.gate, *door.pair(rollout.path[:, :, 0], rollout.mask, rollout.gate)
+
+
+def outcome_ratios(rollout: Rollout) -> dict[str, Ratio]:
+    """Return ``outcome_blocked`` to ``outcome_pass``, shares of episodes, and ``bearing_sweep_deg``.
+
+    Errors are those of `pair_at_door`.
+    """
+    _, pair, meets = pair_at_door(rollout)
+    arrived = arrival.arrived_in_time(
+        rollout.reached, rollout.goals, rollout.overdue, rollout.failed, rollout.mask
+    )
+    stuck = arrival.deadlocked(rollout.trace, rollout.goal, rollout.scored)
+    near = contacts.least_distance(contacts.nearest(rollout.trace, rollout.present), rollout.scored).amin(1)
+    both = door.of_pair(rollout.scored, pair).all(1) & meets.unsqueeze(1)
+    sweep = bearing_sweep(door.of_pair(rollout.trace, pair), both)
+    body = door.of_pair(rollout.radius, pair).mean(1)
+    result = outcomes((arrived | ~rollout.mask).all(1), stuck.any(1), near, sweep, body)
+    return {
+        **{f"outcome_{name}": share(which) for name, which in result.items()},
+        "bearing_sweep_deg": finite(torch.rad2deg(sweep)),
+    }
+
+
+def outcomes(arrived: Tensor, stuck: Tensor, least: Tensor, sweep: Tensor, body: Tensor) -> dict[str, Tensor]:
+    """Return which episodes (E,) bool have each of the `OUTCOMES`.
+
+    Args:
+        arrived: Whether all arrive in time (E,) bool.
+        stuck: Whether any person was deadlocked (E,) bool.
+        least: Distance of the nearest two (E,), metres; infinite for a lone person.
+        sweep: How far their bearing turned (E,), radians; infinite where they never came close.
+        body: Mean radius of the two bodies (E,), metres.
+    """
+    overlapped, turned = least < body, sweep.isfinite() & (sweep >= QUARTER)
+    avoided = arrived & ~overlapped
+    result = (~arrived & stuck, ~arrived & ~stuck, arrived & overlapped, avoided & turned, avoided & ~turned)
+    return dict(zip(OUTCOMES, result, strict=True))
+
+
+def bearing_sweep(trace: Tensor, both: Tensor) -> Tensor:
+    """Return how far the bearing of the second from the first turns while they are close (E,), radians.
+
+    Turns to the left and to the right cancel each other. Infinite where they never come closer than 0.6 m.
+
+    Args:
+        trace: Positions of the two (E, 2, T, 2), metres.
+        both: Whether both are scored (E, T) bool.
+    """
+    apart = trace[:, 1] - trace[:, 0]
+    close = both & (apart.norm(dim=-1) < ABOUT)
+    return torch.where(close.any(1), _turn(apart, close).abs(), torch.inf)
+
+
+def first_through(rollout: Rollout) -> Tensor:
+    """Return which of the pair at a door passes it first (E,) float64, NaN where not both do.
+
+    0: who comes from the side that the door's normal points away from, however people are numbered. Errors
+    are those of `pair_at_door`.
+    """
+    gate, pair, met = pair_at_door(rollout)
+    seconds = door.of_pair(door.passing_seconds(rollout.path, rollout.scored, gate), pair)
+    both = seconds.isfinite().all(1) & met & (seconds[:, 0] != seconds[:, 1])
+    return (seconds[:, 1] < seconds[:, 0]).double().where(both, torch.nan)
+
+
+def passing_side(rollout: Rollout) -> Tensor:
+    """Return on which side the first two agents pass each other (E,) float64: 1 if each has the other left.
+
+    By where the bearing of the second from the first turns until the first of them arrives, whatever frame
+    they walk in. NaN where it turns by less than 90 degrees: they are not past each other.
+    """
+    both = (rollout.scored & rollout.underway)[:, :2].all(1)
+    apart = (rollout.path[:, 1] - rollout.path[:, 0]).double()
+    total = _turn(apart, torch.cat((both[:, :1], both), dim=1))
+    return (total > 0).double().where(total.abs() > QUARTER, torch.nan)
+
+
+def _turn(apart: Tensor, counted: Tensor) -> Tensor:
+    """Return how far (E,) offsets (E, T, 2) turn to the left between ``counted`` (E, T) bool, radians."""
+    step = torch.atan2(apart[..., 1], apart[..., 0]).diff(dim=1)
+    turned = torch.atan2(step.sin(), step.cos())
+    return turned.where(counted[:, 1:] & counted[:, :-1], 0.0).sum(1)
+
+
+def varied(settled: Tensor) -> dict[str, Ratio]:
+    """Return how often draws of noise settle a choice in different ways.
+
+    * ``varied``: share of scenes in which not all draws settle it the same way. ``disagreement``: the mean
+      over scenes of the share of pairs of draws that do not agree. Both of scenes in which at least two draws
+      settle it.
+    * ``settled``: share of all walks in which it is settled.
+
+    Args:
+        settled: The choice in every scene and draw of noise (E, D).
+    """
+    known = ~settled.isnan()
+    draws, ones = known.sum(1).double(), settled.nansum(1)
+    compared = draws >= 2
+    pairs = draws * (draws - 1)
+    apart = 2 * ones * (draws - ones) / pairs.clamp_min(1)
+    return {
+        "varied": share((ones > 0) & (ones < draws) & compared, compared),
+        "disagreement": finite(apart.where(compared, torch.inf)),
+        "settled": ratio(known, torch.ones_like(known)),
+    }

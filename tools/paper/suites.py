@@ -1,0 +1,363 @@
+"""The suites of the paper's tables, and of what controllers in the loop have to show, for ``--suite``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from pedzoo.core.spec import Spec, parse
+from pedzoo.eval.rollout import joined, prepare, walk
+from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, ShareDone, Suite, WorkUnit, prepared
+from pedzoo.eval.suites.goals import CELLS, EPISODES, GIVEN, POOL, Goals
+from pedzoo.eval.suites.replay import Replay, digest_of
+from pedzoo.eval.suites.robots import APARTMENTS, ROBOT, Robots
+from pedzoo.maps.plans import load_plan
+from pedzoo.metrics import arrival, contacts
+from pedzoo.metrics.closed_loop import closed_loop
+from pedzoo.metrics.ratios import Ratio, ratio, summarised
+from pedzoo.policies.load import load_policy
+from pedzoo.policies.walker import has_noise, walkers
+from pedzoo.sim.rollout import Rollout
+from tools.paper.meetings import OUTCOMES, first_through, outcome_ratios, passing_side, varied
+from tools.zoo.robots import PEOPLE
+
+Columns = ClassVar[tuple[str, ...]]
+
+# Table II
+
+APARTMENTS_2 = tuple(f"apartment.{seed}" for seed in range(3))
+"""Floor plans of Table II where none is given: every episode draws one of them."""
+
+SPEEDS = {"1.3": (1.3, 0.2), "0.5": (0.5, 0.0)}
+"""m/s, mean and deviation: as people walk, and as all of iGibson's do."""
+
+
+class Table2(Suite):
+    """Table II: each cell at both speeds, on the floor plans that are given or on three drawn ones."""
+
+    accepted_options: Columns = ("episodes", "maps")
+    columns: Columns = (
+        *("success", "episode_success", "time_s", "seconds_per_goal", "goals_per_person"),
+        *("agent_contacts_per_min", "wall_contacts_per_min"),
+    )
+
+    def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
+        """Return five cases for each speed.
+
+        Raises:
+            UserError: There is no such floor plan.
+        """
+        files = list(options.maps or APARTMENTS_2)
+        name = "drawn" if not options.maps else Path(files[0]).stem if len(files) == 1 else GIVEN
+        inputs = " ".join(load_plan(file).digest for file in files)
+        result = []
+        for speed, (mean, deviation) in SPEEDS.items():
+            for people, goals in CELLS:
+                cell = {"map": files, "people": people, "goals": goals, "pool": POOL}
+                case = self.case(
+                    options,
+                    f"{speed} m/s {people}/{goals}",
+                    Spec("goals", cell | {"speed": mean, "speed_std": deviation}),
+                    EPISODES,
+                    {"map": name, "speed": speed, "people": str(people), "goals": str(goals)},
+                    physics="bullet",
+                    inputs=inputs,
+                    effort=people * goals / mean,
+                    table=f"{self.name} {speed} m/s",
+                    shares=", ".join(files),
+                )
+                result.append(case)
+        return result
+
+    def more(self, rollout: Rollout) -> dict[str, Ratio]:
+        """Return ``seconds_per_goal``, of episodes in which every person reaches all goals in time."""
+        reached, goals, mask = rollout.reached, rollout.goals, rollout.mask
+        arrived = arrival.arrived_in_time(reached, goals, rollout.overdue, rollout.failed, mask)
+        last = arrival.episode_seconds(arrival.finish_seconds(reached, goals), arrived, mask)
+        return {"seconds_per_goal": ratio(*arrival.seconds_per_goal(last, reached, mask))}
+
+
+# Figure 4
+
+SPEED_RATIO = 0.7
+"""Speed of the one from the right, divided by that of the one from the left, where they are unequal."""
+
+_HEAD_ON = "door:offset=0,speed_std=0"
+NARROW_DOORS = {
+    "equal": _HEAD_ON,
+    "unequal": f"{_HEAD_ON},speed_ratio={SPEED_RATIO}",
+    "alone": f"{_HEAD_ON},people=1",
+}
+"""A single person has no one to avoid: a policy that is blocked there does not fit through the door."""
+
+
+class Figure4(Suite):
+    """Figure 4: two people of equal speed, two of unequal speed, and one alone, at a narrow door."""
+
+    accepted_options: Columns = ("episodes",)
+    headline: Columns = ("success", "agent_contact_episodes")
+    columns: Columns = (
+        *("success", *(f"outcome_{name}" for name in OUTCOMES)),
+        *("agent_contact_episodes", "wall_contact_episodes", "time_s", "least_distance_m"),
+        *("symmetry_index", "yield_delay_s", "bearing_sweep_deg"),
+    )
+
+    def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
+        """Return the three cases, each with a table of its own: a mean over them says nothing."""
+        return [
+            self.case(options, name, scenario, 100, {"speeds": name}, "bullet", table=f"{self.name} {name}")
+            for name, scenario in NARROW_DOORS.items()
+        ]
+
+    def more(self, rollout: Rollout) -> dict[str, Ratio]:
+        """Return how the two get past each other."""
+        return outcome_ratios(rollout)
+
+
+# Controllers in the loop
+
+_WIDE = "width=[0.7,0.8,0.9,1.0,1.1,1.2]"
+_SIDES = "offset=[-0.4,0.0,0.3,0.6]"
+_VARIED = f"{_WIDE},thickness=[0.1,0.15,0.2],{_SIDES}"
+_HARD = f"door:width=[0.7,0.75,0.8,0.85],thickness=[0.1,0.15,0.2],{_SIDES},away=[2.5,4],sync=0.4"
+
+DOORWAYS: dict[str, tuple[str, int, str, int]] = {
+    "varied": (f"door:{_VARIED},away=[2.5,4]", 1000, "bullet", 2),
+    "hard": (_HARD, 500, "bullet", 2),
+    "mirror": (f"door:{_VARIED},jitter=0,speed_std=0", 500, "bullet", 2),
+    "2 against 2": (f"door:{_VARIED},people=4", 200, "bullet", 4),
+    "3 against 1": (f"door:{_VARIED},people=4,from_right=1", 200, "bullet", 4),
+    "queue of 6": (f"door:{_VARIED},people=6,from_right=0", 200, "bullet", 6),
+    "standing": (f"standing:{_WIDE},{_SIDES}", 300, "bullet", 2),
+    "flow of 20": (
+        "room_exit:people=20,entering=0,width=[0.8,0.9,1.0,1.1,1.2]", 20, "compiled", 20,
+    ),
+}  # fmt: skip
+"""Scenario, episodes of a whole run, physics, and people in each episode."""
+
+
+class LoopDoors(Suite):
+    """Doors to hold up at: varied, hard, symmetric, crowded and obstructed ones, and the flow of a queue."""
+
+    accepted_options: Columns = ("episodes",)
+    headline: Columns = ("clean",)
+    columns: Columns = (
+        *("clean", "episode_success", "contact_free", "deadlock", "failed"),
+        *("agent_contact_episodes", "wall_contact_episodes", "time_ratio_median", "least_distance_m"),
+        *("symmetry_m", "yield_delay_s", "faster_first", "specific_flow_per_m_s", "acceleration_m_per_s2"),
+    )
+
+    def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
+        """Return one case for each doorway, with a table of its own: a mean over them says nothing."""
+        result = []
+        for name, (scenario, episodes, physics, people) in DOORWAYS.items():
+            more: dict[str, Any] = {"effort": float(people), "table": f"{self.name} {name}"}
+            result.append(self.case(options, name, scenario, episodes, {"doorway": name}, physics, **more))
+        return result
+
+
+CROWDS = {20: 6, 50: 4}
+"""People in an office, and episodes of a whole run."""
+
+OFFICES = tuple(f"office.{seed}" for seed in range(3))
+"""Where the crowds walk; every episode draws one of them."""
+
+
+class LoopBuildings(Goals):
+    """The cases of ``goals``, on floor plans that no training walks through, and crowds with fast physics."""
+
+    headline: Columns = ("episode_success", "contact_free")
+    columns: Columns = (
+        *("success", "episode_success", "contact_free", "clean", "deadlock", "failed"),
+        *("agent_contacts_per_min", "wall_contacts_per_min", "contacts_per_min"),
+        *("time_ratio", "time_ratio_median", "path_ratio"),
+    )
+
+    def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
+        """Return those of `Goals` and one for each crowd; errors as there."""
+        # of 40 places in an office few people have the same goal
+        settings: dict[str, Any] = {"map": list(OFFICES), "goals": 1, "pool": 40}
+        return super().cases(options) + [
+            self.case(
+                options,
+                f"crowd of {people}",
+                Spec("goals", settings | {"people": people}),
+                episodes,
+                {"map": "offices", "people": str(people), "goals": "1"},
+                effort=3.0 * people,
+                table=f"{self.name} crowd of {people}",
+                shares="offices",
+            )
+            for people, episodes in CROWDS.items()
+        ]
+
+    def more(self, rollout: Rollout) -> dict[str, Ratio]:
+        """Return ``contacts_per_min``: touches of others and of walls together."""
+        scored = rollout.scored
+        agents, walls = (
+            contacts.contact_events(which & scored) for which in (rollout.agent_contact, rollout.wall_contact)
+        )
+        return {"contacts_per_min": ratio(agents + walls, contacts.person_minutes(scored))}
+
+
+class LoopReplay(Replay):
+    """Recorded crowds, all simulated: each fold has a table of its own, because each has to look human."""
+
+    simulated: Columns = ("all",)
+    columns: Columns = (
+        *("realism", "success", "deadlock", "time_ratio_median", "closed_loop_ade_m"),
+        *("acceleration_p95_ratio", "acceleration_p99_ratio"),
+        *("agent_contact_excess", "agent_contact_excess_per_min", "wall_contact_excess_per_min"),
+    )
+
+    def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
+        """Return a case for each fold of which there are recordings, else for the embedded one."""
+        result = super().cases(options)
+        return [case._replace(table=f"{self.name} {case.case['fold']}") for case in result]
+
+
+DRAWS = 10
+"""Of the noise, for each scene."""
+
+ALSO = ("clean", "contact_free", "episode_success")
+"""What says whether variety costs safety."""
+
+CHOICES: dict[str, tuple[str, Callable[[Rollout], Tensor]]] = {
+    "who goes first": (_HARD, first_through),
+    "passing side": ("hallway:width=[2.0,2.5,3.0],aside=0.2,delay=0.5", passing_side),
+}
+"""What two people settle between them, at the hard door and nearly head-on in a corridor: where, and which
+way, of a rollout (E,) float64: 0 or 1, NaN where they did not settle it."""
+
+
+class LoopNoise(Suite):
+    """What a model's noise changes: the same scenes are walked with several draws of it.
+
+    A policy without noise would walk every scene alike: it has no rows.
+    """
+
+    accepted_options: Columns = ("episodes",)
+    counted: ClassVar[str] = "scenes"
+    headline: Columns = ("varied",)
+    columns: Columns = ("varied", "disagreement", "settled", *ALSO)
+
+    def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
+        """Return one case for each choice."""
+        result = []
+        for name, (scenario, _) in CHOICES.items():
+            more: dict[str, Any] = {"effort": 2.0 * DRAWS, "table": f"{self.name} {name}"}
+            result.append(self.case(options, name, scenario, 200, {"choice": name}, **more))
+        return result
+
+    def units(
+        self, case: EvaluationCase, policies: Any, seeds: tuple[int, ...], deterministic: bool
+    ) -> list[WorkUnit]:
+        """Return the work on a case, of policies that have noise."""
+        noisy = [] if deterministic else [name for name in policies if has_noise(load_policy(name))]
+        return super().units(case, noisy, seeds, deterministic)
+
+    def rows(self, unit: WorkUnit, tell: ShareDone | None = None) -> list[dict[str, Any]]:
+        """Walk one unit, ``n`` scenes with `DRAWS` draws of noise each.
+
+        ``varied``, ``disagreement`` and ``settled`` are those of `tools.paper.meetings.varied`. ``clean``,
+        ``contact_free`` and ``episode_success`` are of all walks; intervals are over scenes.
+        """
+        case, settle = unit.case, CHOICES[unit.case.name][1]
+        scenario, step = prepared(case.scenario, case.inputs), 0.0
+        paths, also = [], {key: [] for key in ALSO}
+        for draw in range(DRAWS):
+            walked = []
+            for number, seed in enumerate(unit.seeds):
+                policy, env = prepare(
+                    unit.walks, scenario, case.physics, case.episodes, seed, device=unit.device
+                )
+                for walker in walkers(policy):
+                    walker.noise_seed = draw
+                step = env.decision_dt
+                try:
+                    walked.extend(walk(policy, env, case.episodes))
+                finally:
+                    env.physics.close()
+                if tell:
+                    tell((draw + (number + 1) / len(unit.seeds)) / DRAWS)
+            rollout = joined(walked)
+            paths.append(settle(rollout))
+            result = closed_loop(rollout)
+            for key in ALSO:
+                also[key].append(result[key].above)
+        settled = torch.stack(paths, dim=1)
+        ratios: dict[str, Ratio] = varied(settled)
+        for key, values in also.items():
+            total = torch.stack(values, dim=1)
+            ratios[key] = ratio(total, torch.ones_like(total))
+        metrics, intervals = summarised(ratios)
+        row = {"name": unit.policy, "case": {}, "decision_dt_s": step, "n": len(settled), "draws": DRAWS}
+        return [row | {"metrics": metrics, "ci95": intervals, "per_agent": []}]
+
+
+# Robots
+
+FOLD = "zara1"
+"""The recorded crowd."""
+
+REACTING = "sgan"
+"""The kind of people that recorded people become where they react."""
+
+_TRAINED = ",".join(f"apartment.{seed}" for seed in range(10, 18))
+
+Places = Mapping[str, tuple[str, str, float]]
+"""What tables call a place, the scenario, and what an episode costs beside others."""
+
+PLACES: Places = {
+    "rooms": ("floor plans of training", f"goals:map=[{_TRAINED}],people=6,goals=1,pool=12", 7.0),
+    "doors": ("doors", "door:people=6", 5.0),
+    "unseen": ("floor plans never seen", f"goals:map=[{APARTMENTS}],people=6,goals=1,pool=12", 7.0),
+}
+"""By name; people of each of `PEOPLE` walk in all of them."""
+
+RECORDED: Places = {
+    "played back": ("recorded people who do not react", f"replay:fold={FOLD},simulated=one", 300.0),
+    "reacting": ("recorded people who react", f"replay:fold={FOLD},simulated=around", 900.0),
+}
+"""A robot takes the place of one person after the other."""
+
+
+class Transfer(Robots):
+    """Robots in each place with each kind of people; they may have learned among any of them."""
+
+    accepted_options: Columns = ("episodes", "robot")
+
+    def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
+        """Return a case for each place and kind of people, and two of a recorded crowd."""
+        kinds = [(place, kind) for place in PLACES for kind in PEOPLE]
+        result = []
+        for place, kind in [*kinds, *((place, REACTING) for place in RECORDED)]:
+            _, scenario, effort = {**PLACES, **RECORDED}[place]
+            case = self.case(
+                options,
+                f"{place} {kind}",
+                scenario,
+                50,
+                {"place": place, "people": kind},
+                effort=effort,
+                table=f"{self.name} {place}",
+                shares=place,
+                people=PEOPLE[kind],
+                robot=options.robot or ROBOT,
+            )
+            if place in RECORDED:  # as many episodes as there are
+                spec = parse(scenario)
+                if options.root is not None:  # in place of a text: `Spec` keeps commas in folders
+                    spec = spec._replace(settings=dict(spec.settings) | {"root": options.root})
+                digest = digest_of(FOLD, options.root)
+                case = case._replace(scenario=spec, inputs=digest, episodes=0)
+            result.append(case)
+        return result
+
+    def notes(self, options: EvaluationOptions, policies: Any) -> list[str]:
+        """Return which robot drives."""
+        return [f"the robot is {options.robot or ROBOT}; a touch ends its episode"]

@@ -1,1 +1,0 @@
-"""The suites of the paper's tables, and of what controllers in the loop have to show."""
