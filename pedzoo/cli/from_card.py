@@ -1,6 +1,6 @@
 """``pedzoo evaluate NAME --from-card``: the numbers on a model card, done again."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import groupby
 from typing import Any
 
@@ -9,7 +9,6 @@ from pedzoo.cli.progress import progress_bar
 from pedzoo.core.machine import versions
 from pedzoo.eval.cards import ComparedNumber, RepeatedReport, about, again, compare
 from pedzoo.eval.results import ResultTable
-from pedzoo.models.zoo.card import ModelCard
 from pedzoo.models.zoo.store import find, no_model
 
 _WORDS = {True: "yes", False: "NO", None: "no interval"}
@@ -30,72 +29,59 @@ def redo(names: Sequence[str], root: str | None, workers: int, json: str | None)
     Raises:
         UserError: A name without a card, or a card without numbers.
     """
-    cards = {name: _card(name) for name in names}
+    cards = {}
+    for name in names:
+        if (entry := find(name)) is None:
+            raise no_model(name, kind="model with a card")
+        cards[name] = entry.card
     rows: list[dict[str, Any]] = []
     agree = True
+    seeds = sorted({seed for card in cards.values() for one in card.evaluations for seed in one["seeds"]})
+    report = {"command": "evaluate", "protocol": {"from_card": list(cards)}, "seeds": seeds}
+    report |= {"versions": versions(), "rows": rows}
     for name, card in cards.items():
         with progress_bar() as progress:
             result = again(card, name, root, workers, progress)
         numbers = [number for one in result if one.now for number in compare(one.before, one.now)]
         rows += _rows(name, result, numbers)
         if json and json != "-":
-            write_json(json, _report(cards, rows))
-        if numbers:
-            print_tables([_page(name, numbers)])
-        for one in result:
-            _tell(one)
-        print(_summed_up(name, numbers))
+            write_json(json, report)
+        _tell(name, result, numbers)
         agree = agree and bool(numbers) and all(number.same is not False for number in numbers)
     if json == "-":
-        write_json(json, _report(cards, rows))
+        write_json(json, report)
     return int(not agree)
 
 
-def _report(cards: Mapping[str, ModelCard], rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    seeds = sorted({seed for card in cards.values() for one in card.evaluations for seed in one["seeds"]})
-    content = {"protocol": {"from_card": list(cards)}, "seeds": seeds, "versions": versions()}
-    return {"command": "evaluate", **content, "rows": list(rows)}
-
-
-def _card(name: str) -> ModelCard:
-    if entry := find(name):
-        return entry.card
-    raise no_model(name, kind="model with a card")
-
-
-def _page(name: str, numbers: Sequence[ComparedNumber]) -> ResultTable:
-    rows = [
+def _tell(name: str, result: Sequence[RepeatedReport], numbers: Sequence[ComparedNumber]) -> None:
+    """Print the table of a card, what a reader of it has to know, and the sum of it all."""
+    body = [
         [one.case, one.metric, _shown(one.card, one.interval), _shown(one.now), _WORDS[one.same]]
         for one in numbers
     ]
-    return ResultTable(name, ["case", "number", "card", "now", "same"], rows, 2)
+    if body:
+        print_tables([ResultTable(name, ["case", "number", "card", "now", "same"], body, 2)])
+    for one in result:
+        what = about(one.before["protocol"])
+        if not one.now:
+            print(f"{what}: skipped, {one.why}")
+            continue
+        then, now = one.before["versions"], one.now["versions"]
+        packages = [key for key in then if key != "commit" and then[key] != now.get(key)]
+        if changed := [f"{key} {then[key]} (here {now.get(key, 'absent')})" for key in packages]:
+            print(f"{what}: the card was made with {', '.join(changed)}")
+    if not numbers:
+        print(f"{name}: nothing of its card could be done again")
+        return
+    same, unsure = (sum(one.same is which for one in numbers) for which in (True, None))
+    text = f"{name}: {same} of {len(numbers)} numbers are those of the card"
+    print(text + f"; {unsure} differ and have no interval to judge by" * bool(unsure))
 
 
 def _shown(value: float | None, interval: Sequence[float] | None = None) -> str:
     if value is None:
         return "-"
     return f"{value:.4g}" + (f" [{interval[0]:.3g}, {interval[1]:.3g}]" if interval else "")
-
-
-def _tell(one: RepeatedReport) -> None:
-    """Print what a reader of the table has to know of an evaluation."""
-    what = about(one.before["protocol"])
-    if not one.now:
-        print(f"{what}: skipped, {one.why}")
-        return
-    then, now = one.before["versions"], one.now["versions"]
-    packages = [key for key in then if key != "commit" and then[key] != now.get(key)]
-    if changed := [f"{key} {then[key]} (here {now.get(key, 'absent')})" for key in packages]:
-        print(f"{what}: the card was made with {', '.join(changed)}")
-
-
-def _summed_up(name: str, numbers: Sequence[ComparedNumber]) -> str:
-    if not numbers:
-        return f"{name}: nothing of its card could be done again"
-    same = sum(one.same is True for one in numbers)
-    unsure = sum(one.same is None for one in numbers)
-    text = f"{name}: {same} of {len(numbers)} numbers are those of the card"
-    return text + f"; {unsure} differ and have no interval to judge by" * bool(unsure)
 
 
 def _rows(

@@ -83,15 +83,14 @@ def _dispatch(argv: list[str]) -> int:
         print(f"pedzoo {__version__}")
         return 0
     name, rest = argv[0], argv[1:]
-    package = COMMANDS.package_of(name)
-    if package is None:
+    if (module := COMMANDS.module_of(name)) is None:
         return COMMANDS.get(name)(rest)  # a plugin's function, or the error with the nearest name
     from pedzoo.cli.check import check_names
 
     check_names(name, rest)
     from pedzoo.cli.parsing import call
 
-    return call(import_module(f"{package}.{name}"), rest)
+    return call(import_module(module), rest)
 
 
 def overview() -> str:

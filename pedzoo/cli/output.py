@@ -13,7 +13,6 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.paths import CODECS, PAGES, PLOTS, REPORTS, check_ending, write_atomically
 
 if TYPE_CHECKING:
-    from rich.console import Console
     from rich.table import Table
 
     from pedzoo.eval.results import ResultTable, SuiteColumns
@@ -102,56 +101,52 @@ def print_report(report: dict[str, Any], only: Sequence[str] | None = None) -> N
     from pedzoo.cli.progress import plain_console
     from pedzoo.eval.results import ResultTable
 
-    rows = report["rows"]
-    known = dict.fromkeys(name for row in rows for name in row["metrics"])
-    metrics = [name for name in only if name in known] if only else list(known)
-    console = plain_console()
-    console.print(", ".join(f"{key} {value}" for key, value in report["protocol"].items()))
-    body = [
-        [_label(row), str(row["n"])]
-        + [f"{row['metrics'][name]:.3f}" if name in row["metrics"] else "-" for name in metrics]
-        for row in rows
-    ]
-    _print_page(console, ResultTable("", ["name", "n", *metrics], body, 2))
+    known = dict.fromkeys(name for row in report["rows"] for name in row["metrics"])
+    metrics, body = [name for name in only or known if name in known], []
+    for row in report["rows"]:
+        note = ", ".join(map(str, row["case"].values()))
+        label = f"{row['name']} ({note})" if note else row["name"]
+        values = [f"{row['metrics'][name]:.3f}" if name in row["metrics"] else "-" for name in metrics]
+        body.append([label, str(row["n"]), *values])
+    plain_console().print(", ".join(f"{key} {value}" for key, value in report["protocol"].items()))
+    print_tables([ResultTable("", ["name", "n", *metrics], body, 2)])
 
 
 def print_pages(report: dict[str, Any], shown: Mapping[str, SuiteColumns]) -> None:
-    """Print the tables of an evaluation under its protocol, as `print_tables` does.
-
-    Where the terminal is narrow an interval is written below its number.
-    """
+    """Print the tables of an evaluation under its protocol, as `print_tables` does."""
     from pedzoo.cli.progress import plain_console
     from pedzoo.eval.results import pages, protocol_line
 
-    console = plain_console()
     for line in [protocol_line(report, shown), *(f"note: {note}" for note in report["notes"])]:
-        console.print(line)
+        plain_console().print(line)
     print_tables(pages(report, shown))
 
 
 def print_tables(pages: Iterable[ResultTable]) -> None:
-    """Print tables: transposed where that needs fewer parts of the terminal's width than columns do."""
+    """Print tables: transposed where that needs fewer parts of the terminal's width than columns do.
+
+    Where the terminal is narrow an interval is written below its number.
+    """
     from pedzoo.cli.progress import plain_console
 
     console = plain_console()
     for page in pages:
-        _print_page(console, page)
+        if page.title:
+            console.print(f"\n{page.title}", style="bold")
+        head, *rows = map(list, zip(page.head, *page.rows, strict=True))
+        turned = page._replace(head=head, rows=rows, names=1)  # columns as rows
+        layouts = [
+            _tables(one, console.width, least) for one, least in ((page, 9), (turned, 64), (turned, 24))
+        ]
+        for table in min(layouts, key=len):
+            console.print(table)
 
 
 _NARROW = 120
 """Characters: on a terminal with fewer, intervals are below their numbers."""
 
 
-def _print_page(console: Console, page: ResultTable) -> None:
-    if page.title:
-        console.print(f"\n{page.title}", style="bold")
-    turned = _transposed(page)
-    layouts = (_tables(one, console.width, least) for one, least in ((page, 9), (turned, 64), (turned, 24)))
-    for table in min(layouts, key=len):
-        console.print(table)
-
-
-def _tables(page: ResultTable, width: int, least: int = 9) -> list[Table]:
+def _tables(page: ResultTable, width: int, least: int) -> list[Table]:
     """Return a page in as many parts as ``width`` characters need, names in each of them.
 
     Heads are broken at spaces, and at underscores where they are wider than ``least`` and their cells.
@@ -159,12 +154,20 @@ def _tables(page: ResultTable, width: int, least: int = 9) -> list[Table]:
     from rich.table import Table
 
     rows = [[cell.replace(" [", "\n[") for cell in row] if width < _NARROW else row for row in page.rows]
-    names, columns = range(page.names), range(page.names, len(page.head))
     cells = [max(_width(row[i]) for row in rows) for i in range(len(page.head))]
-    heads = [_head(head, max(cell, least)) for head, cell in zip(page.head, cells, strict=True)]
+    heads = [
+        "\n".join(_broken(part, max(cell, least)) for part in head.split(" "))
+        for head, cell in zip(page.head, cells, strict=True)
+    ]
     widths = [max(_width(head), cell) + 3 for head, cell in zip(heads, cells, strict=True)]
+    names, parts = list(range(page.names)), [list[int]()]
+    room = width - sum(widths[i] for i in names) - 1
+    for i in range(page.names, len(page.head)):
+        if parts[-1] and sum(widths[j] for j in (*parts[-1], i)) > room:
+            parts.append([])
+        parts[-1].append(i)
     result = []
-    for part in _parted(list(columns), widths, width - sum(widths[i] for i in names) - 1):
+    for part in parts:
         table = Table(show_lines=any("\n" in cell for row in rows for cell in row))
         for i in (*names, *part):
             table.add_column(heads[i], justify="left" if i == 0 else "right", no_wrap=i > 0, overflow="fold")
@@ -174,33 +177,8 @@ def _tables(page: ResultTable, width: int, least: int = 9) -> list[Table]:
     return result
 
 
-def _transposed(page: ResultTable) -> ResultTable:
-    """Return a page with its columns as rows, and its first names as columns."""
-    head, *rows = map(list, zip(page.head, *page.rows, strict=True))
-    return page._replace(head=head, rows=rows, names=1)
-
-
-def _head(name: str, width: int) -> str:
-    return "\n".join(_broken(part, width) for part in name.split(" "))
-
-
 def _width(text: str) -> int:
     return max(map(len, text.split("\n")))
-
-
-def _parted(columns: list[int], widths: list[int], width: int) -> list[list[int]]:
-    """Cut columns into parts of at most ``width`` characters."""
-    parts: list[list[int]] = [[]]
-    for i in columns:
-        if parts[-1] and sum(widths[j] for j in (*parts[-1], i)) > width:
-            parts.append([])
-        parts[-1].append(i)
-    return parts
-
-
-def _label(row: dict[str, Any]) -> str:
-    note = ", ".join(str(value) for value in row["case"].values())
-    return f"{row['name']} ({note})" if note else row["name"]
 
 
 def _broken(name: str, width: int) -> str:

@@ -38,33 +38,25 @@ def names_code(name: str) -> bool:
 
 
 class Registry:
-    """The drop-ins of a package's folder, by file name."""
+    """The classes of drop-ins, by the names of their files, or by their own."""
 
-    def __init__(self, kind: str, package: str, *more: str) -> None:
-        """Serve the files of a package.
+    def __init__(self, kind: str, *packages: str) -> None:
+        """Serve what some packages hold.
 
         Args:
             kind: The word for one of them in messages.
-            package: ``pedzoo.*``, or ``tools.*``, which only a checkout has; or a module, whose public
-                classes are served.
-            more: Other packages and modules, served, too; those of ``tools.*`` in a checkout alone.
+            packages: ``pedzoo.*``, whose files are served, or modules, whose public classes are; those of
+                ``tools.*`` are there in a checkout alone.
         """
-        self.kind = kind
-        self.package = package
-        self.folder = folder_of(package)
-        self._packages = (package, *more)
+        self.kind, self.package, self._packages = kind, packages[0], packages
 
     def names(self) -> list[str]:
         """Return all names in alphabetical order, without importing any of them."""
-        files = {path.stem for package in self._packages for path in folder_of(package).glob("[!_]*.py")}
-        files -= {package.rpartition(".")[2] for package in self._packages}  # modules of several drop-ins
-        return sorted(files | set(self._in_modules()) | set(self._plugins()))
+        return sorted({*self._homes(), *self._plugins()})
 
     def describe(self, name: str) -> str:
         """Return the first line of the drop-in's docstring, without importing it."""
-        package, (_, node) = self.package_of(name), self._in_modules().get(name, (None, None))
-        if package:
-            node = _parsed(package, name)
+        node = self._node(name)
         return (ast.get_docstring(node) or "").partition("\n")[0] if node else "plugin"
 
     def described(self, pattern: str) -> list[dict[str, str]]:
@@ -85,13 +77,10 @@ class Registry:
         file, colon, wanted = name.rpartition(".py:")
         if colon:
             path = file_of_code(f"{file}.py")
-            tree = ast.parse(path.read_text()) if path else None
+            node = ast.parse(path.read_text()) if path else None
         else:
-            package, wanted = self.package_of(name), name.replace("_", "")
-            tree = _parsed(package, name) if package else None
-            if name in self._in_modules():
-                tree = ast.Module([self._in_modules()[name][1]], [])
-        body = tree.body if tree else []
+            node, wanted = self._node(name), name.replace("_", "")
+        body = node.body if node else []
         classes = (one for one in body if isinstance(one, ast.ClassDef))
         for part in (body, *(one.body for one in classes if one.name.lower() == wanted.lower())):
             if value := _assigned(part, variable):
@@ -108,50 +97,73 @@ class Registry:
         Raises:
             UserError: No such name, file or class, with the nearest spelling; or no subclass of ``base``.
         """
-        cls = self._class(name)
-        if not issubclass(cls, base):
+        if names_code(name) or name.endswith(".py"):
+            found = _in_file(name, "class", inspect.isclass)
+        elif not (found := self._loaded(name)):
+            raise UserError(
+                f"{self.kind} file {name}.py has no class named like it (any capitals): "
+                f"{name.replace('_', '')}"
+            )
+        if not issubclass(found, base):
             wanted = f"{base.__module__}.{base.__qualname__}"
             raise UserError(f"{name!r} is no {self.kind}: expected a subclass of {wanted}")
-        return cls
+        return found
 
-    def _class(self, name: str) -> type:
-        if names_code(name) or name.endswith(".py"):
-            return _in_file(name, "class", inspect.isclass)
+    def module_of(self, name: str) -> str | None:
+        """Return the module that holds a drop-in, without importing it; None for plugins and unknown ones."""
+        return self._homes().get(name)
+
+    def _loaded(self, name: str) -> Any:
+        """Return what a plugin's or drop-in's name stands for; None where its file does not have it."""
         if (plugins := self._plugins()).get(name):
             return plugins[name].load()
-        if name in self._in_modules():
-            module, node = self._in_modules()[name]
-            return getattr(import_of_checkout(module), node.name)
-        package = self.package_of(name)
-        if package is None:
+        if (home := self.module_of(name)) is None:
             raise unknown(self.kind, name, self.names())
-        module = import_of_checkout(f"{package}.{name}")
-        wanted = name.replace("_", "")
-        for attribute, value in vars(module).items():
-            if isinstance(value, type) and attribute.lower() == wanted:
-                return value
-        raise UserError(f"{self.kind} file {name}.py has no class named like it (any capitals): {wanted}")
+        return self._find(vars(import_of_checkout(home)), name)
 
-    def package_of(self, name: str) -> str | None:
-        """Return the package whose file has a name, or None."""
-        if not name.isidentifier() or name.startswith("_"):
+    def _find(self, inside: dict[str, Any], name: str) -> Any:
+        wanted, classes = name.replace("_", ""), filter(lambda one: isinstance(one[1], type), inside.items())
+        return next((value for attribute, value in classes if attribute.lower() == wanted), None)
+
+    def _homes(self) -> dict[str, str]:
+        """Return the module of each drop-in by its name."""
+        homes: dict[str, str] = {}
+        for package in reversed(self._packages):
+            files = {path.stem: f"{package}.{path.stem}" for path in folder_of(package).glob("[!_]*.py")}
+            homes |= {name: home for name, home in files.items() if home not in self._packages}
+            homes |= dict.fromkeys(_public_classes(package), package)
+        return homes
+
+    def _node(self, name: str) -> ast.Module | ast.ClassDef | ast.FunctionDef | None:
+        """Return the code of a drop-in: its file, or its class in a file of several; None for plugins."""
+        if (home := self.module_of(name)) is None:
             return None
-        return next((one for one in self._packages if file_of_code(folder_of(one) / f"{name}.py")), None)
-
-    def _in_modules(self) -> dict[str, tuple[str, ast.ClassDef]]:
-        return {
-            name_of_class(node.name): (module, node)
-            for module in self._packages
-            for node in _public_classes(module)
-        }
+        return _public_classes(home)[name] if home in self._packages else _parsed(home)
 
     def _plugins(self) -> dict[str, Any]:
-        prefix = f"{self.kind}."
-        return {
-            point.name.removeprefix(prefix): point
-            for point in _entry_points()
-            if point.name.startswith(prefix)
-        }
+        points = (point for point in _entry_points() if point.name.startswith(f"{self.kind}."))
+        return {point.name.removeprefix(f"{self.kind}."): point for point in points}
+
+
+class FunctionRegistry(Registry):
+    """The functions of a package's files that carry the decorator named like the kind, as ``@metric()``."""
+
+    def names(self) -> list[str]:
+        """Return all names: files in alphabetical order, functions as they are written; plugins last."""
+        return list(dict.fromkeys((*self._homes(), *self._plugins())))
+
+    def get(self, name: str) -> Callable[..., Any]:
+        """Return the function behind a name, a plugin or ``path/to/file.py:function``; errors as there."""
+        return function_in_file(name) if names_code(name) or name.endswith(".py") else self._loaded(name)
+
+    def _find(self, inside: dict[str, Any], name: str) -> Any:
+        return inside[name]
+
+    def _homes(self) -> dict[str, str]:
+        return {name: home for name, (home, _) in _functions(self.package, self.kind).items()}
+
+    def _node(self, name: str) -> ast.FunctionDef | None:
+        return _functions(self.package, self.kind).get(name, (None, None))[1]
 
 
 def name_of_class(name: str) -> str:
@@ -160,48 +172,21 @@ def name_of_class(name: str) -> str:
 
 
 @cache
-def _public_classes(module: str) -> list[ast.ClassDef]:
-    """Return the public classes that a module defines; none of a package."""
-    path = folder_of(module).with_suffix(".py")
-    body = ast.parse(path.read_text()).body if path.is_file() else []
-    return [node for node in body if isinstance(node, ast.ClassDef) and not node.name.startswith("_")]
-
-
-class FunctionRegistry(Registry):
-    """The functions of a package's files that carry the decorator named like the kind, as ``@metric()``."""
-
-    def names(self) -> list[str]:
-        """Return all names: files in alphabetical order, functions as they are written; plugins last."""
-        return list(dict.fromkeys((*self._declared(), *self._plugins())))
-
-    def describe(self, name: str) -> str:
-        """Return the first line of a docstring, without importing the function."""
-        node = self._declared().get(name, (None, None))[1]
-        return (ast.get_docstring(node) or "").partition("\n")[0] if node else "plugin"
-
-    def get(self, name: str) -> Callable[..., Any]:
-        """Return the function behind a name, a plugin or ``path/to/file.py:function``; errors as there."""
-        if names_code(name) or name.endswith(".py"):
-            return function_in_file(name)
-        if (plugins := self._plugins()).get(name):
-            return plugins[name].load()
-        file, _ = self._declared().get(name, (None, None))
-        if file is None:
-            raise unknown(self.kind, name, self.names())
-        return getattr(import_of_checkout(f"{self.package}.{file}"), name)
-
-    def _declared(self) -> dict[str, tuple[str, ast.FunctionDef]]:
-        return _functions(self.package, self.kind)
+def _public_classes(module: str) -> dict[str, ast.ClassDef]:
+    """Return the public classes that a module defines by their names as drop-ins; none of a package."""
+    body = _parsed(module).body if folder_of(module).with_suffix(".py").is_file() else []
+    classes = (node for node in body if isinstance(node, ast.ClassDef) and not node.name.startswith("_"))
+    return {name_of_class(node.name): node for node in classes}
 
 
 @cache
 def _functions(package: str, decorator: str) -> dict[str, tuple[str, ast.FunctionDef]]:
-    """Return the file and the definition of every function that a decorator declares, by name."""
+    """Return the module and the definition of every function that a decorator declares, by name."""
     return {
-        node.name: (path.stem, node)
+        node.name: (f"{package}.{path.stem}", node)
         for path in sorted(folder_of(package).glob("[!_]*.py"))
         if f"@{decorator}(" in path.read_text()
-        for node in _parsed(package, path.stem).body
+        for node in _parsed(f"{package}.{path.stem}").body
         if isinstance(node, ast.FunctionDef)
         and any(ast.unparse(one).startswith(f"{decorator}(") for one in node.decorator_list)
     }
@@ -242,8 +227,8 @@ def _assigned(body: list[ast.stmt], variable: str) -> ast.expr | None:
     return None
 
 
-def _parsed(package: str, name: str) -> ast.Module:
-    return ast.parse((folder_of(package) / f"{name}.py").read_text())
+def _parsed(module: str) -> ast.Module:
+    return ast.parse(folder_of(module).with_suffix(".py").read_text())
 
 
 @cache  # reading the metadata of everything installed takes 30 ms
@@ -281,8 +266,7 @@ def absolute_name(text: str) -> str:
 def _in_file(spec: str, kind: str, wanted: Callable[[Any], bool]) -> Any:
     """Return what ``path/to/file.py:name`` defines, of the ``wanted`` kind: a class or a function."""
     file, _, name = spec.rpartition(":") if names_code(spec) else (spec, "", "")
-    path = file_of_code(file)
-    if path is None:
+    if (path := file_of_code(file)) is None:
         raise UserError(f"no file {file!r:.200} (from {spec!r:.200}): expected path/to/file.py:NAME")
     inside = _executed(path)
     known = {key: value for key, value in inside.items() if wanted(value)}

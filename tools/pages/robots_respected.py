@@ -14,11 +14,10 @@ import argparse
 import json
 import shlex
 import sys
-from collections.abc import Iterator
-from itertools import chain, product
+from itertools import product
 from pathlib import Path
 from statistics import median
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,30 +88,20 @@ class Run(NamedTuple):
     seconds: float
 
 
-class Row(NamedTuple):
-    """What came of the runs of one policy in one encounter; ``metrics`` by name, the unit last."""
-
-    name: str
-    case: str
-    n: int
-    metrics: dict[str, float]
+Block = tuple[float, float, float, float]
+"""A wall as a rectangle (x0, y0, x1, y1), metres."""
 
 
-def walls(place: str, encounter: str) -> list[tuple[float, float, float, float]]:
-    """Return the walls of a place as rectangles (x0, y0, x1, y1), metres: none in the open.
+def walls(place: str, encounter: str) -> list[Block]:
+    """Return the walls of a place: none in the open.
 
     A robot that crosses the corridor comes through another one, as wide.
     """
-    if place == "open":
-        return []
     half, end, deep = WIDTH / 2, LENGTH / 2, 8.0
-    if encounter != "crossing":
-        return room((-end, -half), (end, half), 0.2)
-    corners = [
-        (x0, y0, x1, y1)
-        for x0, x1 in ((-end, -half), (half, end))
-        for y0, y1 in ((-deep, -half), (half, deep))
-    ]
+    if place == "open" or encounter != "crossing":
+        return [] if place == "open" else room((-end, -half), (end, half), 0.2)
+    sides = (((-end, -half), (half, end)), ((-deep, -half), (half, deep)))
+    corners = [(x0, y0, x1, y1) for (x0, x1), (y0, y1) in product(*sides)]
     return [*room((-end, -deep), (end, deep), 0.2), *corners]
 
 
@@ -148,9 +137,7 @@ def closest(away: NDArray[np.float64], move: NDArray[np.float64]) -> float:
     return float(np.linalg.norm(away + part * move))
 
 
-def slid(
-    place: NDArray[np.float64], move: NDArray[np.float64], blocks: list[tuple[float, float, float, float]]
-) -> NDArray[np.float64]:
+def slid(place: NDArray[np.float64], move: NDArray[np.float64], blocks: list[Block]) -> NDArray[np.float64]:
     """Return where a person comes who slides along walls."""
     for part in (move, move * (1, 0), move * (0, 1)):
         end = place + part
@@ -160,19 +147,18 @@ def slid(
     return place
 
 
-def rows(policy: str, places: list[str], encounters: list[str], seeds: int) -> Iterator[Row]:
-    """Yield one row for every place and encounter."""
-    for place, encounter in product(places, encounters):
-        offsets = np.linspace(-WIDEST[place], WIDEST[place], OFFSETS)
-        cases = product(offsets.tolist(), range(seeds))
-        runs = [walked(policy, place, encounter, aside, seed) for aside, seed in cases]
-        metrics = {
-            "touches": sum(run.nearest < CONTACT - 1e-3 for run in runs),
-            "arrived": sum(run.arrived for run in runs),
-            "nearest_m": round(min(run.nearest for run in runs), 3),
-            "median_time_s": round(median(run.seconds for run in runs), 1),
-        }
-        yield Row(policy, f"{place}, {encounter}", len(runs), metrics)
+def row(policy: str, place: str, encounter: str, seeds: int) -> dict[str, Any]:
+    """Return the row of a policy in one place and encounter; names of metrics have the unit last."""
+    offsets = np.linspace(-WIDEST[place], WIDEST[place], OFFSETS)
+    cases = product(offsets.tolist(), range(seeds))
+    runs = [walked(policy, place, encounter, aside, seed) for aside, seed in cases]
+    metrics = {
+        "touches": sum(run.nearest < CONTACT - 1e-3 for run in runs),
+        "arrived": sum(run.arrived for run in runs),
+        "nearest_m": round(min(run.nearest for run in runs), 3),
+        "median_time_s": round(median(run.seconds for run in runs), 1),
+    }
+    return {"name": policy, "case": f"{place}, {encounter}", "n": len(runs), "metrics": metrics}
 
 
 def main() -> None:
@@ -184,19 +170,19 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=1, help="noise of so many seeds for every offset")
     parser.add_argument("--json", type=Path, metavar="FILE")
     given = parser.parse_args()
-    walks = (rows(policy, given.places, given.encounters, given.seeds) for policy in given.policies)
-    result = list(chain.from_iterable(walks))
+    rows = [row(*one, given.seeds) for one in product(given.policies, given.places, given.encounters)]
     if given.json:
         report = {
             "command": shlex.join(["tools/pages/robots_respected.py", *sys.argv[1:]]),
             "protocol": f"a person and a robot of {ROBOT_RADIUS} m that does not react, {OFFSETS} offsets",
             "seeds": list(range(given.seeds)),
             "versions": versions(),
-            "rows": [row._asdict() for row in result],
+            "rows": rows,
         }
         given.json.write_text(json.dumps(report, indent=1) + "\n")
     head = ["policy", "case", "runs", "touches", "arrived", "nearest, m", "median time, s"]
-    print(markdown_table(head, [[*row[:3], *row.metrics.values()] for row in result]), end="")
+    cells = [[one["name"], one["case"], one["n"], *one["metrics"].values()] for one in rows]
+    print(markdown_table(head, cells), end="")
 
 
 if __name__ == "__main__":

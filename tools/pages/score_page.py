@@ -18,9 +18,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from tools.pages.tables import table
+from tools.pages.tables import RESULTS, number, table
 
-RESULTS = Path(__file__).parents[2] / "checkpoints" / "results"
+Reports = dict[str, dict[str, Any]]
+"""By what they are against."""
 
 COLUMNS = {
     "realism": "realism",
@@ -61,25 +62,20 @@ def main() -> None:
     parser.add_argument("--named", help="What checkpoints are called; SCENE stands for the recording.")
     parser.add_argument("--out", type=Path, default=RESULTS / "SCORES.md")
     given = parser.parse_args()
-    reports: dict[str, dict[str, Any]] = {}
+    reports: Reports = {}
     for file in given.files:
         content = json.loads(file.read_text())
         # a page's own file has one report of each recording
         for report in [content] if "rows" in content else content.values():
-            if given.named:
-                rename(report, given.named)
-            report["protocol"] = {"stops": False} | report["protocol"]  # reports of before there were any
-            name = report["protocol"]["against"] + ", with stops" * report["protocol"]["stops"]
+            # reports of before there were stops do not name them
+            protocol = report["protocol"] = {"stops": False} | report["protocol"]
+            for row in report["rows"] if given.named else ():
+                if row["name"].endswith(".ckpt"):
+                    row["name"] = given.named.replace("SCENE", protocol["against"])
+            name = protocol["against"] + ", with stops" * protocol["stops"]
             reports[name] = joined(reports.get(name), report)
     given.out.write_text("\n".join(page(reports)) + "\n")
     given.out.with_suffix(".json").write_text(json.dumps(reports, indent=1) + "\n")
-
-
-def rename(report: dict[str, Any], name: str) -> None:
-    """Give the rows of checkpoints a name, in which SCENE stands for the recording."""
-    for row in report["rows"]:
-        if row["name"].endswith(".ckpt"):
-            row["name"] = name.replace("SCENE", report["protocol"]["against"])
 
 
 def joined(before: dict[str, Any] | None, report: dict[str, Any]) -> dict[str, Any]:
@@ -88,17 +84,18 @@ def joined(before: dict[str, Any] | None, report: dict[str, Any]) -> dict[str, A
     Raises:
         SystemExit: The protocols differ, so that their rows cannot stand side by side.
     """
-    commit = report["versions"]["commit"]
+    commit, old = report["versions"]["commit"], {}
     mine = {row["name"]: {"commit": commit} | row for row in report["rows"]}
-    if before is None:
-        return report | {"rows": list(mine.values())}
-    if before["protocol"] != report["protocol"]:
-        raise SystemExit(f"{before['protocol']} and {report['protocol']}: expected reports of one protocol")
-    old = {row["name"]: row for row in before["rows"]}
+    if before is not None:
+        if before["protocol"] != report["protocol"]:
+            raise SystemExit(
+                f"{before['protocol']} and {report['protocol']}: expected reports of one protocol"
+            )
+        old = {row["name"]: row for row in before["rows"]}
     return report | {"rows": list((old | mine).values())}
 
 
-def page(reports: dict[str, dict[str, Any]]) -> Iterator[str]:
+def page(reports: Reports) -> Iterator[str]:
     """Yield the lines of the page."""
     yield from ("# How near simulated crowds are to real ones", "", INTRO, "")
     for stops in (False, True):
@@ -106,41 +103,43 @@ def page(reports: dict[str, dict[str, Any]]) -> Iterator[str]:
         if mine and stops:
             yield from ("## With stops", "", WITH_STOPS, "")
         if mine:
-            yield from means(mine)
+            yield from means(mine, stops)
             yield from each(mine)
 
 
-def means(reports: dict[str, dict[str, Any]]) -> Iterator[str]:
-    """Yield the table of the means of crowds that are scored against all recordings."""
+def means(reports: Reports, stops: bool) -> Iterator[str]:
+    """Yield the table of the means of crowds that are scored against all recordings.
+
+    A second one says how much the means of crowds differ between seeds, if there are several of any.
+    """
     kinds: dict[str, list[dict[str, Any]]] = {}
     for report in reports.values():
         for row in report["rows"]:
-            kinds.setdefault(kind(row["name"], report["protocol"]["against"]), []).append(row)
-    complete = {name: rows for name, rows in kinds.items() if len(rows) == len(reports)}
-    names = ", ".join(report["protocol"]["against"] for report in reports.values())
-    stops = any(report["protocol"]["stops"] for report in reports.values())
-    yield from (f"## Mean of {names}" + ", with stops" * stops, "")
-    rows = [[name, *(number(mean_of(rows, key)) for key in COLUMNS)] for name, rows in complete.items()]
-    yield table(["crowd", *COLUMNS.values()], rows)
-    yield from over_seeds(complete)
-
-
-def over_seeds(kinds: dict[str, list[dict[str, Any]]]) -> Iterator[str]:
-    """Yield a table of how much the means of crowds differ between seeds, if there are several of any."""
-    seeds: dict[str, list[list[dict[str, Any]]]] = {}
+            kinds.setdefault(kind(row["name"], report["protocol"]["against"]), []).append(row["metrics"])
+    values: dict[str, dict[str, float | None]] = {}
+    seeds: dict[str, list[str]] = {}
     for name, rows in kinds.items():
-        seeds.setdefault(re.sub(r"-seed\d+$", "", name), []).append(rows)
+        if len(rows) == len(reports):
+            known = {key: [row[key] for row in rows if key in row] for key in COLUMNS}
+            values[name] = {
+                key: sum(all_) / len(all_) if len(all_) == len(rows) else None for key, all_ in known.items()
+            }
+            seeds.setdefault(re.sub(r"-seed\d+$", "", name), []).append(name)
+    names = ", ".join(report["protocol"]["against"] for report in reports.values())
+    yield from (f"## Mean of {names}" + ", with stops" * stops, "")
+    head = ["crowd", *COLUMNS.values()]
+    yield table(head, [[name, *map(number3, mine.values())] for name, mine in values.items()])
     lines = [
-        [f"{name}, {len(runs)} seeds", *(spread([mean_of(rows, key) for rows in runs]) for key in COLUMNS)]
+        [f"{name}, {len(runs)} seeds", *(spread([values[run][key] for run in runs]) for key in COLUMNS)]
         for name, runs in seeds.items()
         if len(runs) > 1
     ]
     if lines:
         yield from ("Over seeds: the mean of their means, and the least and the greatest one.", "")
-        yield table(["crowd", *COLUMNS.values()], lines)
+        yield table(head, lines)
 
 
-def each(reports: dict[str, dict[str, Any]]) -> Iterator[str]:
+def each(reports: Reports) -> Iterator[str]:
     """Yield one table of every recording."""
     for against, report in reports.items():
         yield from (f"## {against}", "")
@@ -159,15 +158,9 @@ def kind(name: str, against: str) -> str:
     return re.sub(rf"(?<=.){re.escape(against)}(?=(-seed\d+)?$)", "SCENE", name)
 
 
-def mean_of(rows: list[dict[str, Any]], key: str) -> float | None:
-    """Return the mean of a metric over rows, None where a value lacks."""
-    values = [row["metrics"].get(key) for row in rows]
-    return None if None in values else sum(values) / len(values)
-
-
-def number(value: float | None) -> str:
+def number3(value: float | None) -> str:
     """Return a number as it stands in a table."""
-    return "-" if value is None else f"{value:.3f}"
+    return number(value, 3)
 
 
 def spread(values: list[float | None]) -> str:
@@ -180,10 +173,9 @@ def spread(values: list[float | None]) -> str:
 
 def cell(row: dict[str, Any], key: str) -> str:
     """Return a value with its interval."""
-    if (value := row["metrics"].get(key)) is None:
-        return "-"
-    interval = row["ci95"].get(key)
-    return f"{value:.3f}" + (f" [{interval[0]:.2f}, {interval[1]:.2f}]" if interval else "")
+    interval = row["ci95"].get(key) if key in row["metrics"] else None
+    ends = f" [{interval[0]:.2f}, {interval[1]:.2f}]" if interval else ""
+    return number3(row["metrics"].get(key)) + ends
 
 
 if __name__ == "__main__":

@@ -15,7 +15,6 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import torch
 import yaml
@@ -55,22 +54,35 @@ ROBOTS = {
 """Options of ``pedzoo fit`` by name: among whom, and with which body."""
 
 
+def fit(words: list[str], log: Path) -> None:
+    """Run ``pedzoo fit`` in a process of its own, which says what it has to say in a file.
+
+    Raises:
+        SystemExit: It fails.
+    """
+    command = [
+        sys.executable,
+        "-m",
+        "pedzoo.cli.main",
+        "fit",
+        *words,
+        "--trainer.enable_progress_bar",
+        "false",
+    ]
+    log.parent.mkdir(parents=True, exist_ok=True)
+    with log.open("a") as out:
+        done = subprocess.run(command, stdout=out, stderr=out, env=os.environ | {"OMP_NUM_THREADS": "1"})
+    if done.returncode:
+        raise SystemExit(f"{' '.join(command)} failed: see {log}")
+
+
 def train(name: str, runs: Path, epochs: int | None) -> None:
-    """Train one robot in a process of its own."""
+    """Train one robot."""
     run = run_of(name, runs)
     if run and (run.path / "finished").is_file():
         return
-    command = [sys.executable, "-m", "pedzoo.cli.main", "fit", "--trainer.enable_progress_bar", "false"]
-    command += ["--resume", str(run.path)] if run else [*ROBOTS[name], "--runs", str(runs / name)]
-    command += ["--trainer.max_epochs", str(epochs)] if epochs else []
-    log = runs / f"{name}.log"
-    log.parent.mkdir(parents=True, exist_ok=True)
-    with log.open("a") as out:
-        code = subprocess.run(
-            command, stdout=out, stderr=out, env=os.environ | {"OMP_NUM_THREADS": "1"}
-        ).returncode
-    if code:
-        raise SystemExit(f"{' '.join(command)} failed: see {log}")
+    words = ["--resume", str(run.path)] if run else [*ROBOTS[name], "--runs", str(runs / name)]
+    fit([*words, *(["--trainer.max_epochs", str(epochs)] if epochs else [])], runs / f"{name}.log")
     run = run_of(name, runs)
     assert run
     (run.path / "finished").touch()
@@ -84,17 +96,14 @@ def run_of(name: str, runs: Path) -> RunFolder | None:
 
 def export(name: str, runs: Path) -> None:
     """Write weights and card of a robot; numbers that the card has stay, if the weights do."""
-    run = run_of(name, runs)
-    if not run:
+    if (run := run_of(name, runs)) is None:
         print(f"{name}: not trained")
         return
     checkpoint = torch.load(run.best, weights_only=True)
-    settings = _settings(run.path)
-    earlier = sorted(run.path.glob("before-resume-*"))
-    record = json.loads(((earlier or [run.path])[0] / "versions.json").read_text())
-    epochs = [_settings(part)["trainer"]["max_epochs"] for part in (*earlier, run.path)]
-    protocol = checkpoint["pedzoo"]["protocol"]
-    config = {**checkpoint["pedzoo"], "protocol": protocol}
+    parts = [*sorted(run.path.glob("before-resume-*")), run.path]
+    known = [yaml.safe_load((part / "config.yaml").read_text()) for part in parts]
+    record, settings = json.loads((parts[0] / "versions.json").read_text()), known[-1]
+    config = checkpoint["pedzoo"]
     state = {
         key.removeprefix(PREFIX): value.contiguous()
         for key, value in checkpoint["state_dict"].items()
@@ -102,31 +111,53 @@ def export(name: str, runs: Path) -> None:
     }
     home = shipped("checkpoints") / f"robot_ppo.{name}"
     home.mkdir(exist_ok=True)
-    earlier_card = read_card(home / CARD) if (home / CARD).is_file() else None
+    earlier = read_card(home / CARD) if (home / CARD).is_file() else None
     write_atomically(home / WEIGHTS, save(state, {"config": json.dumps(config, sort_keys=True)}))
     digest = sha256_of(home / WEIGHTS)
-    value = next(iter(checkpoint["callbacks"].values()))["best_model_score"]
+    value = float(next(iter(checkpoint["callbacks"].values()))["best_model_score"])
+    scenarios, people = ", ".join(config["protocol"]["scenarios"]), config["protocol"].get("crowd")
+    source = f"{scenarios}: people of {people}, who see the robot"
+    if scenarios.startswith("crowdnav"):
+        source = "CrowdNav's circle crossing: people of ORCA who do not see the robot"
+    command, seed = record["command"], settings["seed_everything"]
+    name_of_config = command[command.index("--config") + 1] if "--config" in command else None
+    for option in ("--runs", "--trainer.enable_progress_bar"):  # say nothing of the weights
+        if option in command:
+            at = command.index(option)
+            command = command[:at] + command[at + 2 :]
+    epochs = ", then ".join(str(one["trainer"]["max_epochs"]) for one in known)
     card = ModelCard(
         name=home.name,
         architecture=config["architecture"],
         sha256=digest,
         size=(home / WEIGHTS).stat().st_size,
         config=config,
-        training=_training(checkpoint, settings, record["command"], value, epochs),
+        training={
+            **dict.fromkeys(("fold", "clock", "goal")),
+            "config": name_of_config,
+            "seed": seed,
+            "seeds": {seed: value},
+            "chosen_by": settings["monitor"],
+            "value": value,
+            "step": checkpoint["global_step"],
+            "epoch": checkpoint["epoch"],
+            "command": command,
+            "overrides": {"trainer.max_epochs": epochs},
+        },
         data={
             "recordings": [],
-            "source": _source(protocol),
+            "source": source,
             "terms": "simulated: no recordings, but for those that people of the zoo learned from",
             "citation": "",
         },
-        evaluations=earlier_card.evaluations if earlier_card and earlier_card.sha256 == digest else [],
+        evaluations=earlier.evaluations if earlier and earlier.sha256 == digest else [],
         versions=record["versions"],
         licence="MIT",
         file=WEIGHTS,
         url=None,
     )
     write_card(card, home / CARD)
-    print(f"{home.name}: {settings['monitor']} {float(value):.3f} after epoch {checkpoint['epoch']}")
+    print(f"{home.name}: {settings['monitor']} {value:.3f} after epoch {checkpoint['epoch']}")
 
 
 def measure(name: str) -> None:
@@ -138,39 +169,6 @@ def measure(name: str) -> None:
         report = measure_robot(card.name, known["crowd"], known["robot"])
         write_card(replace(card, evaluations=[report]), path)
         print(f"{card.name}: measured")
-
-
-def _settings(folder: Path) -> dict[str, Any]:
-    return yaml.safe_load((folder / "config.yaml").read_text())
-
-
-def _training(
-    checkpoint: Any, settings: Any, command: list[str], value: Any, epochs: list[int]
-) -> dict[str, Any]:
-    seed = settings["seed_everything"]
-    name = command[command.index("--config") + 1] if "--config" in command else None
-    for option in ("--runs", "--trainer.enable_progress_bar"):  # say nothing of the weights
-        if option in command:
-            at = command.index(option)
-            command = command[:at] + command[at + 2 :]
-    return {
-        **dict.fromkeys(("fold", "clock", "goal")),
-        "config": name,
-        "seed": seed,
-        "seeds": {seed: float(value)},
-        "chosen_by": settings["monitor"],
-        "value": float(value),
-        "step": checkpoint["global_step"],
-        "epoch": checkpoint["epoch"],
-        "command": command,
-        "overrides": {"trainer.max_epochs": ", then ".join(map(str, epochs))},
-    }
-
-
-def _source(protocol: dict[str, Any]) -> str:
-    if protocol["scenarios"][0].startswith("crowdnav"):
-        return "CrowdNav's circle crossing: people of ORCA who do not see the robot"
-    return f"{', '.join(protocol['scenarios'])}: people of {protocol['crowd']}, who see the robot"
 
 
 def main() -> None:

@@ -12,9 +12,6 @@ writes checkpoints/results/FORECAST.md. The recordings are found by PEDZOO_DATA.
 from __future__ import annotations
 
 import argparse
-import os
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -26,6 +23,7 @@ from pedzoo.core.paths import CARD, shipped, weight_files
 from pedzoo.eval.cards import measure
 from pedzoo.models.zoo.card import read_card, write_card
 from pedzoo.models.zoo.publish import publish
+from tools.zoo.robots import fit
 
 
 def train(recipes: list[Recipe], root: Path, jobs: int) -> None:
@@ -42,23 +40,11 @@ def train_one(recipe: Recipe, seed: int, root: Path) -> None:
     run = recipe.run(seed, root)
     if (run.path / "finished").is_file():
         return
-    command = [sys.executable, "-m", "pedzoo.cli.main", "fit"]
-    if run.last.is_file():
-        command += ["--resume", str(run.path)]
-    else:
-        options = {**recipe.options, "seed_everything": str(seed), "runs": str(recipe.runs(root))}
-        command += [word for key, value in options.items() for word in (f"--{key}", value)]
+    options = {**recipe.options, "seed_everything": str(seed), "runs": str(recipe.runs(root))}
+    words = [word for key, value in options.items() for word in (f"--{key}", value)]
     if (weights := recipe.begins_with) and weights not in weight_files():
         raise SystemExit(f"{recipe.name} begins with {weights}: train and export these first")
-    log = root / f"{recipe.name}-{seed}.log"
-    log.parent.mkdir(parents=True, exist_ok=True)
-    quiet = [*command, "--trainer.enable_progress_bar", "false"]
-    with log.open("a") as out:
-        code = subprocess.run(
-            quiet, stdout=out, stderr=out, env=os.environ | {"OMP_NUM_THREADS": "1"}
-        ).returncode
-    if code:
-        raise SystemExit(f"{' '.join(command)} failed: see {log}")
+    fit(["--resume", str(run.path)] if run.last.is_file() else words, root / f"{recipe.name}-{seed}.log")
     (run.path / "finished").touch()
     print(f"{recipe.name} seed {seed}: {recipe.monitor} {recipe.finished(root)[seed]:.4f}", flush=True)
 

@@ -40,9 +40,9 @@ def _parser() -> argparse.ArgumentParser:
     commands = result.add_subparsers()
     registry = Registry("command", __name__.rpartition(".")[0])
     for command in registry.names():
-        package = registry.package_of(command)
+        module = registry.module_of(command)
         parser = commands.add_parser(command, help=registry.constant(command, "HELP"))
-        for option in known().get(command) or (_options(f"{package}.{command}") if package else []):
+        for option in known().get(command) or (_options(module) if module else []):
             if option != "--help" and not option.endswith("+"):
                 parser.add_argument(option, choices=values.get(option))
         if command in words:

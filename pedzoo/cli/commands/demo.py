@@ -1,6 +1,7 @@
 """``pedzoo demo``: the first minutes with pretrained models. Its steps are commands to type."""
 
 import shlex
+from importlib import import_module
 from pathlib import Path
 
 from pedzoo.cli.output import check_outputs
@@ -21,9 +22,12 @@ METRICS = "success,deadlock,agent_contacts_per_min,wall_contacts_per_min,time_ra
 EPISODES = 10
 FILM_SECONDS = 8
 
+Step = tuple[str, str]
+"""What is shown, and what to type behind ``pedzoo``."""
 
-def steps(out: str = "demo", epochs: int = 20, physics: str = "bullet") -> list[tuple[str, str]]:
-    """Return the commands of the demo: what each shows, and what to type behind ``pedzoo``."""
+
+def steps(out: str = "demo", epochs: int = 20, physics: str = "bullet") -> list[Step]:
+    """Return the commands of the demo."""
     common = f"--physics {physics} --episodes {EPISODES} --metrics {METRICS} --keep_episodes {EPISODES}"
     files = f"--plot {out}/door.png --json {out}/door.json"
     film = f"--video {out}/door.webm --video_seconds {FILM_SECONDS}"
@@ -46,15 +50,14 @@ def steps(out: str = "demo", epochs: int = 20, physics: str = "bullet") -> list[
     ]
 
 
-def compared(tuned: str) -> tuple[str, str]:
-    """Return the last command, whose model is known only then: what it shows, and what to type."""
-    models = f"{NAME} {tuned}"
+def compared(tuned: str) -> Step:
+    """Return the command whose model is known only after the others."""
     title = "before and after fine-tuning, between the trivial baselines"
-    return title, f"forecast {models} --data.fold embedded --samples 5"
+    return title, f"forecast {NAME} {tuned} --data.fold embedded --samples 5"
 
 
-def reported(out: str) -> tuple[str, str]:
-    """Return the command that makes a page of all: what it shows, and what to type."""
+def reported(out: str) -> Step:
+    """Return the command that makes a page of all."""
     title = "everything on one page: open it in a browser, click a number, a person, play"
     return title, f"report {out}/door.json {out}/apartment.json {out}/runs -o {out}/report.html"
 
@@ -71,14 +74,16 @@ def run(out: str = "demo", epochs: int = 20) -> int:
     from pedzoo.sim.make import usual_physics
 
     at_least_one("--epochs", epochs)
-    folder = Path(out)
+    folder, written = Path(out), shlex.quote(out)
     check_outputs(out=str(folder / "door.json"))
-    written = shlex.quote(out)
     commands = steps(written, epochs, usual_physics())
     total = len(commands) + 3
     for number, step in enumerate(commands, start=1):
         _do(number, total, step)
-    tuned = _newest(folder / "runs")
+    from pedzoo.train.run import RunFolder
+
+    latest = max((folder / "runs").glob("*/*"), key=lambda run: run.stat().st_mtime)
+    tuned = RunFolder(latest).best
     _do(total - 2, total, compared(shlex.quote(str(tuned))))
     print(f"\n{total - 1}/{total} from Python: a controller for any simulator, and a picture of forecasts")
     _in_python(tuned, folder / "forecasts.png")
@@ -87,15 +92,12 @@ def run(out: str = "demo", epochs: int = 20) -> int:
     return 0
 
 
-def _do(number: int, total: int, step: tuple[str, str]) -> None:
+def _do(number: int, total: int, step: Step) -> None:
     """Print what a step shows and what to type, and do it."""
-    from pedzoo.cli.commands import fit, forecast, models, report, rollout
-
     title, command = step
     print(f"\n{number}/{total} {title}\n$ pedzoo {command}", flush=True)
     name, *words = shlex.split(command)
-    modules = {"fit": fit, "forecast": forecast, "models": models, "report": report, "rollout": rollout}
-    call(modules[name], words)
+    call(import_module(f"pedzoo.cli.commands.{name}"), words)
 
 
 def _in_python(tuned: Path, picture: Path) -> None:
@@ -111,9 +113,3 @@ def _in_python(tuned: Path, picture: Path) -> None:
     print(f'>>> plot_forecasts(pedzoo.load("{tuned}"), data, "{picture}")')
     data = TrajectoryDataModule(fold="embedded", goal="window_end")
     plot_forecasts(pedzoo.load(str(tuned)), data, picture)
-
-
-def _newest(runs: Path) -> Path:
-    from pedzoo.train.run import RunFolder
-
-    return RunFolder(max(runs.glob("*/*"), key=lambda folder: folder.stat().st_mtime)).best

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from msgspec.structs import asdict
 
@@ -29,7 +28,17 @@ def run(name: str, /, json: str | None = None, markdown: str | None = None) -> i
         markdown: Likewise, as a page.
     """
     check_outputs(json=json, markdown=markdown)
-    card = _card(name)
+    if is_file(name):
+        raise UserError(
+            f"{name!r} is a file, and cards are asked for by name: FOLDER/ARCH.TAG, or a FOLDER; "
+            "`pedzoo export CKPT --zoo` writes the card of a training run"
+        )
+    if (entry := find(name)) is None and name in MODELS.names():
+        weights = ", ".join(one for one in names() if one.startswith(f"{name}.")) or "none"
+        raise UserError(f"{name!r} is an architecture ({MODELS.describe(name)}); name its weights: {weights}")
+    if entry is None:
+        raise no_model(name)
+    card = entry.card
     if json:
         write_json(json, {"command": "info", "card": asdict(card)})
     if markdown:
@@ -39,42 +48,24 @@ def run(name: str, /, json: str | None = None, markdown: str | None = None) -> i
     return 0
 
 
-def _card(name: str) -> ModelCard:
-    if is_file(name):
-        raise UserError(
-            f"{name!r} is a file, and cards are asked for by name: FOLDER/ARCH.TAG, or a FOLDER; "
-            "`pedzoo export CKPT --zoo` writes the card of a training run"
-        )
-    if entry := find(name):
-        return entry.card
-    if name in MODELS.names():
-        weights = ", ".join(one for one in names() if one.startswith(f"{name}.")) or "none"
-        raise UserError(f"{name!r} is an architecture ({MODELS.describe(name)}); name its weights: {weights}")
-    raise no_model(name)
-
-
 def _print(card: ModelCard) -> None:
+    from rich.table import Table
+
     from pedzoo.cli.progress import plain_console
     from pedzoo.eval.results import ResultTable
 
     console = plain_console(width=110)
     console.print(card.name, style="bold")
     for title, facts in sections(card).items():
-        _print_facts(console, title, facts)
+        table = Table.grid(padding=(0, 2))
+        table.add_column(no_wrap=True)
+        table.add_column(overflow="fold")
+        for key, value in facts.items():
+            table.add_row(f"  {key}", value)
+        console.print(f"\n{title}", style="bold")
+        console.print(table)
     if not card.evaluations:
         console.print("\nResults: not measured yet")
     for result in results(card):
         console.print(f"\n{result.said}")
         print_tables([ResultTable("", result.head, result.rows, 1)])
-
-
-def _print_facts(console: Any, title: str, facts: Mapping[str, str]) -> None:
-    from rich.table import Table
-
-    table = Table.grid(padding=(0, 2))
-    table.add_column(no_wrap=True)
-    table.add_column(overflow="fold")
-    for key, value in facts.items():
-        table.add_row(f"  {key}", value)
-    console.print(f"\n{title}", style="bold")
-    console.print(table)

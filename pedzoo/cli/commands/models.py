@@ -6,7 +6,6 @@ from typing import Any
 from pedzoo.cli.output import check_outputs, print_tables, write_and_print
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import MODELS
-from pedzoo.models.zoo.card import ModelCard
 from pedzoo.models.zoo.store import find, names
 
 HELP = "list architectures and pretrained models"
@@ -49,23 +48,19 @@ def run(pattern: str = "*", /, json: str | None = None) -> int:
 
 
 def _row(name: str) -> dict[str, Any]:
+    """Return the facts and the headline of a card: errors on its own fold, and success at the door."""
     try:
         entry = find(name)
     except UserError as error:  # one bad card of many: the others are listed all the same
         return {"name": name, "error": str(error)}
     assert entry
-    card = entry.card
-    facts = {key: card.training[key] for key in ("fold", "goal", "clock")}
-    steps = card.config.get("protocol", {}).get("pred_len")
-    return {"name": name, "kB": card.size // 1000, **facts, "steps": steps, **_numbers(card)}
-
-
-def _numbers(card: ModelCard) -> dict[str, float]:
-    """Return the headline of a card: errors on its own fold, and success at the door."""
-    result: dict[str, float] = {}
+    card, fold = entry.card, entry.card.training["fold"]
+    result = {"name": name, "kB": card.size // 1000, "fold": fold}
+    result |= {key: card.training[key] for key in ("goal", "clock")}
+    result["steps"] = card.config.get("protocol", {}).get("pred_len")
     for report in card.evaluations:
         for row in report["rows"]:
-            if report["command"] == "forecast" and report["protocol"].get("fold") == card.training["fold"]:
+            if report["command"] == "forecast" and report["protocol"].get("fold") == fold:
                 result |= {key: value for key, value in row["metrics"].items() if key in COLUMNS}
             if row["case"].get("suite") == "door" and "success" in row["metrics"]:
                 result["door"] = row["metrics"]["success"]

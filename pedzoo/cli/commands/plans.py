@@ -67,9 +67,8 @@ def run(
     plans: list[FloorPlan] = []
     with progress_bar() as progress:
         for (kind, number), file in files.items():
-            plan = generate(kind, number, **settings)
-            write_ros(plan.grid, file)
-            plans.append(plan)
+            plans.append(generate(kind, number, **settings))
+            write_ros(plans[-1].grid, file)
             progress("plans", len(plans), len(files))
     rows = []
     for plan, file in zip(plans, files.values(), strict=True):
