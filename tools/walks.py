@@ -19,7 +19,6 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import redirect_stdout
 from io import StringIO
-from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -32,9 +31,7 @@ class Trace:
     def __init__(self, until: str = "") -> None:
         """End early where a function ``until`` of pedzoo begins."""
         self.files: dict[str, None] = {}
-        self.changes = 0
-        self.until = until
-        self.room = ""
+        self.changes, self.until, self.room = 0, until, ""
 
     def __enter__(self) -> Trace:
         sys.setprofile(self._seen)
@@ -98,26 +95,12 @@ def plan_to_input() -> Trace:
     return trace
 
 
-def episode_to_row() -> Trace:
-    """Walk from the command to a row of a table."""
+def command(line: str, until: str = "") -> Trace:
+    """Walk through a command, or until a function begins."""
     from pedzoo.cli.main import main
 
-    with Trace() as trace:
-        main(["rollout", MODEL, "--scenario", "door", "--episodes", "1", "--physics", "compiled"])
-    return trace
-
-
-def fit_to_batch() -> Trace:
-    """Walk from `pedzoo fit` to its first batch."""
-    from pedzoo.cli.main import main
-
-    with tempfile.TemporaryDirectory() as runs, Trace("training_step") as trace:
-        limits = [
-            "--trainer.max_epochs=1",
-            "--trainer.limit_train_batches=1",
-            "--trainer.limit_val_batches=0",
-        ]
-        main(["fit", "--config", "sgan_goal", "--data.fold", "embedded", f"--runs={runs}", *limits])
+    with tempfile.TemporaryDirectory() as folder, Trace(until) as trace:
+        main(line.replace("FOLDER", folder).split())
     return trace
 
 
@@ -125,8 +108,18 @@ WALKS: dict[str, tuple[str, Callable[[], Trace]]] = {
     "track": ("recorded track to loss", track_to_loss),
     "string": ("a policy's string to velocities", string_to_velocities),
     "plan": ("floor plan to network input", plan_to_input),
-    "row": ("an episode to a row", episode_to_row),
-    "fit": ("`fit` to its first batch", fit_to_batch),
+    "row": (
+        "an episode to a row",
+        lambda: command(f"rollout {MODEL} --scenario door --episodes 1 --physics compiled"),
+    ),
+    "fit": (
+        "`fit` to its first batch",
+        lambda: command(
+            "fit --config sgan_goal --data.fold embedded --runs=FOLDER --trainer.max_epochs=1 "
+            "--trainer.limit_train_batches=1 --trainer.limit_val_batches=0",
+            "training_step",
+        ),
+    ),
 }
 
 
@@ -151,8 +144,7 @@ def main() -> int:
         rooms = Counter(file.partition("/")[0] for file in trace.files)
         by_room = ", ".join(f"{room} {count}" for room, count in rooms.most_common())
         print(f"{about}: {len(trace.files)} files, {trace.changes} changes of room; {by_room}", flush=True)
-        for file in trace.files if options.files else ():
-            print(f"    {Path(file)}")
+        print("".join(f"    {file}\n" for file in trace.files if options.files), end="")
     return 0
 
 
