@@ -75,8 +75,8 @@ def mistaken(content: bytes, draw: np.random.Generator) -> bytes:
         begin, end = sorted(draw.integers(0, len(content) + 1, 2).tolist())
         end = min(end, begin + int(draw.integers(1, 40)))
         odd = ODD[draw.integers(len(ODD))]
-        found, *words = [*re.finditer(rb"[\w.-]+", content[begin : begin + 100])] or [None]
-        word = (len(content),) * 2 if found is None else (begin + found.start(), begin + found.end())
+        words = [*re.finditer(rb"[\w.-]+", content[begin : begin + 100])]
+        word = (begin + words[0].start(), begin + words[0].end()) if words else (len(content),) * 2
         other = words[draw.integers(len(words))].group() if words else odd
         changes = (
             *((begin, end, b""), (end, begin, b""), (begin, end, draw.bytes(end - begin)), (begin, end, odd)),
