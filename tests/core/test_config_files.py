@@ -181,11 +181,7 @@ def _merges(levels: int, width: int) -> str:
 BOMBS = {
     "merges": _merges(9, 9),
     "wide merges": _merges(2, 300),
-    "merge keys": "a0: &a {"
-    + ", ".join(f"k{n}: 1" for n in range(1000))
-    + "}\nb: {"
-    + "<<: *a, " * 200
-    + "}",
+    "merge keys": f"a0: &a {{{', '.join(f'k{n}: 1' for n in range(1000))}}}\nb: {{{'<<: *a, ' * 200}}}",
     "merges of merges": _merges(6, 9).replace("<<: [", "<<: [{<<: [").replace("]}", "]}]}"),
     "references": "\n".join(
         ["a0: &a0 [x, x]", *(f"a{n}: &a{n} [*a{n - 1}, *a{n - 1}]" for n in range(1, 60))]
@@ -203,17 +199,16 @@ def test_yaml_is_counted_before_it_is_loaded(bomb: str, inside: str, tmp_path: P
     path, said = tmp_path / "own.yaml", "at most 100,000 are|inside itself|at most 20 levels|maximum nesting"
     text = BOMBS[bomb] if inside == "file" else yaml.safe_dump({"data": {"files": BOMBS[bomb]}})
     path.write_text(text)
-    began = time.process_time()
-    with pytest.raises(UserError, match=said):
-        load_config(path)
+    began, settings = time.process_time(), {"people": BOMBS[bomb]}
+    reads = [lambda: load_config(path)]
     if inside == "file":
-        with pytest.raises(UserError, match=said):
-            read_mapping(path, "scenario", "people")
+        reads += [lambda: read_mapping(path, "scenario", "people")]
     else:
+        reads += [lambda: build(SCENARIOS, Spec("door", settings), Scenario)]
+        reads += [lambda: make(SCENARIOS.get("door"), "scenario", SpecText("door", settings))]
+    for read in reads:
         with pytest.raises(UserError, match=said):
-            build(SCENARIOS, Spec("door", {"people": BOMBS[bomb]}), Scenario)
-        with pytest.raises(UserError, match=said):
-            make(SCENARIOS.get("door"), "scenario", SpecText("door", {"people": BOMBS[bomb]}))
+            read()
     assert time.process_time() - began < 1
 
 

@@ -135,12 +135,7 @@ REWARD = '''
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    for name, code in {
-        "robot": ROBOT,
-        "carts": PHYSICS,
-        "loss": LOSS,
-        "reward": REWARD,
-    }.items():
+    for name, code in {"robot": ROBOT, "carts": PHYSICS, "loss": LOSS, "reward": REWARD}.items():
         (tmp_path / f"{name}.py").write_text(dedent(code))
     return tmp_path
 

@@ -80,14 +80,8 @@ def test_the_core_loads_steps_walks_and_evaluates(tmp_path: Path) -> None:
     done = bare(WALKS, tmp_path)
     assert done.returncode == 0, done.stderr
     said: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    assert said == {
-        "model": "SGAN",
-        "stepped": ["ann", "bo"],
-        "physics": "Compiled",
-        "failed": False,
-        "episodes": 1,
-        "loaded": [],
-    }
+    expected = {"model": "SGAN", "stepped": ["ann", "bo"], "physics": "Compiled", "episodes": 1}
+    assert said == expected | {"failed": False, "loaded": []}
 
 
 def test_commands_name_the_missing_extra_in_one_line(tmp_path: Path) -> None:

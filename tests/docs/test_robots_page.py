@@ -23,13 +23,9 @@ def test_the_code_runs(code: str) -> None:
 
 def test_a_robot_a_sensor_and_a_reward_of_ones_own(elsewhere: Path) -> None:
     (elsewhere / "mine.py").write_text(OWN)
-    env: Any = pedzoo.make_robot_env(
-        "circle:people=4",
-        robot="mine.py:Scooter:top_speed=2",
-        sensors=["goal", "mine.py:Clock"],
-        reward={"mine.py:Hurry": 0.5},
-        people="go_to_goal",
-    )
+    own: dict[str, Any] = {"robot": "mine.py:Scooter:top_speed=2", "sensors": ["goal", "mine.py:Clock"]}
+    own |= {"reward": {"mine.py:Hurry": 0.5}, "people": "go_to_goal"}
+    env: Any = pedzoo.make_robot_env("circle:people=4", **own)
     seen = env.reset(seed=0)
     assert env.action_spec["robots", "action"].space.high[0, 0].tolist() == [2.0, 2.0]
     for _ in range(5):

@@ -26,27 +26,24 @@ def pose(x: float, y: float) -> SimpleNamespace:
 
 def agent(number: int, x: float, y: float, goals: list[tuple[float, float]], **more: Any) -> SimpleNamespace:
     zero = {"x": 0.0, "y": 0.0, "z": 0.0}
-    usual = {
-        "id": number,
-        "type": 1,
-        "skin": 0,
-        "behavior": 1,
-        "name": f"agent{number}",
-        "behavior_state": 0,
-        "group_id": -1,
-        "position": pose(x, y),
-        "yaw": 0.0,
-        "velocity": SimpleNamespace(linear=SimpleNamespace(**zero), angular=SimpleNamespace(**zero)),
+    numbers = {"type": 1, "skin": 0, "behavior": 1, "behavior_state": 0, "group_id": -1, "yaw": 0.0}
+    numbers |= {
         "desired_velocity": 1.2,
         "radius": 0.2,
+        "goal_radius": 0.2,
         "linear_vel": 0.0,
         "angular_vel": 0.0,
+    }
+    usual = {
+        "id": number,
+        "name": f"agent{number}",
+        "position": pose(x, y),
+        "velocity": SimpleNamespace(linear=SimpleNamespace(**zero), angular=SimpleNamespace(**zero)),
         "goals": [pose(*goal) for goal in goals],
         "cyclic_goals": False,
-        "goal_radius": 0.2,
         "closest_obs": [],
     }
-    return SimpleNamespace(**usual | more)
+    return SimpleNamespace(**numbers | usual | more)
 
 
 def request(seconds: float, agents: list[SimpleNamespace], robot: SimpleNamespace) -> SimpleNamespace:
