@@ -98,14 +98,7 @@ PATIENCE = 240
 
 
 class Mutant(NamedTuple):
-    """A file with one mistake.
-
-    Attributes:
-        file: In the checkout.
-        line: The mistake's.
-        operator: Cosmic Ray's name.
-        occurrence: Which of the operator's places in the file.
-    """
+    """A file with one mistake, by Cosmic Ray's operator at one of its places."""
 
     file: str
     line: int
@@ -156,10 +149,8 @@ def killed(copy: Path, tests: list[str], silent: bool = True) -> bool:
         try:
             os.setsid()
             os.chdir(copy)
-            if silent:
-                nothing = os.open(os.devnull, os.O_WRONLY)
-                os.dup2(nothing, 1)
-                os.dup2(nothing, 2)
+            for place in (1, 2) if silent else ():
+                os.dup2(os.open(os.devnull, os.O_WRONLY), place)
             import pytest
 
             code = pytest.main(["-x", "-q", "--assert=plain", "-p", "no:cacheprovider", *tests])

@@ -2,6 +2,7 @@
 
 import os
 import re
+from argparse import ArgumentParser
 from collections.abc import Callable, Set
 from pathlib import Path
 from traceback import extract_tb
@@ -36,13 +37,10 @@ Lightning's trainer, as --trainer.max_epochs 20; `pedzoo fit --config NAME --hel
 
 
 class ExpandedCommand(NamedTuple):
-    """A command line with what its options stand for.
+    """A command line ``argv`` with the options that were left to runs and weights.
 
-    Attributes:
-        argv: With the options that were left to runs and weights.
-        run: The run that goes on, if one does.
-        beside: The config among these options that the person did not name: it lies beside a checkpoint.
-        typed: What the person did name, where ``beside`` is that of a run that goes on.
+    ``run`` is the one that goes on, if one does. ``beside`` is the config that lies beside a checkpoint,
+    where the person did not name it; of a run that goes on ``typed`` has what they did name.
     """
 
     argv: list[str]
@@ -114,15 +112,10 @@ def _without_code(options: list[str], argv: list[str], weights: str) -> list[str
 
 def _behind_configs(argv: list[str], options: list[str]) -> list[str]:
     """Return a command line with ``options`` that win over its configs, and not over what else was typed."""
-    configs, rest, words = [], [], iter(argv)
-    for word in words:
-        if word in ("--config", "-c"):
-            configs += [word, next(words)]
-        elif word.startswith(("--config=", "-c=")):
-            configs.append(word)
-        else:
-            rest.append(word)
-    return [*configs, *options, *rest]
+    parser = ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--config", "-c", action="append", default=[])
+    known, rest = parser.parse_known_args(argv)
+    return [*(f"--config={one}" for one in known.config), *options, *rest]
 
 
 class ConfigParser(LightningArgumentParser):

@@ -9,7 +9,6 @@ import warnings
 from argparse import SUPPRESS
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from csv import DictReader
 from pathlib import Path
 from time import monotonic
 from typing import Any, Literal, cast
@@ -41,6 +40,7 @@ from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.data.recordings import find_fold
 from pedzoo.models.zoo.loading import architecture_of, read_checkpoint
 from pedzoo.train.fine_tuning import start_from
+from pedzoo.train.metrics_file import rows_of
 from pedzoo.train.modules.module import ForecastModule, check_state, read_progress
 from pedzoo.train.run import RunFolder, Wandb, finish_wandb, run_name
 from pedzoo.train.run_settings import DATA, check_unchanged, tell_changes
@@ -278,10 +278,8 @@ class TrainingCLI(LightningCLI):
     def _summary(self, run: RunFolder, chosen: Path) -> str:
         """Return what the weights are worth by the run's own table: ``val/ade 0.075 (epoch 2)`` and so on."""
         epoch, monitor = read_checkpoint(chosen).get("epoch"), self.config["monitor"]
-        file = run.path / "metrics.csv"
-        rows = list(DictReader(file.read_text().splitlines())) if file.is_file() else []
-        its = [row for row in rows if row.get("epoch") == str(epoch)]
-        values = {key: value for row in its for key, value in row.items() if value}
+        rows = (row for row in rows_of(run.path / "metrics.csv") if row.get("epoch") == str(epoch))
+        values = {key: value for row in rows for key, value in row.items()}
         said = f"epoch {epoch}"
         if monitor in values:
             said = f"{monitor} {float(values[monitor]):.3f} ({said})"

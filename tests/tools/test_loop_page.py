@@ -76,13 +76,10 @@ def test_variety_by_hand() -> None:
 
 def test_targets_by_numbers_and_by_what_others_have() -> None:
     rows = {"mine": named(a=0.99, b=2.0), "one": named(a=0.5, b=1.0), "two": named(b=4.0)}
-    assert Target("a", "at least", 0.99).met("mine", rows) and not Target("a", "above", 0.99).met(
-        "mine", rows
-    )
-    mean, least = (
-        Target("b", "below", others=("one", "two")),
-        Target("b", "below", 1, ("one", "two"), "least"),
-    )
+    assert Target("a", "at least", 0.99).met("mine", rows)
+    assert not Target("a", "above", 0.99).met("mine", rows)
+    mean = Target("b", "below", others=("one", "two"))
+    least = mean._replace(of="least")
     assert mean.limit(rows) == 2.5 and mean.met("mine", rows) and least.limit(rows) == 1.0
     assert not least.met("mine", rows) and Target("b", "at most", 2, ("one",)).met("mine", rows)
     assert mean.text == "b below the mean of one, two" and least.text == "b below the least of one, two"
@@ -96,9 +93,8 @@ def test_targets_by_numbers_and_by_what_others_have() -> None:
 
 
 def test_every_case_has_targets_and_its_scenario_can_be_made() -> None:
-    cases = LoopDoors("loop_doors").cases(EvaluationOptions()) + LoopNoise("loop_noise").cases(
-        EvaluationOptions()
-    )
+    usual = EvaluationOptions()
+    cases = LoopDoors("loop_doors").cases(usual) + LoopNoise("loop_noise").cases(usual)
     assert [case.episodes for case in cases[:3]] == [1000, 500, 500]
     for case in cases:
         assert targets(case.table) and make_scenario(case.scenario).people >= 2
@@ -140,9 +136,8 @@ def test_noise_changes_what_draws_do_in_the_same_scenes(monkeypatch: pytest.Monk
     assert row["n"] == 4 and row["draws"] == 3 and shares[-1] == 1.0
     result = row["metrics"]
     assert set(result) == set(suite.columns) and result["settled"] > 0
-    assert 0 <= result["clean"] <= result["contact_free"] <= 1 and (result["varied"] > 0) == (
-        result["disagreement"] > 0
-    )
+    assert 0 <= result["clean"] <= result["contact_free"] <= 1
+    assert (result["varied"] > 0) == (result["disagreement"] > 0)
     json.dumps(row, allow_nan=False)
 
 
@@ -178,17 +173,15 @@ def test_page_says_what_is_met_and_what_is_missing() -> None:
 def test_forecasts_stand_beside_those_of_the_weights_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before, after = (
-        read_card(shipped("checkpoints") / f"sgan_goal_map.{tag}" / CARD) for tag in ("zara1", "zara2")
-    )
+    cards = [shipped("checkpoints") / f"sgan_goal_map.{tag}" / CARD for tag in ("zara1", "zara2")]
+    before, after = map(read_card, cards)
     reports = [one for one in before.evaluations if one["command"] == "forecast"]
 
     def write(card: ModelCard, name: str, factor: float, **training: Any) -> None:
-        rows = [
-            [dict(row, metrics={"ade_m": factor * row["metrics"]["ade_m"]}) for row in one["rows"]]
-            for one in reports
-        ]
-        result = [one | {"rows": row} for one, row in zip(reports, rows, strict=True)]
+        result = []
+        for one in reports:
+            rows = [row | {"metrics": {"ade_m": factor * row["metrics"]["ade_m"]}} for row in one["rows"]]
+            result.append(one | {"rows": rows})
         known = card.training | training
         write_card(replace(card, name=name, training=known, evaluations=result), tmp_path / f"{name}.yaml")
 
@@ -213,13 +206,9 @@ def test_loop_writes_page_and_report_and_names_what_is_missing(
     monkeypatch.setattr(Loop, "suites", ("loop_doors",))
     monkeypatch.setattr(Loop, "models", ("sgan_goal.nowhere",))
     monkeypatch.setattr(Loop, "baselines", ("go_to_goal",))
-    monkeypatch.setattr(
-        "tools.paper.suites.DOORWAYS",
-        {
-            "hard": ("door:sync=0.4", 500, "bullet", 2),
-            "flow of 20": ("room_exit:width=0.9", 20, "bullet", 2),
-        },
-    )
+    doorways = {"hard": ("door:sync=0.4", 500, "bullet", 2)}
+    doorways |= {"flow of 20": ("room_exit:width=0.9", 20, "bullet", 2)}
+    monkeypatch.setattr("tools.paper.suites.DOORWAYS", doorways)
     assert main(["reproduce", "loop", "--episodes", "2", "--physics", "compiled", "--out", "made"]) == 0
     said, page = capsys.readouterr().out, Path("made/LOOP.md").read_text()
     report = json.loads(Path("made/LOOP.json").read_text())

@@ -6,7 +6,7 @@ import platform
 import sys
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -63,28 +63,22 @@ def run(argv: list[str]) -> int:
     check_outputs(json=options.json)
     sections = asked(options.sections or list(SECTIONS), options.size)
     with ExitStack() as stack:
-        programs = [Program("pedzoo", CASES, tree=ROOT)]
-        stack.callback(programs[0].close)
+        programs = [stack.enter_context(closing(Program("pedzoo", CASES, tree=ROOT)))]
         if options.before:
             tree = stack.enter_context(checkout(options.before))
-            programs.append(Program(options.before, CASES, tree=tree))
-            stack.callback(programs[-1].close)
+            programs.append(stack.enter_context(closing(Program(options.before, CASES, tree=tree))))
         for script in map(Path, options.peer):
-            programs.append(Program(script.stem, script, options.peer_python))
-            stack.callback(programs[-1].close)
+            peer = Program(script.stem, script, options.peer_python)
+            programs.append(stack.enter_context(closing(peer)))
         cases = [case for program in programs for case in program.cases(sections)]
         taken, failed = in_turns(cases, options.turns, options.seconds)
         known = {name: value for program in programs for name, value in program.versions.items()}
     changed = " with changes" if git("status", "--porcelain", "--untracked-files=no") else ""
+    protocol = {"commit": git("rev-parse", "--short", "HEAD") + changed, "before": options.before}
+    protocol |= {"turns": options.turns, "seconds_per_turn": options.seconds}
     report: dict[str, Any] = {
         "command": "bench",
-        "protocol": {
-            "commit": git("rev-parse", "--short", "HEAD") + changed,
-            "before": options.before,
-            "turns": options.turns,
-            "seconds_per_turn": options.seconds,
-            "clock": "processor time, one thread",
-        },
+        "protocol": protocol | {"clock": "processor time, one thread"},
         "machine": {"cpu": processor(), "system": platform.platform()},
         "versions": versions() | known,
         "rows": rows(taken),
@@ -157,14 +151,9 @@ def rows(taken: Mapping[Case, Sequence[float]]) -> list[dict[str, Any]]:
         values = {"ms": [1e3 * second for second in seconds]}
         if case.scenes:
             values["agent_steps_per_s"] = [case.scenes * case.people / second for second in seconds]
-        row: dict[str, Any] = {
-            "program": case.program.name,
-            "section": case.section,
-            "name": case.name,
-            "case": {"size": f"{case.scenes} x {case.people}" if case.scenes else ""},
-            "n": len(seconds),
-            "note": case.note,
-        }
+        row: dict[str, Any] = {"program": case.program.name, "section": case.section, "name": case.name}
+        row["case"] = {"size": f"{case.scenes} x {case.people}" if case.scenes else ""}
+        row |= {"n": len(seconds), "note": case.note}
         same = [own for own in ours if work(own) == work(case)]
         same.sort(key=lambda own: own.name != case.name)
         if same and case.program.name != "pedzoo":
@@ -183,16 +172,16 @@ def show(report: Mapping[str, Any]) -> None:
     from pedzoo.cli.progress import plain_console
 
     for section in dict.fromkeys(row["section"] for row in report["rows"]):
-        table = Table(
-            "work", "size", "program", "ms", "agent-steps/s", "pedzoo is x times as fast", title=section
-        )
+        head = ("work", "size", "program", "ms", "agent-steps/s", "pedzoo is x times as fast")
+        table = Table(*head, title=section)
         for row in report["rows"]:
             if row["section"] == section:
-                value, ends = row["metrics"], row["quartiles"]
-                speed = f"{value['agent_steps_per_s']:,.0f}" if "agent_steps_per_s" in value else ""
-                times = ""
+                value, speed, times = row["metrics"], "", ""
+                if "agent_steps_per_s" in value:
+                    speed = f"{value['agent_steps_per_s']:,.0f}"
                 if "times_as_fast" in value:
-                    times = "{:.2f} ({:.2f} to {:.2f})".format(value["times_as_fast"], *ends["times_as_fast"])
+                    ends = row["quartiles"]["times_as_fast"]
+                    times = "{:.2f} ({:.2f} to {:.2f})".format(value["times_as_fast"], *ends)
                 size, ms = row["case"]["size"], f"{value['ms']:.3g}"
                 table.add_row(row["name"], size, row["program"], ms, speed, times)
         plain_console().print(table)

@@ -70,14 +70,9 @@ class Program:
         if tree is not None:
             variables["PYTHONPATH"] = str(tree)
         self._stderr = tempfile.TemporaryFile()
-        self._process = subprocess.Popen(
-            [python or sys.executable, str(script)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._stderr,
-            text=True,
-            env=variables,
-        )
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": self._stderr}
+        command = [python or sys.executable, str(script)]
+        self._process = subprocess.Popen(command, text=True, env=variables, **pipes)
         self._answers: queue.Queue[str] = queue.Queue()
         threading.Thread(target=self._listen, daemon=True).start()
 

@@ -75,13 +75,7 @@ ENCOUNTERS = {
 
 
 class Run(NamedTuple):
-    """What came of one encounter.
-
-    Attributes:
-        nearest: Least distance of the centres, metres.
-        arrived: The person has reached the goal.
-        seconds: How long it took, or all of the time.
-    """
+    """What came of one encounter: the least distance of the centres, metres, and how long it took."""
 
     nearest: float
     arrived: bool

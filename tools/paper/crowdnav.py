@@ -18,21 +18,8 @@ from pedzoo.eval.work_units import fingerprint
 from pedzoo.metrics.ratios import Ratio, mean, of_sums, ratio, share, summarised
 from pedzoo.policies.robots._base import LocalPlanner, ObservedPeople, Robot
 from pedzoo.policies.robots._weights import load_planner
-from pedzoo.sim.crowdnav import (
-    COLLISION,
-    CROWDNAV,
-    CROWDNAV_PP,
-    FAILED,
-    GOES_ON,
-    SUCCESS,
-    TEST,
-    TIME_STEP,
-    TIMEOUT,
-    Setting,
-    State,
-    cases,
-    step,
-)
+from pedzoo.sim import crowdnav as rules
+from pedzoo.sim.crowdnav import CROWDNAV, CROWDNAV_PP, SUCCESS, TIME_STEP, Setting, State, cases
 from tools.paper.base import Jobs, interval_text
 from tools.paper.published import CROWDNAV_ROWS, ORCA_LOG, ORCA_PP, SOCIAL_FORCE_LOG, Log
 
@@ -42,20 +29,12 @@ CASES = 500
 DISCOUNT = 0.9
 """Of rewards per second at 1 m/s: CrowdNav's."""
 
-LETTERS = {SUCCESS: "s", COLLISION: "c", TIMEOUT: "t", FAILED: "f"}
+LETTERS = {SUCCESS: "s", rules.COLLISION: "c", rules.TIMEOUT: "t", rules.FAILED: "f"}
 """How a case ended, as rows of the report have it."""
 
 
 class Table(NamedTuple):
-    """A setting and the robots that are tested in it.
-
-    Attributes:
-        title: What people call it.
-        setting: Its rules.
-        first: Seed of its first case.
-        robots: Names with settings.
-        columns: Metrics that are shown.
-    """
+    """A setting, the seed of its first case, the robots that are tested in it, and metrics shown."""
 
     title: str
     setting: Setting
@@ -74,14 +53,14 @@ TABLES = {
     "crowdnav": Table(
         "CrowdNav: 5 people who do not see the robot",
         CROWDNAV,
-        TEST,
+        rules.TEST,
         (*_RULES, *LEARNED),
         (*_COLUMNS, "discomfort", "return"),
     ),
     "crowdnav_visible": Table(
         "CrowdNav: 5 people who see the robot",
         replace(CROWDNAV, visible=True),
-        TEST,
+        rules.TEST,
         ("crowdnav_orca", _SPACE, "sampling", *LEARNED),
         (*_COLUMNS, "discomfort", "return"),
     ),
@@ -213,7 +192,7 @@ def run(policy: LocalPlanner, setting: Setting, cases: State) -> CaseResults:
     """
     state = cases.copy()
     scenes = len(cases.goal)
-    outcome, seconds = torch.full((scenes,), GOES_ON), torch.zeros(scenes).double()
+    outcome, seconds = torch.full((scenes,), rules.GOES_ON), torch.zeros(scenes).double()
     sums = {name: torch.zeros_like(seconds) for name in CaseResults._fields[2:]}
     while bool((going := state.going).any()):
         place, moving, radius, mask = state.known
@@ -221,7 +200,7 @@ def run(policy: LocalPlanner, setting: Setting, cases: State) -> CaseResults:
         velocity = policy(Robot(*(part.float() for part in state.robot)), known)
         if velocity.shape != (scenes, 2):
             raise ValueError(f"the robot's policy gave velocities {tuple(velocity.shape)}, not {(scenes, 2)}")
-        before, (state, events) = state, step(setting, state, velocity)
+        before, (state, events) = state, rules.step(setting, state, velocity)
         on = state.going
         disturbed = on & (events.clearance < setting.discomfort_dist)
         intruded = on & events.intruded.isfinite()
@@ -245,9 +224,9 @@ def ratios(runs: CaseResults) -> dict[str, Ratio]:
     won = runs.outcome == SUCCESS
     result = {
         "success": share(won),
-        "collision": share(runs.outcome == COLLISION),
-        "timeout": share(runs.outcome == TIMEOUT),
-        "failed": share(runs.outcome == FAILED),
+        "collision": share(runs.outcome == rules.COLLISION),
+        "timeout": share(runs.outcome == rules.TIMEOUT),
+        "failed": share(runs.outcome == rules.FAILED),
         "time_s": mean(runs.seconds, won),
         "path_m": mean(runs.path, won),
         "return": ratio(runs.reward),

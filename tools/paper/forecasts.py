@@ -47,14 +47,7 @@ RECORD = "FORECAST.json"
 
 
 class Block(NamedTuple):
-    """What is compared under one protocol.
-
-    Attributes:
-        pred_len: Predicted steps of 0.4 s.
-        goal: Goal protocol.
-        models: Architectures, one row each.
-        tag: The end of their weights' names, behind the fold.
-    """
+    """What is compared under one protocol; ``tag`` ends the names of weights, behind the fold."""
 
     pred_len: int
     goal: GoalProtocol
@@ -68,18 +61,7 @@ class Block(NamedTuple):
 
 
 class Job(NamedTuple):
-    """One model on one fold under one protocol: the smallest part that is kept.
-
-    Attributes:
-        row: What the row is called.
-        weights: What is loaded.
-        fold: The test scene.
-        goal: Goal protocol.
-        pred_len: Predicted steps.
-        samples: K.
-        seed: Of the samples.
-        root: Folder with recordings.
-    """
+    """One model on one fold under one protocol: the smallest part that is kept; ``row`` is its name."""
 
     row: str
     weights: str

@@ -19,13 +19,7 @@ PAPER = "the paper's model (one run; which step is not said)"
 
 
 class Shown(NamedTuple):
-    """A table.
-
-    Attributes:
-        title: What it shows.
-        key: Name of the metric, in seconds where it is shown in steps.
-        in_steps: Whether it is.
-    """
+    """A table of a metric, which is in seconds where it is shown ``in_steps``."""
 
     title: str
     key: str

@@ -14,6 +14,7 @@ from pedzoo.core.paths import shipped, write_atomically
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.eval.forecast import forecast, forecast_row
 from pedzoo.models.zoo.loading import load
+from tools.pages.tables import table as markdown
 
 HEADER = """# Open-loop results of every seed
 
@@ -89,11 +90,8 @@ def page(rows: list[dict]) -> str:
         pred_len, goal, fold = place
         columns = {key: title for key, title in COLUMNS.items() if any(key in row["metrics"] for row in mine)}
         lines += [f"## {fold}, goal `{goal}`, {pred_len} predicted steps, {mine[0]['n']} people\n"]
-        lines += [f"| model | seeds | {' | '.join(columns.values())} |", "|---" * (len(columns) + 2) + "|"]
-        for row in mine:
-            cells = [_cell(row, key) for key in columns]
-            lines.append(f"| {row['name']} | {row['seeds']} | {' | '.join(cells)} |")
-        lines.append("")
+        cells = [[row["name"], str(row["seeds"]), *(_cell(row, key) for key in columns)] for row in mine]
+        lines += [markdown(["model", "seeds", *columns.values()], cells)]
     return "\n".join(lines)
 
 

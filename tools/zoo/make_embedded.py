@@ -7,25 +7,11 @@ nothing here calls `exp` or `sin`.
 """
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from plaza import (
-    CLEARANCE,
-    GATE_WEIGHTS,
-    GATES,
-    HIGH,
-    LOW,
-    STOPS,
-    YAML,
-    Roads,
-    norm,
-    png,
-    right,
-    visible,
-    wall,
-)
-from plaza_crowd import Crowd, Party, Way
+from plaza import CLEARANCE, GATE_WEIGHTS, GATES, HIGH, LOW, STOPS, Roads, norm, right, visible, wall, write
 
 STEP, SUBSTEPS = 0.4, 8
 DT = STEP / SUBSTEPS
@@ -34,6 +20,45 @@ MOST_PEOPLE = 20
 RELAX, TURN = 0.5, 0.6  # s; how quickly a person takes the velocity they want, and turns to the next bend
 HORIZON, ELBOW, AVOID = 3.5, 0.9, 1.8  # s looked ahead, m kept when passing, m/s^2 at most for it
 WOBBLE_TIME, WOBBLE_SIDE, WOBBLE_SPEED = 1.6, 0.08, 0.08  # s, m/s, share of the own speed
+
+
+@dataclass
+class Party:
+    """People who walk together, and how long they stand where they stop."""
+
+    wait: float
+    abreast: np.ndarray  # unit vector along which they stand side by side
+    leave_at: float = -1.0
+
+
+@dataclass
+class Way:
+    """The points that one person still has to walk through."""
+
+    points: list[np.ndarray]
+    stop: int  # index of the point where they stand a while; -1: none ahead
+
+
+class Crowd:
+    """The people now on the plaza, one row each."""
+
+    def __init__(self) -> None:
+        """Nobody is there."""
+        self.agent = self.party = np.zeros(0, int)
+        self.slot = self.speed = np.zeros(0)  # place to the right of the party's middle, m
+        self.here = self.velocity = self.course = np.zeros((0, 2))  # the last: the smooth heading
+        self.seen = np.zeros(0, bool)  # they have entered the picture
+        self.wobble = np.zeros((0, 4))  # side, speed, and what drives them
+
+    def keep(self, rows: np.ndarray) -> None:
+        """Drops all other people."""
+        for name, value in vars(self).items():
+            setattr(self, name, value[rows])
+
+    def add(self, **row: object) -> None:
+        """Lets one person in."""
+        for name, value in row.items():
+            setattr(self, name, np.concatenate([getattr(self, name), np.array([value])]))
 
 
 class Plaza:
@@ -218,8 +243,7 @@ def main(folder: Path) -> None:
     for split, (seed, people) in SPLITS.items():
         # newline="" keeps the bytes the same on Windows.
         (folder / f"plaza_{split}.csv").write_text(Plaza(seed, people).record(), newline="")
-    (folder / "plaza.png").write_bytes(png())
-    (folder / "plaza.yaml").write_text(YAML, newline="")
+    write(folder)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ too. Only ``+ - * / sqrt`` are used on purpose: those are the same to the last b
 import heapq
 import struct
 import zlib
+from pathlib import Path
 
 import numpy as np
 
@@ -156,8 +157,8 @@ class Roads:
         raise ValueError(f"no route from {start} to {end}")
 
 
-def png() -> bytes:
-    """The floor plan as an 8-bit grey PNG: 0 occupied, 254 free, top row first (ROS map_server form).
+def write(folder: Path) -> None:
+    """Writes the floor plan: an 8-bit grey PNG, 0 occupied, 254 free, top row first (ROS map_server form).
 
     Stored, not compressed: what a compressor returns differs between versions of zlib.
     """
@@ -173,7 +174,9 @@ def png() -> bytes:
     data = stored + struct.pack(">I", zlib.adler32(raw))
     header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
     chunks = ((b"IHDR", header), (b"IDAT", data), (b"IEND", b""))
-    return b"\x89PNG\r\n\x1a\n" + b"".join(
+    content = b"".join(
         struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
         for name, body in chunks
     )
+    (folder / "plaza.png").write_bytes(b"\x89PNG\r\n\x1a\n" + content)
+    (folder / "plaza.yaml").write_text(YAML, newline="")  # the bytes are the same on Windows
