@@ -239,7 +239,7 @@ def test_what_the_machine_lacks_is_one_line(error, said, monkeypatch, capsys):
 
 def test_real_lacks_of_memory_and_room_are_told(monkeypatch, capsys, tmp_path):
     for make in (torch.zeros, np.zeros, bytearray):
-        monkeypatch.setattr("pedzoo.cli.commands.models.run", lambda argv, make=make: make(2**60))
+        monkeypatch.setattr("pedzoo.cli.commands.models.run", lambda argv, make=make: make(2**58))
         assert refused(capsys, "models").startswith("pedzoo: not enough memory (")
     if sys.platform == "linux":  # a limit of the shell's, in a process of its own
         code = "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "

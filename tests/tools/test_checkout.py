@@ -1,17 +1,24 @@
-"""Commands and suites of a checkout: absent from a wheel, where cards and all other commands still work."""
+"""Tools of a checkout: absent from a wheel; dependencies of the checks, and trainings that are killed."""
 
 from __future__ import annotations
 
+import re
+import tomllib
 from pathlib import Path
 
 import pytest
+import torch
 
 from pedzoo.cli.main import main, overview
 from pedzoo.core import registry
-from pedzoo.core.paths import CARD, shipped, weight_files
-from pedzoo.core.registry import SUITES, Registry, folder_of
+from pedzoo.core.configs import load_config
+from pedzoo.core.errors import EXTRAS
+from pedzoo.core.paths import CARD, config_names, shipped, weight_files
+from pedzoo.core.registry import ROOT, SUITES, Registry, folder_of
 from pedzoo.eval.cards import about
 from pedzoo.models.zoo.card import read_card
+from tools import kills
+from tools.kills import difference
 
 
 @pytest.mark.parametrize("words", [["bench", "loop"], ["bench", "--help"], ["reproduce", "table1"]])
@@ -45,3 +52,86 @@ def test_cards_name_no_suite_of_a_checkout() -> None:
         for report in read_card(shipped("checkpoints") / name / CARD).evaluations:
             suites = report["protocol"].get("suites", [])
             assert package >= set(suites), f"{name}: {about(report['protocol'])}"
+
+
+# Kills
+
+
+def test_every_trainer_is_killed() -> None:
+    def trainer(config: str) -> str:
+        return load_config(config)["model"]["class_path"]
+
+    killed = {words[words.index("--config") + 1] for words in kills.TRAININGS.values()}
+    assert {*map(trainer, killed)} == {*map(trainer, config_names())}
+
+
+def test_what_a_kill_has_changed_is_told(tmp_path: Path) -> None:
+    runs = tmp_path / "one", tmp_path / "two"
+    for run in runs:
+        (run / "checkpoints").mkdir(parents=True)
+        torch.save({"state_dict": {"w": torch.ones(2)}}, run / "checkpoints" / "last.ckpt")
+        (run / "metrics.csv").write_text("epoch,loss\n0,1\n")
+    assert difference(*runs) == ""
+    (runs[1] / "metrics.csv").write_text("epoch,loss\n0,1\n0,1\n")
+    assert difference(*runs) == "metrics.csv"
+    (runs[0] / "metrics.csv").write_text("epoch,samples_per_s\n0,7\n")
+    (runs[1] / "metrics.csv").write_text("epoch,samples_per_s\n0,8\n")
+    assert difference(*runs) == ""
+    torch.save({"state_dict": {"w": torch.tensor([1, 1.0000001])}}, runs[1] / "checkpoints" / "last.ckpt")
+    assert difference(*runs) == "weights ['w']"
+
+
+# One version of each dependency, every file by its sha256
+
+
+def name_of(requirement: str) -> str:
+    return re.split(r"[^A-Za-z0-9._-]", requirement)[0].lower().replace("_", "-")
+
+
+def locked() -> dict[str, tuple[str, int]]:
+    """Return the version of each locked package, and how many hashes it has."""
+    text = (ROOT / "requirements-ci.txt").read_text().replace("\\\n", " ")
+    lines = [line for line in text.splitlines() if line and not line.startswith("#")]
+    return {
+        name_of(line): (re.split(r"==| ", line)[1], len(re.findall(r"--hash=sha256:[0-9a-f]{64}\b", line)))
+        for line in lines
+    }
+
+
+def pinned() -> dict[str, str]:
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    return {name_of(line): line.partition("==")[2] for line in lines if not line.startswith("#")}
+
+
+def test_every_file_that_the_checks_install_has_a_hash() -> None:
+    packages = locked()
+    assert len(packages) > 100 and "torch" not in packages
+    assert all(hashes > 0 for _, hashes in packages.values())
+
+
+def test_the_lock_has_the_versions_of_the_constraints() -> None:
+    """``tools/lock`` makes them agree. torch has many builds of one version, and no hash."""
+    packages, versions = locked(), pinned()
+    assert versions.keys() - packages.keys() == {"torch"}
+    assert {name: packages[name][0] for name in versions if name != "torch"} == {
+        name: version for name, version in versions.items() if name != "torch"
+    }
+
+
+def test_the_lock_has_all_dependencies_of_the_checks() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    wanted = [*project["dependencies"], *(one for extra in extras.values() for one in extra)]
+    assert {name_of(one) for one in wanted} - {"torch", "pedzoo"} <= locked().keys()
+
+
+def test_the_checks_install_from_the_lock_alone() -> None:
+    setup = (ROOT / "tools" / "setup").read_text()
+    assert "--no-deps --require-hashes --requirement requirements-ci.txt" in setup
+
+
+def test_all_is_every_extra() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    (every,) = extras["all"]
+    assert set(re.split(r"[\[\],]", every)[1:-1]) == set(EXTRAS) == extras.keys() - {"all", "dev"}
+    assert extras["dev"][0] == "pedzoo[all]"
