@@ -1,4 +1,4 @@
-"""Everything that README and docs/ tell people to type works, page by page, in the order of reading."""
+"""Everything that README and docs/ tell people to type works, page by page; pages are plain English."""
 
 from __future__ import annotations
 
@@ -6,14 +6,50 @@ import re
 import runpy
 import shlex
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from helpers.pages import PAGES, ROOT, blocks, commands, files, snippets
+import torch
 
+import pedzoo
 from pedzoo.cli.commands import demo
 from pedzoo.cli.main import main
 from pedzoo.core.paths import config_names
+from pedzoo.metrics.closed_loop import NAMES
+from pedzoo.sim.gym import IDS
+
+ROOT = Path(__file__).parents[2]
+PAGES = {
+    path.relative_to(ROOT).as_posix(): path.read_text()
+    for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+}
+"""Their texts, by their paths."""
+
+
+def blocks(page: str, language: str) -> list[str]:
+    """Return the code blocks of a language."""
+    return re.findall(rf"```{language}\n(.*?)```", PAGES[page], re.DOTALL)
+
+
+def commands(page: str) -> list[list[str]]:
+    """Return the words of all ``pedzoo`` commands behind ``pedzoo``, in order."""
+    lines = [line.partition("#")[0].strip() for block in blocks(page, "bash") for line in block.splitlines()]
+    lines = [line.removeprefix("PYTHONPATH=. ") for line in lines]
+    return [shlex.split(line)[1:] for line in lines if line.startswith("pedzoo ")]
+
+
+def files(page: str) -> dict[str, str]:
+    """Return the files that a page lets its reader write: blocks whose first line is ``# NAME``."""
+    texts = [*blocks(page, "python"), *blocks(page, "yaml")]
+    named = (re.match(r"# (\S+\.(?:py|yaml))\n", text) for text in texts)
+    return {name[1]: text for name, text in zip(named, texts, strict=True) if name}
+
+
+def snippets(page: str) -> list[str]:
+    """Return the Python code that is not a file."""
+    return [code for code in blocks(page, "python") if code not in files(page).values()]
+
 
 SHORT = [f"--trainer.{key}=1" for key in ("max_epochs", "limit_val_batches", "check_val_every_n_epoch")]
 SHORT += ["--trainer.limit_train_batches=2", "--trainer.enable_progress_bar=false", "--rollout.episodes=2"]
@@ -185,3 +221,86 @@ def test_the_table_of_configs_is_complete() -> None:
 
 def test_no_page_names_an_install_from_an_index() -> None:
     assert [page for page, text in PAGES.items() if "install 'pedzoo[" in text] == []
+
+
+def test_every_metric_has_a_row_with_formula_and_unit() -> None:
+    rows = re.findall(
+        r"^\| (`.*?) \| (.+?) \| (.+?) \| (.+?) \| (.+?) \|$", PAGES["docs/evaluate.md"], re.MULTILINE
+    )
+    explained: set[str] = set()
+    for cell, formula, unit, better, _ in rows:
+        names = re.findall(r"`(\w+)`", cell)
+        explained |= {name if not name.startswith("_") else names[0] + name for name in names}
+        assert formula and unit and better in ("higher", "lower", "real", "1", "-"), cell
+    assert set(NAMES) - explained == set()
+
+
+# docs/robots.md
+
+*CALLS, OWN = blocks("docs/robots.md", "python")
+
+
+@pytest.mark.parametrize("code", CALLS, ids=lambda code: code.strip().splitlines()[0])
+def test_the_code_runs(code: str) -> None:
+    exec(compile(code, "docs/robots.md", "exec"), {})
+
+
+def test_a_robot_a_sensor_and_a_reward_of_ones_own(elsewhere: Path) -> None:
+    (elsewhere / "mine.py").write_text(OWN)
+    own: dict[str, Any] = {"robot": "mine.py:Scooter:top_speed=2", "sensors": ["goal", "mine.py:Clock"]}
+    own |= {"reward": {"mine.py:Hurry": 0.5}, "people": "go_to_goal"}
+    env: Any = pedzoo.make_robot_env("circle:people=4", **own)
+    seen = env.reset(seed=0)
+    assert env.action_spec["robots", "action"].space.high[0, 0].tolist() == [2.0, 2.0]
+    for _ in range(5):
+        seen["robots", "action"] = torch.tensor([[[2.0, 0.0]]])
+        seen = env.step(seen)["next"]
+    assert seen["robots", "observation", "clock"].item() == pytest.approx(1.0)
+    assert seen["robots", "reward"].item() == pytest.approx(0.5 * 2.0, rel=0.05)
+
+
+def test_the_page_names_all_ids() -> None:
+    assert set(re.findall(r"`(pedzoo/\w+-v0)`", PAGES["docs/robots.md"])) == set(IDS)
+
+
+# Sentences
+
+MOST = 25
+"""Words of a sentence."""
+
+TEXTS = PAGES | {"CONTRIBUTING.md": (ROOT / "CONTRIBUTING.md").read_text()}
+
+
+def sentences(text: str) -> list[str]:
+    """Return the sentences of a page's prose; a piece of code counts as one word, a Python file as none.
+
+    Code blocks and tables are left out: they are no sentences, and most tables are generated.
+    """
+    prose = re.sub(r"```.*?```|^[|#][^\n]*|<!--.*?-->", "\n", text, flags=re.DOTALL | re.MULTILINE)
+    prose = re.sub(r"`[\w/]+\.py`,?", "", prose)
+    prose = re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", re.sub(r"`[^`]*`", "code", prose))
+    return [" ".join(one.split()) for one in re.split(r"(?<=[.?!])\s+|\n\s*\n|\n\s*(?=[-*] |\d+\. )", prose)]
+
+
+def long(texts: list[str]) -> list[str]:
+    """Return those with too many words."""
+    return [text for text in texts if len([word for word in text.split() if re.search(r"\w", word)]) > MOST]
+
+
+@pytest.mark.parametrize("page", TEXTS)
+def test_sentences_are_short(page: str) -> None:
+    assert len(sentences(TEXTS[page])) > 3
+    assert long(sentences(TEXTS[page])) == []
+
+
+def test_sentences_of_the_glossary_are_short() -> None:
+    rows = [line for line in PAGES["docs/glossary.md"].splitlines() if line.startswith("| **")]
+    cells = [re.sub(r"`[^`]*`,?", "", cell) for row in rows for cell in row.strip("| ").split(" | ")]
+    assert len(cells) > 160 and long([one for cell in cells for one in re.split(r"(?<=[.?!])\s", cell)]) == []
+
+
+def test_long_sentences_are_found() -> None:
+    words = " ".join(["word"] * MOST)
+    page = f"# {words} more\n\nShort. {words}.\n\n- `a b` {words}.\n- {words}\n  more.\n\n| {words} more |\n"
+    assert long(sentences(page)) == [f"- code {words}.", f"- {words} more."]
+    assert long(sentences(f"```bash\n{words} more\n```\n`core/spec.py`, `core/registry.py`: {words}.")) == []
