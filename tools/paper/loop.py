@@ -156,10 +156,7 @@ class Loop(Walked):
     title = "Controllers in the loop: what they have to show"
     stem = "LOOP"
     suites = ("loop_doors", "loop_buildings", "loop_noise", "loop_replay")
-    # three seeds of training each, the best one in validation first
-    models = tuple(
-        f"{name}.indoor{seed}" for name in ("sgan_goal_map", "sgan_goal") for seed in ("", "-seed1", "-seed2")
-    )
+    models = ("sgan_goal_map.indoor", "sgan_goal.indoor")
     baselines = (*APART, *OPEN_LOOP, *BASELINES)
 
     def notes(self) -> list[str]:

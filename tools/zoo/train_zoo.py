@@ -50,22 +50,18 @@ def train_one(recipe: Recipe, seed: int, root: Path) -> None:
 
 
 def export(recipes: list[Recipe], root: Path) -> None:
-    """Publish the seed of every recipe that is best in validation, and of some the others beside it."""
+    """Publish the seed of every recipe that is best in validation."""
     for recipe in recipes:
         if values := recipe.finished(root):
-            best_first = sorted(values, key=values.__getitem__, reverse=recipe.best is max)
-            for name, seed in zip(recipe.names, best_first, strict=False):
-                half = recipe.config.startswith("anchor_")
-                card = publish(recipe.run(seed, root).best, shipped("checkpoints"), name, half=half)
-                print(
-                    f"{card}: seed {seed} of {len(values)}, {recipe.monitor} {values[seed]:.4f}", flush=True
-                )
+            seed = recipe.best(values, key=values.__getitem__)
+            half = recipe.config in ("anchor_mlp", "anchor_net")
+            card = publish(recipe.run(seed, root).best, shipped("checkpoints"), recipe.name, half=half)
+            print(f"{card}: seed {seed} of {len(values)}, {recipe.monitor} {values[seed]:.4f}", flush=True)
 
 
 def numbers(recipes: list[Recipe], again: bool) -> None:
     """Measure the shipped weights whose cards have no numbers yet; ``again``: those of all recipes."""
-    names = [name for recipe in recipes for name in recipe.names]
-    for name in names:
+    for name in (recipe.name for recipe in recipes):
         path = shipped("checkpoints") / name / CARD
         if path.is_file() and (not (card := read_card(path)).evaluations or again):
             write_card(msgspec.structs.replace(card, evaluations=measure(name)), path)

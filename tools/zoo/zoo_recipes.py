@@ -86,22 +86,12 @@ class Recipe:
         return zoo_name(self.config, protocol)
 
     @property
-    def all_seeds(self) -> bool:
-        """Whether every seed is published: tables of the closed loop have a row for each."""
-        return self.folder == "closed_loop" and self.fold == EVERYTHING and not self.on_crowds
-
-    @property
-    def names(self) -> list[str]:
-        """Zoo names of its seeds, the best one's first."""
-        return [self.name, *(f"{self.name}-seed{place}" for place in (1, 2) if self.all_seeds)]
-
-    @property
     def options(self) -> dict[str, str]:
         """The options of ``pedzoo fit`` beside the seed."""
         options = {"config": self.config, "data.fold": self.fold, "monitor": self.monitor}
         if self.begins_with:
             options |= {"weights": self.begins_with, "monitor_mode": self.best.__name__}
-            if not self.all_seeds:
+            if self.fold != EVERYTHING:
                 # five trainings for replays of unseen folds alone: half as long each
                 options["trainer.max_epochs"] = "7"
         else:
