@@ -11,7 +11,7 @@ import pytest
 import torch
 import yaml
 from helpers.batches import make_batch, random_weights
-from helpers.model_cards import make_card
+from helpers.model_cards import make_card, write_model
 from helpers.runs import make_run
 from msgspec.structs import replace
 
@@ -25,8 +25,7 @@ from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.card import read_card, write_card
 from pedzoo.models.zoo.card_page import page, readme, write_hub
-from pedzoo.models.zoo.loading import load, save_weights
-from pedzoo.models.zoo.publish import describe
+from pedzoo.models.zoo.loading import load
 
 
 def answers(model: Forecaster) -> torch.Tensor:
@@ -35,12 +34,10 @@ def answers(model: Forecaster) -> torch.Tensor:
 
 @pytest.fixture
 def model(tmp_path: Path) -> str:
-    """A folder of models with one in it: weights and a card whose weights are said to be elsewhere."""
-    weights = tmp_path / "zoo" / "sgan.mall.safetensors"
-    protocol = {"fold": "zara1", "goal": "none", "clock": "benchmark", "pred_len": 8}
-    save_weights(random_weights(SGAN()), weights, protocol=protocol)
-    describe(weights, measured=make_card("sgan.mall").evaluations)
-    return str(weights.with_suffix(""))
+    """A folder of models with one in it."""
+    measured = make_card("sgan.mall").evaluations
+    write_model(random_weights(SGAN()), tmp_path / "zoo", "sgan.mall", evaluations=measured)
+    return str(tmp_path / "zoo" / "sgan.mall")
 
 
 def test_a_run_becomes_weights_and_a_card_with_its_numbers(
@@ -89,21 +86,13 @@ def test_a_hub_folder_loads_and_is_written_the_same_again(model: str, tmp_path: 
     assert {path.name: path.read_bytes() for path in hub.iterdir()} == before
 
 
-def test_a_hub_folder_replaces_files_of_an_earlier_layout(model: str) -> None:
-    folder = Path(model).parent
-    before = answers(load(model))
-    write_hub(model, folder)
-    assert sorted(os.listdir(folder)) == ["LICENSE.md", "README.md", "card.yaml", "weights.safetensors"]
-    assert torch.equal(answers(load(folder)), before)
-
-
 def test_weights_of_a_hub_folder_are_its_own(model: str, tmp_path: Path) -> None:
     """Wherever a card says that its weights can be downloaded, in the folder they lie beside it."""
-    path = Path(f"{model}.yaml")
+    path = Path(model) / "card.yaml"
     card = read_card(path)
     write_card(replace(card, url="https://example.org/sgan.safetensors"), path)
     write_hub(model, tmp_path / "hub")
-    assert read_card(tmp_path / "hub" / "card.yaml") == replace(card, file="weights.safetensors")
+    assert read_card(tmp_path / "hub" / "card.yaml") == card
 
 
 def test_the_front_matter_is_what_the_hub_reads() -> None:

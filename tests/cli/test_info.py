@@ -23,7 +23,7 @@ def zoo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PEDZOO_HOME", str(tmp_path / "home"))
     monkeypatch.setenv("PEDZOO_ZOO", str(tmp_path / "zoo"))
-    write_card(make_card("sgan_goal.mall"), tmp_path / "zoo" / "sgan_goal.mall.yaml")
+    write_card(make_card("sgan_goal.mall"), tmp_path / "zoo" / "sgan_goal.mall" / "card.yaml")
     return tmp_path / "zoo"
 
 
@@ -69,7 +69,7 @@ def test_text_of_a_card_gives_the_terminal_no_orders(zoo: Path, capsys: pytest.C
     evaluations = make_card().evaluations
     evaluations[1]["rows"][0]["table"] = "[/red]"
     card = make_card("sgan_goal.mall", licence="[bold]MIT[/nothing]", evaluations=evaluations)
-    write_card(card, zoo / "sgan_goal.mall.yaml")
+    write_card(card, zoo / "sgan_goal.mall" / "card.yaml")
     assert main(["info", "sgan_goal.mall"]) == 0
     text = capsys.readouterr().out
     assert "[bold]MIT[/nothing]" in text and "[/red]" in text
@@ -99,10 +99,11 @@ def test_models_has_a_row_for_every_card_with_its_headline(capsys: pytest.Captur
 
 
 def test_one_bad_card_does_not_hide_the_others(zoo: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (zoo / "sgan.bad.yaml").write_text("name: sgan.bad")
+    (zoo / "sgan.bad").mkdir()
+    (zoo / "sgan.bad" / "card.yaml").write_text("name: sgan.bad")
     bad, good = rows("*.[bm]a*")
     assert "missing required field `architecture`" in bad["error"] and good["kB"] == 192
-    assert "sgan.bad.yaml': Object missing required field `architecture`" in capsys.readouterr().out
+    assert "sgan.bad/card.yaml': Object missing required field `architecture`" in capsys.readouterr().out
 
 
 def test_nothing_heavy_is_imported() -> None:

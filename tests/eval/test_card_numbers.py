@@ -54,9 +54,9 @@ def card_with(reports: list[dict[str, Any]], folder: str = "zoo") -> str:
     """Put the model into a folder, with a card that has these reports; return its name."""
     entry = find(NAME)
     assert entry
-    Path(folder).mkdir(exist_ok=True)
-    shutil.copy(weights_of(entry), Path(folder) / entry.card.file)
-    write_card(replace(entry.card, evaluations=reports), Path(folder) / f"{NAME}.yaml")
+    own = Path(folder) / NAME
+    write_card(replace(entry.card, evaluations=reports), own / "card.yaml")
+    shutil.copy(weights_of(entry), own)
     return f"{folder}/{NAME}"
 
 

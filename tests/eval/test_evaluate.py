@@ -354,7 +354,7 @@ def test_own_weights_are_known_by_checkpoint_or_card(tmp_path: Path) -> None:
     file, name = tmp_path / "best.ckpt", f"{tmp_path}/sgan_goal.mall"
     record = {"architecture": "sgan", "init": {}, "protocol": {"fold": "zara1"}}
     torch.save({"pedzoo": record, "state_dict": {}}, file)
-    write_card(make_card("sgan_goal.mall"), f"{name}.yaml")
+    write_card(make_card("sgan_goal.mall"), f"{name}/card.yaml")
     for weights in (str(file), name):
         assert trained_on.has_seen(f"{weights}:noise=step", "hotel")
         assert not trained_on.has_seen(weights, "zara1")
@@ -429,7 +429,7 @@ def test_the_key_of_a_part_has_all_that_numbers_depend_on(small: str) -> None:
     assert digest(unit) == digest(Evaluation(["go_to_goal"], [small]).units[0])
     model, digests = f"{Path(small).parent}/sgan.mall", []
     for digit in "01":
-        write_card(make_card("sgan.mall", sha256=64 * digit), f"{model}.yaml")
+        write_card(make_card("sgan.mall", sha256=64 * digit), f"{model}/card.yaml")
         digests.append(digest(unit._replace(policy=model, walks=model)))
     assert digests[0] != digests[1], "other weights under the same name"
     before = digest(unit)

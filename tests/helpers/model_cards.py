@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
-from pedzoo.models.zoo.card import ModelCard
+from pedzoo.core.paths import CARD, WEIGHTS
+from pedzoo.models.base import Forecaster
+from pedzoo.models.zoo.card import ModelCard, read_config, write_card
+from pedzoo.models.zoo.loading import save_weights
 
 
 def _report(command: str, protocol: dict[str, Any], **row: Any) -> dict[str, Any]:
@@ -52,7 +56,16 @@ def make_card(name: str = "sgan_goal.zara1", **changed: Any) -> ModelCard:
         ],
         "versions": {"pedzoo": "0.1.0", "torch": "2.13.0"},
         "licence": "MIT",
-        "file": f"{name}.safetensors",
-        "url": None,
     }
     return ModelCard(**(values | changed))
+
+
+def write_model(model: Forecaster, folder: Path, name: str = "sgan_goal.mall", **changed: Any) -> ModelCard:
+    """Write weights and their card into the model's own folder below one, and return the card."""
+    weights = folder / name / WEIGHTS
+    digest = save_weights(model, weights)
+    config = read_config(weights)
+    its = {"architecture": config["architecture"], "sha256": digest, "size": weights.stat().st_size}
+    card = make_card(name, **{**its, "config": config, "evaluations": [], **changed})
+    write_card(card, weights.with_name(CARD))
+    return card

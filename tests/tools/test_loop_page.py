@@ -192,7 +192,7 @@ def test_forecasts_stand_beside_those_of_the_weights_before(
             rows = [row | {"metrics": {"ade_m": factor * row["metrics"]["ade_m"]}} for row in one["rows"]]
             result.append(one | {"rows": rows})
         known = card.training | training
-        write_card(replace(card, name=name, training=known, evaluations=result), tmp_path / f"{name}.yaml")
+        write_card(replace(card, name=name, training=known, evaluations=result), tmp_path / name / CARD)
 
     write(before, "sgan_goal_map.before", 1.0)
     write(after, "sgan_goal_map.good", 1.1, overrides={"weights": "sgan_goal_map.before"})

@@ -1,7 +1,6 @@
-"""Model cards: what a file of weights is, what it was trained on and how well it does. Read without torch.
+"""Model cards: what weights are, what they were trained on and how well they do. Read without torch.
 
-The weights of ``FOLDER/NAME/card.yaml`` are ``FOLDER/NAME/weights.safetensors``. Those of
-``FOLDER/NAME.yaml`` are in the file that the card names, as a rule ``FOLDER/NAME.safetensors``.
+A model is a folder of its name, with its card, ``card.yaml``, and its weights, ``weights.safetensors``.
 """
 
 import json
@@ -19,7 +18,13 @@ from pedzoo.core.forms import check, check_plain, said
 from pedzoo.core.paths import CARD, WEIGHTS, write_atomically
 from pedzoo.core.size_limits import LARGEST_CARD, LARGEST_WEIGHTS, check_limit, load_yaml, read_text
 
-_FILE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*\.safetensors")
+_FORMS = {
+    "name": (r"[A-Za-z0-9_]+\.[A-Za-z0-9_-]+", "ARCHITECTURE.TAG of letters, digits, _ and -"),
+    "file": (re.escape(WEIGHTS), f"{WEIGHTS}, beside the card, and no path"),
+    "sha256": ("[0-9a-f]{64}", "64 digits of 0-9 and a-f"),
+    "url": (r"https?://\S+", "an address at http:// or https://"),
+}
+"""Patterns of texts on a card, and how messages name them."""
 
 
 class Config(msgspec.Struct, forbid_unknown_fields=True):
@@ -96,7 +101,7 @@ class ModelCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         evaluations: What was measured, see `Evaluation`.
         versions: Of what it was trained with.
         licence: Of the weights.
-        file: Name of the weights beside ``NAME.yaml``. Beside ``card.yaml`` they are ``weights.safetensors``.
+        file: Name of the weights, ``weights.safetensors``.
         url: Where to download them if they are not there; None: beside the place of the card.
 
     Raises:
@@ -113,54 +118,41 @@ class ModelCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     evaluations: list[dict[str, Any]]
     versions: dict[str, str]
     licence: str
-    file: str
-    url: str | None
+    file: str = WEIGHTS
+    url: str | None = None
 
     def __post_init__(self) -> None:
         """Check everything that others rely on."""
         check_plain(msgspec.structs.asdict(self))
-        check(self.config, Config, "config")
-        check(self.training, Training, "training")
-        check(self.data, Data, "data")
-        check(self.evaluations, list[Evaluation], "evaluations")
-        check_name(self.name)
-        if not _FILE.fullmatch(self.file):
-            raise UserError(
-                f"file {self.file!r}: expected the plain name of a .safetensors file beside the card, no path"
-            )
-        if not re.fullmatch("[0-9a-f]{64}", self.sha256):
-            raise UserError(f"sha256 {self.sha256!r}: expected 64 digits of 0-9 and a-f")
+        parts = {"config": Config, "training": Training, "data": Data, "evaluations": list[Evaluation]}
+        for key, form in parts.items():
+            check(getattr(self, key), form, key)
+        for key, (pattern, expected) in _FORMS.items():
+            value = getattr(self, key)
+            if value is not None and not re.fullmatch(pattern, value):
+                raise UserError(f"{key} {value!r}: expected {expected}")
         check_limit(self.size, LARGEST_WEIGHTS, "size of weights", "bytes", "is the card right?")
-        if self.url is not None and not re.fullmatch(r"https?://\S+", self.url):
-            raise UserError(f"url {self.url!r}: expected an address at http:// or https://")
-        if self.architecture != self.config["architecture"]:
-            raise UserError(
-                f"architecture {self.architecture!r}: its config is of {self.config['architecture']!r}"
-            )
-
-
-def check_name(name: str) -> str:
-    """Return a zoo name as it is.
-
-    Raises:
-        UserError: It is none.
-    """
-    if not is_name(name):
-        raise UserError(f"name {name!r}: expected ARCHITECTURE.TAG of letters, digits, _ and -")
-    return name
+        if self.architecture != (its := self.config["architecture"]):
+            raise UserError(f"architecture {self.architecture!r}: its config is of {its!r}")
 
 
 def is_name(text: str) -> bool:
     """Return whether a text can be a zoo name, ``architecture.tag``."""
-    return bool(re.fullmatch(r"[A-Za-z0-9_]+\.[A-Za-z0-9_-]+", text))
+    return bool(re.fullmatch(_FORMS["name"][0], text))
+
+
+def check_name(name: str) -> str:
+    """Return a zoo name as it is. Raises UserError: it is none."""
+    if not is_name(name):
+        raise UserError(f"name {name!r}: expected {_FORMS['name'][1]}")
+    return name
 
 
 def read_card(path: str | Path) -> ModelCard:
     """Return the card in a file.
 
     Raises:
-        UserError: No such file, no YAML, or no card: unknown or missing keys, wrong types, or a name of the
-            weights that leads out of the card's folder.
+        UserError: No such file, no YAML, or no card: unknown or missing keys, wrong types.
     """
     path = Path(path)
     if not path.is_file():
@@ -169,46 +161,22 @@ def read_card(path: str | Path) -> ModelCard:
         values = load_yaml(read_text(path, LARGEST_CARD))
         check_plain(values)
         return msgspec.convert(values, ModelCard)
-    except msgspec.ValidationError as error:
-        raise UserError(f"model card {str(path)!r}: {said(error)}") from error
-    except UserError as error:
-        raise UserError(f"model card {str(path)!r}: {error}") from error
+    except (UserError, msgspec.ValidationError) as error:
+        why = said(error) if isinstance(error, msgspec.ValidationError) else error
+        raise UserError(f"model card {str(path)!r}: {why}") from error
 
 
 def write_card(card: ModelCard, path: str | Path) -> None:
     """Write a card, whole or not at all; the same card gives the same bytes."""
-    values = msgspec.structs.asdict(card)
-    text = yaml.dump(values, Dumper=_Plain, sort_keys=False, allow_unicode=True, width=110)
+    values = msgspec.to_builtins(card)  # new values: YAML writes a reference where one stands twice
+    text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True, width=110)
     write_atomically(Path(path), text.encode())
 
 
-class _Plain(yaml.SafeDumper):
-    """Writes a list out wherever it stands, never a reference to another place."""
-
-    def ignore_aliases(self, data: Any) -> bool:
-        return True
-
-
 def card_files(folder: Path) -> dict[str, Path]:
-    """Return the cards of the models in a folder by name; a folder of the model's own wins."""
-    files = [*folder.glob("*.yaml"), *folder.glob(f"*/{CARD}")]
-    result = {name: path for path in files if is_name(name := name_of_files(path))}
-    return {name: result[name] for name in sorted(result)}
-
-
-def card_beside(weights: Path) -> Path:
-    """Return where the card of weights lies."""
-    return weights.with_name(CARD) if weights.name == WEIGHTS else weights.with_suffix(".yaml")
-
-
-def weights_beside(path: Path, card: ModelCard) -> Path:
-    """Return where the weights of a card lie."""
-    return path.with_name(WEIGHTS if path.name == CARD else card.file)
-
-
-def name_of_files(path: Path) -> str:
-    """Return the name that the place of a card or of weights gives their model."""
-    return path.parent.name if path.name in (CARD, WEIGHTS) else path.stem
+    """Return the cards of the models in a folder by name, in alphabetical order."""
+    files = {path.parent.name: path for path in folder.glob(f"*/{CARD}")}
+    return {name: files[name] for name in sorted(files) if is_name(name)}
 
 
 def opened(path: Path, framework: str = "np") -> Any:

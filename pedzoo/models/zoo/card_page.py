@@ -13,7 +13,7 @@ import yaml
 
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.paths import CARD, WEIGHTS, write_atomically
-from pedzoo.models.zoo.card import ModelCard, card_files, read_card, weights_beside, write_card
+from pedzoo.models.zoo.card import ModelCard, card_files, read_card, write_card
 from pedzoo.models.zoo.store import ROBOTS, find, names, weights_of
 
 TAGS = ("pedestrians", "trajectory-forecasting", "social-navigation", "crowd-simulation")
@@ -35,6 +35,20 @@ _OF_ROBOT = (
     "```python\nfrom pedzoo.policies.load import load_robot_policy\n\n"
     'policy = load_robot_policy("{}")\n```\n',
 )
+
+_FROM_HERE = """## From this repository
+
+```python
+import pedzoo  # pip install . in a checkout of pedzoo
+
+model = pedzoo.load("hf://OWNER/REPOSITORY")  # as this page's address says
+```
+
+Weights are plain safetensors: nothing in this repository is code. They are checked against the card's sha256.
+"""
+
+
+_LEAKS = "The goal is where the person is at the window's end: it leaks the answer's last position"
 
 
 class Results(NamedTuple):
@@ -72,14 +86,9 @@ def sections(card: ModelCard) -> dict[str, dict[str, str]]:
         "command": " ".join(map(str, card.training["command"] or [])),
         "overrides": ", ".join(f"{key}={value}" for key, value in (card.training["overrides"] or {}).items()),
     }
+    weights = {key: getattr(card, key) for key in ("file", "size", "sha256", "url", "licence")}
     result: dict[str, Mapping[str, Any]] = {
-        "Weights": {
-            "file": card.file,
-            "size": f"{card.size:,} bytes",
-            "sha256": card.sha256,
-            "url": card.url,
-            "licence": card.licence,
-        },
+        "Weights": weights | {"size": f"{card.size:,} bytes"},
         "Training": training,
         "Data": card.data | {"recordings": ", ".join(map(str, card.data["recordings"]))},
         "Protocol": card.config.get("protocol", {}),
@@ -95,19 +104,19 @@ def sections(card: ModelCard) -> dict[str, dict[str, str]]:
 
 def results(card: ModelCard) -> list[Results]:
     """Return a table for every evaluation."""
-    return [_results(report, card.name) for report in card.evaluations]
-
-
-def _results(report: Mapping[str, Any], own: str) -> Results:
-    rows = report["rows"]
-    metrics = list(dict.fromkeys(metric for row in rows for metric in row["metrics"]))
-    cells = [["n", *(str(row["n"]) for row in rows)]]
-    cells += [[metric, *(_number(row, metric) for row in rows)] for metric in metrics]
-    protocol = report["protocol"]
-    said = f"{_said(report['command'])}: {_said(protocol)}; seeds {_said(report['seeds'])}"
-    if protocol.get("goal") == "window_end":
-        said += ". The goal is where the person is at the window's end: it leaks the answer's last position"
-    return Results(said, ["", *(_case(row, own) for row in rows)], cells)
+    tables = []
+    for report in card.evaluations:
+        rows, protocol = report["rows"], report["protocol"]
+        metrics = dict.fromkeys(metric for row in rows for metric in row["metrics"])
+        cells = [["n", *(str(row["n"]) for row in rows)]]
+        cells += [[metric, *(_number(row, metric) for row in rows)] for metric in metrics]
+        said = f"{_said(report['command'])}: {_said(protocol)}; seeds {_said(report['seeds'])}"
+        if protocol.get("goal") == "window_end":
+            said += (
+                ". The goal is where the person is at the window's end: it leaks the answer's last position"
+            )
+        tables.append(Results(said, ["", *(_case(row, card.name) for row in rows)], cells))
+    return tables
 
 
 def _said(value: Any) -> str:
@@ -154,7 +163,7 @@ def write_hub(name: str, folder: str | Path) -> list[Path]:
         raise unknown("model with a card", name, names())
     folder = Path(folder)
     # the files of the folder belong together, wherever they were from
-    card = msgspec.structs.replace(entry.card, file=WEIGHTS, url=None)
+    card = msgspec.structs.replace(entry.card, url=None)
     there = set(card_files(folder))
     if (own := folder / CARD).is_file():
         there.add(read_card(own).name)
@@ -164,12 +173,8 @@ def write_hub(name: str, folder: str | Path) -> list[Path]:
             f"model's, so give {card.name} a folder of its own"
         )
     files = [folder / WEIGHTS, own, folder / "README.md", folder / TERMS_FILE]
-    weights = weights_of(entry).read_bytes()
-    if (earlier := folder / f"{card.name}.yaml").is_file():
-        weights_beside(earlier, read_card(earlier)).unlink(missing_ok=True)
-        earlier.unlink()
-    write_atomically(files[0], weights)
-    write_card(card, files[1])
+    write_atomically(files[0], weights_of(entry).read_bytes())
+    write_card(card, own)
     write_atomically(files[2], readme(card).encode())
     write_atomically(files[3], terms(card).encode())
     return files
@@ -177,8 +182,27 @@ def write_hub(name: str, folder: str | Path) -> list[Path]:
 
 def readme(card: ModelCard) -> str:
     """Return the page of a card with the front matter by which the hub, and pedzoo, know what is there."""
-    front = yaml.safe_dump(_front(card), sort_keys=False, allow_unicode=True, width=110)
-    return f"---\n{front}---\n\n{page(card)}\n{_FROM_HERE}"
+    licence = card.licence.lower()
+    front: dict[str, Any] = {"license": licence}
+    if licence not in LICENCES:
+        slug = re.sub(r"[^a-z0-9.]+", "-", licence).strip("-")
+        front = {"license": "other", "license_name": slug, "license_link": TERMS_FILE}
+    front |= {"library_name": "pedzoo", "model_name": card.name, "tags": [*TAGS, card.architecture]}
+    if measured := [_for_hub(report, row) for report in card.evaluations for row in report["rows"]]:
+        front["model-index"] = [{"name": card.name, "results": measured}]
+    head = yaml.safe_dump(front, sort_keys=False, allow_unicode=True, width=110)
+    return f"---\n{head}---\n\n{page(card)}\n{_FROM_HERE}"
+
+
+def _for_hub(report: dict[str, Any], row: dict[str, Any]) -> dict[str, Any]:
+    """Return a row of a report as the hub's ``model-index`` has it: a task, a dataset and metrics."""
+    task = {"forecast": "trajectory-forecasting"}.get(report["command"], "closed-loop-simulation")
+    case = " ".join(str(value) for value in row["case"].values()) or str(row.get("table", task))
+    if "goal" in report["protocol"]:  # a number without it would be compared with others of another protocol
+        case += f", goal {report['protocol']['goal']}"
+    metrics = [{"type": key, "value": value} for key, value in row["metrics"].items()]
+    dataset = {"type": re.sub(r"[^a-z0-9]+", "-", case.lower()).strip("-"), "name": case}
+    return {"task": {"type": task}, "dataset": dataset, "metrics": metrics}
 
 
 def terms(card: ModelCard) -> str:
@@ -190,38 +214,3 @@ def terms(card: ModelCard) -> str:
         f"To cite: {said['citation']}.\n\n"
         "The code of pedzoo, which loads them, is under the MIT licence.\n"
     )
-
-
-_FROM_HERE = """## From this repository
-
-```python
-import pedzoo  # pip install . in a checkout of pedzoo
-
-model = pedzoo.load("hf://OWNER/REPOSITORY")  # as this page's address says
-```
-
-Weights are plain safetensors: nothing in this repository is code. They are checked against the card's sha256.
-"""
-
-
-def _front(card: ModelCard) -> dict[str, Any]:
-    licence = card.licence.lower()
-    result: dict[str, Any] = {"license": licence}
-    if licence not in LICENCES:
-        slug = re.sub(r"[^a-z0-9.]+", "-", licence).strip("-")
-        result = {"license": "other", "license_name": slug, "license_link": TERMS_FILE}
-    result |= {"library_name": "pedzoo", "model_name": card.name, "tags": [*TAGS, card.architecture]}
-    if results := [_result(report, row) for report in card.evaluations for row in report["rows"]]:
-        result["model-index"] = [{"name": card.name, "results": results}]
-    return result
-
-
-def _result(report: dict[str, Any], row: dict[str, Any]) -> dict[str, Any]:
-    """Return a row of a report as the hub's ``model-index`` has it: a task, a dataset and metrics."""
-    task = {"forecast": "trajectory-forecasting"}.get(report["command"], "closed-loop-simulation")
-    case = " ".join(str(value) for value in row["case"].values()) or str(row.get("table", task))
-    if "goal" in report["protocol"]:  # a number without it would be compared with others of another protocol
-        case += f", goal {report['protocol']['goal']}"
-    metrics = [{"type": key, "value": value} for key, value in row["metrics"].items()]
-    dataset = {"type": re.sub(r"[^a-z0-9]+", "-", case.lower()).strip("-"), "name": case}
-    return {"task": {"type": task}, "dataset": dataset, "metrics": metrics}

@@ -6,13 +6,12 @@ Settings and tensors of a file are checked before a model is built of them, whic
 import hashlib
 import inspect
 import json
-import math
 import sys
 from collections.abc import Callable, Mapping
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
-from zipfile import ZIP_STORED, BadZipFile, ZipFile
+from zipfile import ZIP_STORED, ZipFile
 
 import torch
 from safetensors.torch import save
@@ -26,17 +25,9 @@ from pedzoo.core.registry import MODELS, ROBOT_POLICIES, names_code
 from pedzoo.core.spec import grouped, make, parse, plain, setting_groups, setting_types, unquoted
 from pedzoo.core.types import GoalProtocol
 from pedzoo.models.base import Forecaster, has_parameters
+from pedzoo.models.zoo import store
 from pedzoo.models.zoo.card import Config, ModelCard, config_in, opened, read_config
-from pedzoo.models.zoo.store import (
-    ROBOTS,
-    check_scheme,
-    find,
-    is_address,
-    names,
-    no_model,
-    of_robots,
-    weights_of,
-)
+from pedzoo.models.zoo.store import find, no_model, of_robots, weights_of
 
 HALVED = 1000
 """Numbers: smaller matrices stay as they are in half precision."""
@@ -51,7 +42,12 @@ def list_models(pattern: str = "*") -> list[str]:
     Those are the shipped ones, those in folders of the variable ``PEDZOO_ZOO``, and those fetched before.
     Those that move robots are not among them, see `pedzoo.policies.load.list_robot_policies`.
     """
-    return [name for name in names() if fnmatch(name, pattern) and not name.startswith(ROBOTS)]
+    return [name for name in store.names() if fnmatch(name, pattern) and not name.startswith(store.ROBOTS)]
+
+
+def baselines() -> list[str]:
+    """Return the names of the architectures that have nothing to train."""
+    return [name for name in MODELS.names() if not has_parameters(MODELS.get(name))]
 
 
 def load(
@@ -76,25 +72,24 @@ def load(
             raise of_robots(name)
         model = _from_safetensors(weights_of(entry), entry.card)
         model.name, model.card = entry.card.name, entry.card
-    else:
-        model = _own(name, goal) if names_code(name) else _weights_or_baseline(name, goal, own)
-    model.name = model.name or name
-    return model
-
-
-def _weights_or_baseline(name: str, goal: GoalProtocol | None, own: type[Forecaster] | None) -> Forecaster:
-    if name.endswith(".safetensors"):
-        return _from_safetensors(Path(name), own=own)
-    if name.endswith(".ckpt"):
-        return _from_checkpoint(Path(name), own)
-    if name not in MODELS.names():
+        return model
+    if names_code(name):
+        model = _own(name, goal)
+    elif name.endswith(".safetensors"):
+        model = _from_safetensors(Path(name), own=own)
+    elif name.endswith(".ckpt"):
+        checkpoint, prefix = read_checkpoint(name), "generator."
+        state = checkpoint["state_dict"]
+        state = {key.removeprefix(prefix): state[key] for key in state if key.startswith(prefix)}
+        model = _filled(checkpoint["pedzoo"], state, own, name)
+    elif name not in MODELS.names():
         raise no_model(name, baselines())
-    model = untrained(name, goal)
-    if any(True for _ in model.parameters()):
+    elif has_parameters(type(model := untrained(name, goal))):
         weights = ", ".join(list_models(f"{name}*.*")) or "none yet"
         raise UserError(
             f"{name!r} is an architecture; name its weights: {weights}; or pretrained=False for new ones"
         )
+    model.name = model.name or name
     return model
 
 
@@ -129,17 +124,18 @@ def untrained(name: str, goal: GoalProtocol | None = None, **settings: Any) -> F
         UserError: No such model, or it has no such setting or takes another kind of value.
     """
     init: dict[str, Any] = {}
-    from_config = name not in MODELS.names() and name in config_names()  # one in a folder is no path
-    if not from_config and (entry := find(name)):
-        name, init = entry.card.config["architecture"], entry.card.config["init"]
-    elif from_config:
+    if name in MODELS.names() or names_code(name):
+        pass
+    elif name in config_names():  # one in a folder is no path
         generator = load_config(name)["model"]["init_args"].get("generator")
         if generator is None:
             raise UserError(f"{name!r} trains robots, and no model of people: pedzoo fit --config {name}")
-        name, init = generator["class_path"].rpartition(".")[0].rpartition(".")[2], generator["init_args"]
-        parts = [part if isinstance(part, dict) else {key: part} for key, part in init.items()]
-        init = {key: value for part in parts for key, value in part.items()}
-    elif name not in MODELS.names() and not names_code(name):
+        name = generator["class_path"].rpartition(".")[0].rpartition(".")[2]
+        for key, part in generator["init_args"].items():
+            init |= part if isinstance(part, dict) else {key: part}
+    elif entry := find(name):
+        name, init = entry.card.config["architecture"], entry.card.config["init"]
+    else:
         raise no_model(name, [*MODELS.names(), *config_names()])
     model, settings = MODELS.get(name, Forecaster), {key: plain(value) for key, value in settings.items()}
     types = setting_types(model)
@@ -151,16 +147,6 @@ def untrained(name: str, goal: GoalProtocol | None = None, **settings: Any) -> F
     result = _made(model, init | settings, name).eval()
     result.name = name
     return result
-
-
-def config_of(model: Forecaster, **more: Any) -> dict[str, Any]:
-    """Return what has to be known to build ``model`` again, and whatever else is worth keeping."""
-    if not hasattr(model, "config"):
-        name = type(model).__name__
-        raise UserError(
-            f"{name} cannot be saved: keep its arguments in __init__, self.config = arguments(locals())"
-        )
-    return {"architecture": architecture_of(model), "init": model.config, "goal": model.goal_protocol, **more}
 
 
 def build(config: dict[str, Any], own: type[Forecaster] | None = None, source: str = "weights") -> Forecaster:
@@ -193,10 +179,25 @@ def build(config: dict[str, Any], own: type[Forecaster] | None = None, source: s
         raise UserError(f"{name!r} cannot be built with the arguments {init}: {_first(error)}") from error
 
 
-def architecture_in(config: dict[str, Any]) -> dict[str, Any]:
-    """Return the settings in a config that its weights depend on: all of them in a model without groups."""
-    cls, init = MODELS.get(config["architecture"]), config["init"]
-    return grouped(cls, init)["architecture"] if "architecture" in setting_groups(cls) else init
+def _made(model: type, init: dict[str, Any], name: str) -> Forecaster:
+    try:
+        inspect.signature(model).bind(**grouped(model, init))
+    except TypeError as error:
+        raise UserError(
+            f"{name!r} cannot be built with the arguments {init!s:.2000}: {error!s:.200}; is it of another "
+            "version?"
+        ) from error
+    return model.of(**init)
+
+
+def config_of(model: Forecaster, **more: Any) -> dict[str, Any]:
+    """Return what has to be known to build ``model`` again, and whatever else is worth keeping."""
+    if not hasattr(model, "config"):
+        name = type(model).__name__
+        raise UserError(
+            f"{name} cannot be saved: keep its arguments in __init__, self.config = arguments(locals())"
+        )
+    return {"architecture": architecture_of(model), "init": model.config, "goal": model.goal_protocol, **more}
 
 
 def architecture_of(model: Forecaster) -> str:
@@ -208,10 +209,14 @@ def architecture_of(model: Forecaster) -> str:
     return f"{sys.modules[module].__file__}:{type(model).__name__}"
 
 
-def save_weights(model: Forecaster, path: str | Path, half: bool = False, **known: dict[str, Any]) -> str:
-    """Write ``model`` to a file, whole or not at all, and return its sha256.
+def architecture_in(config: dict[str, Any]) -> dict[str, Any]:
+    """Return the settings in a config that its weights depend on: all of them in a model without groups."""
+    cls, init = MODELS.get(config["architecture"]), config["init"]
+    return grouped(cls, init)["architecture"] if "architecture" in setting_groups(cls) else init
 
-    The same model gives the same bytes.
+
+def save_weights(model: Forecaster, path: str | Path, half: bool = False, **known: dict[str, Any]) -> str:
+    """Write ``model`` to a file, whole or not at all, and return its sha256; it gives the same bytes again.
 
     Args:
         model: The model.
@@ -235,32 +240,48 @@ def save_weights(model: Forecaster, path: str | Path, half: bool = False, **know
     return hashlib.sha256(data).hexdigest()
 
 
-def _from_safetensors(
-    path: Path, card: ModelCard | None = None, own: type[Forecaster] | None = None
-) -> Forecaster:
-    with opened(path, "pt") as file:
-        config = config_in(file, path)
-        state = {key: file.get_tensor(key) for key in file.keys()}
-    if card and card.config != config:
-        other = sorted(k for k in card.config | config if card.config.get(k) != config.get(k))
-        raise UserError(
-            f"the card of {card.name!r} is not that of its weights: they differ in config {', '.join(other)}"
-        )
-    return _filled(config, state, own, str(path))
+def saved_config(name: str) -> dict[str, Any]:
+    """Return architecture, settings, ``protocol`` and, of published weights, ``training`` of a model.
+
+    Nothing is said of a model that was not trained: a baseline, or a class in a file. Names and errors as of
+    `load`.
+    """
+    store.check_scheme(name)
+    if names_code(name):
+        name = unquoted(parse(name).settings.get("weights", ""))
+        return saved_config(name) if name else {}
+    if name.endswith(".ckpt"):
+        return read_checkpoint(name)["pedzoo"]
+    if name.endswith(".safetensors") and not store.is_address(name):
+        return read_config(name)
+    if entry := find(name):
+        return read_config(weights_of(entry))
+    if name in MODELS.names():
+        return {}
+    raise no_model(name)
 
 
 def read_checkpoint(path: str | Path) -> dict[str, Any]:
     """Return what ``pedzoo fit`` wrote into a Lightning checkpoint; nothing in it is run.
 
     Raises:
-        UserError: No such file, or it is damaged or of another program.
+        UserError: No such file, or it is damaged, compressed or of another program.
     """
     path = Path(path)
     if not path.is_file():
         raise UserError(f"no checkpoint at {str(path)!r}")
-    check_archive(path)
     try:
+        with ZipFile(path) as archive:
+            entries = archive.infolist()
+        packed = any(entry.compress_type != ZIP_STORED for entry in entries)
+        # unpacked it could be of any size
+        if packed or sum(entry.file_size for entry in entries) > path.stat().st_size:
+            raise UserError(
+                f"checkpoint {str(path)!r} is compressed, and torch does not compress: is it one?"
+            )
         checkpoint = torch.load(path, map_location="cpu", weights_only=True)
+    except UserError:
+        raise
     except Exception as error:  # a pickle that was tampered with can end in any
         raise UserError(
             f"checkpoint {str(path)!r} cannot be read ({_first(error)}): is it cut off?"
@@ -278,66 +299,36 @@ def read_checkpoint(path: str | Path) -> dict[str, Any]:
     return checkpoint
 
 
-def saved_config(name: str) -> dict[str, Any]:
-    """Return architecture, settings, ``protocol`` and, of published weights, ``training`` of a model.
-
-    Nothing is said of a model that was not trained: a baseline, or a class in a file. Names and errors as of
-    `load`.
-    """
-    check_scheme(name)
-    if names_code(name):
-        name = unquoted(parse(name).settings.get("weights", ""))
-        return saved_config(name) if name else {}
-    if name.endswith(".ckpt"):
-        return read_checkpoint(name)["pedzoo"]
-    if name.endswith(".safetensors") and not is_address(name):
-        return read_config(name)
-    if entry := find(name):
-        return read_config(weights_of(entry))
-    if name in MODELS.names():
-        return {}
-    raise no_model(name)
-
-
-def _from_checkpoint(path: Path, own: type[Forecaster] | None) -> Forecaster:
-    checkpoint = read_checkpoint(path)
-    prefix = "generator."
-    state = {k.removeprefix(prefix): v for k, v in checkpoint["state_dict"].items() if k.startswith(prefix)}
-    return _filled(checkpoint["pedzoo"], state, own, str(path))
+def _from_safetensors(
+    path: Path, card: ModelCard | None = None, own: type[Forecaster] | None = None
+) -> Forecaster:
+    with opened(path, "pt") as file:
+        config = config_in(file, path)
+        state = {key: file.get_tensor(key) for key in file.keys()}
+    if card and card.config != config:
+        other = sorted(k for k in card.config | config if card.config.get(k) != config.get(k))
+        raise UserError(
+            f"the card of {card.name!r} is not that of its weights: they differ in config {', '.join(other)}"
+        )
+    return _filled(config, state, own, str(path))
 
 
 def _filled(
     config: dict[str, Any], state: dict[str, Tensor], own: type[Forecaster] | None, source: str
 ) -> Forecaster:
     """Return the model of a config with its weights, built only if they fit."""
-    check_tensors(state, source, names_code(config["architecture"]))
+    name = config["architecture"]
+    check_tensors(state, source, names_code(name))
     try:
         if own is None:  # a class of one's own may need real tensors to be built
             check_shapes(lambda: build(config, source=source), state)
         model = build(config, own, source)
         model.load_state_dict(state)
     except RuntimeError as error:
-        name = config["architecture"]
         raise UserError(
             f"{source!r} holds weights of another architecture than {name!r}: {_first(error)}"
         ) from error
     return model.eval()
-
-
-def _made(model: type, init: dict[str, Any], name: str) -> Forecaster:
-    try:
-        inspect.signature(model).bind(**grouped(model, init))
-    except TypeError as error:
-        raise UserError(
-            f"{name!r} cannot be built with the arguments {init!s:.2000}: {error!s:.200}; is it of another "
-            "version?"
-        ) from error
-    return model.of(**init)
-
-
-def baselines() -> list[str]:
-    """Return the names of the architectures that have nothing to train."""
-    return [name for name in MODELS.names() if not has_parameters(MODELS.get(name))]
 
 
 def _first(error: Exception) -> str:
@@ -367,47 +358,26 @@ def check_tensors(state: Mapping[str, Any], source: str, own: bool = False) -> N
         UserError: It holds something else, or a weight above `LARGEST`.
     """
     for key, value in state.items():
+        wrong, largest = "", 0.0
         if not isinstance(value, Tensor) or value.layout != torch.strided:
-            raise UserError(f"{source!r}: {key:.80} is no dense tensor")
-        if not (value.is_floating_point() or value.dtype == torch.bool):
-            raise UserError(
-                f"{source!r}: {key:.80} is of {value.dtype}, expected floating point numbers or truth values"
-            )
-        if not torch.isfinite(value).all():
-            raise UserError(f"{source!r}: {key:.80} has NaN or infinite values: its training failed")
-        largest = float(value.abs().max()) if value.numel() and value.is_floating_point() else 0.0
-        if largest > (math.inf if own else LARGEST):
-            raise UserError(
-                f"{source!r}: {key:.80} has a weight of {largest:.3g}, at most {LARGEST:g} are read: its "
-                "training diverged"
-            )
+            wrong = "is no dense tensor"
+        elif not (value.is_floating_point() or value.dtype == torch.bool):
+            wrong = f"is of {value.dtype}, expected floating point numbers or truth values"
+        elif not torch.isfinite(value).all():
+            wrong = "has NaN or infinite values: its training failed"
+        elif value.numel() and value.is_floating_point() and not own:
+            largest = float(value.abs().max())
+        if largest > LARGEST:
+            wrong = f"has a weight of {largest:.3g}, at most {LARGEST:g} are read: its training diverged"
+        if wrong:
+            raise UserError(f"{source!r}: {key:.80} {wrong}")
 
 
 def check_shapes(model: Callable[[], nn.Module], state: Mapping[str, Tensor]) -> None:
-    """Check that a model would have tensors of just these names and shapes, without memory for them.
-
-    Args:
-        model: Builds it.
-        state: Tensors by name.
+    """Check that a model, which is a call away, would have tensors of just these names and shapes.
 
     Raises:
-        RuntimeError: It would have others, as torch's ``load_state_dict`` says it.
+        RuntimeError: It would have others, as ``load_state_dict`` says it; no memory is taken for them.
     """
     with torch.device("meta"):
         model().load_state_dict({key: value.to("meta") for key, value in state.items()}, assign=True)
-
-
-def check_archive(path: Path) -> None:
-    """Check that a checkpoint is an archive that is as large as what is in it, as torch writes them.
-
-    Raises:
-        UserError: It is cut off, of another form, or compressed: that could be of any size.
-    """
-    try:
-        with ZipFile(path) as archive:
-            entries = archive.infolist()
-    except (BadZipFile, ValueError, EOFError, NotImplementedError, RuntimeError) as error:
-        raise UserError(f"checkpoint {str(path)!r} cannot be read ({error}): is it cut off?") from error
-    packed = [entry.filename for entry in entries if entry.compress_type != ZIP_STORED]
-    if packed or sum(entry.file_size for entry in entries) > path.stat().st_size:
-        raise UserError(f"checkpoint {str(path)!r} is compressed, and torch does not compress: is it one?")

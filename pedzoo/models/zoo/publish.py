@@ -1,4 +1,4 @@
-"""Makes weights of the zoo and their model card, of a training run or of the weights' own metadata."""
+"""Makes weights of the zoo and their model card of a training run."""
 
 import csv
 import json
@@ -12,22 +12,12 @@ from typing import Any, NamedTuple
 import torch
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.fetch import sha256_of
-from pedzoo.core.paths import WEIGHTS, weight_files
+from pedzoo.core.paths import CARD, WEIGHTS, weight_files
 from pedzoo.core.registry import names_code
 from pedzoo.core.size_limits import read_mapping
 from pedzoo.core.types import PRED_LEN
 from pedzoo.data.recordings import find_fold, licence, provenance, together
-from pedzoo.models.zoo.card import (
-    ModelCard,
-    Training,
-    card_beside,
-    check_name,
-    name_of_files,
-    read_card,
-    read_config,
-    write_card,
-)
+from pedzoo.models.zoo.card import ModelCard, check_name, read_card, read_config, write_card
 from pedzoo.models.zoo.loading import config_of, load, read_checkpoint, save_weights
 from pedzoo.models.zoo.store import find
 
@@ -36,7 +26,6 @@ IN_WEIGHTS = ("config", "fold", "seed", "chosen_by")
 
 WHOLE_WALKS = ("social_walker", "social_walker_indoor", "social_walker_styled")
 """Configs that train on whole crowds from the start."""
-
 
 RECORDS = ("config.yaml", "metrics.csv", "versions.json")
 """Files that `pedzoo fit` writes beside the folder of checkpoints."""
@@ -62,9 +51,9 @@ class RunRecord(NamedTuple):
     """
 
     training: dict[str, Any]
-    files: list[str] | None = None
-    versions: dict[str, str] | None = None
-    began_with: str | None = None
+    files: list[str] | None
+    versions: dict[str, str]
+    began_with: str | None
 
 
 class Option(NamedTuple):
@@ -105,31 +94,32 @@ def publish(
             f"{str(checkpoint)!r} is of {architecture!r}, and weights never make a file of code run where "
             "they are loaded: install the class as a plugin and train it by its name"
         )
-    record = _with_zoo_names(read_run(checkpoint, content))
-    protocol = content["pedzoo"]["protocol"]
-    name = check_name(name or zoo_name(record.training["config"], protocol))
-    weights, model = Path(folder) / name / WEIGHTS, load(checkpoint)
+    record, model = _read_run(checkpoint, content), load(checkpoint)
+    protocol, training = content["pedzoo"]["protocol"], _with_zoo_names(record)
+    name = check_name(name or zoo_name(training["config"], protocol))
     data = _trained_on(record, plans="map" in model.needs)
-    said = {key: record.training[key] for key in IN_WEIGHTS}
-    if measured is None and (there := card_beside(weights)).is_file():
-        read_card(there)  # a damaged card raises here, before the weights change
-    save_weights(model, weights, half, protocol=protocol, training=said)
-    return _write(weights, record, data, measured)
-
-
-def describe(weights: str | Path, measured: list[dict[str, Any]] | None = None) -> Path:
-    """Write the card of ``ARCH.TAG/weights.safetensors`` whose run is gone, and return its path.
-
-    Raises:
-        UserError: There are none, they are damaged, or not named like weights of the zoo.
-    """
-    weights = Path(weights)
-    check_name(name_of_files(weights))
-    config = read_config(weights)
-    known = config.get("protocol", {}) | config.get("training", {})
-    record = RunRecord({key: known.get(key) for key in Training.__annotations__})
-    data = _trained_on(record, plans="map" in load(weights).needs)
-    return _write(weights, record, data, measured)
+    path = Path(folder) / name / CARD
+    weights = path.with_name(WEIGHTS)
+    # a damaged card raises here, before the weights change
+    earlier = read_card(path) if measured is None and path.is_file() else None
+    said = {key: training[key] for key in IN_WEIGHTS}
+    digest = save_weights(model, weights, half, protocol=protocol, training=said)
+    if measured is None:
+        measured = earlier.evaluations if earlier and earlier.sha256 == digest else []
+    card = ModelCard(
+        name=name,
+        architecture=architecture,
+        sha256=digest,
+        size=weights.stat().st_size,
+        config=read_config(weights),
+        training=training,
+        data=data,
+        evaluations=measured,
+        versions=record.versions,
+        licence=licence(data["terms"]),
+    )
+    write_card(card, path)
+    return path
 
 
 def zoo_name(config: str, protocol: Mapping[str, Any]) -> str:
@@ -163,39 +153,11 @@ def zoo_name(config: str, protocol: Mapping[str, Any]) -> str:
     return f"{architecture}.{tag}"
 
 
-def _write(
-    weights: Path,
-    record: RunRecord,
-    data: dict[str, Any],
-    measured: list[dict[str, Any]] | None,
-) -> Path:
-    """Write the card beside the weights."""
-    path, config, digest = card_beside(weights), read_config(weights), sha256_of(weights)
-    if measured is None:
-        measured = _measured_before(path, digest)
-    card = ModelCard(
-        name=name_of_files(weights),
-        architecture=config["architecture"],
-        sha256=digest,
-        size=weights.stat().st_size,
-        config=config,
-        training=record.training,
-        data=data,
-        evaluations=measured,
-        versions=record.versions or {},
-        licence=licence(data["terms"]),
-        file=weights.name,
-        url=None,
-    )
-    write_card(card, path)
-    return path
-
-
-def _with_zoo_names(record: RunRecord) -> RunRecord:
-    """Return a run's record, with the zoo's name of a checkpoint that it began with, if it has one."""
-    began = record.began_with
+def _with_zoo_names(record: RunRecord) -> dict[str, Any]:
+    """Return what a run says of its training, with the zoo's name of a checkpoint that it began with."""
+    training, began = record.training, record.began_with
     if not began or not began.endswith(".ckpt") or not Path(began).is_file():
-        return record
+        return training
     model = load(began)
     ours, state = config_of(model), model.state_dict()
     for name, file in weight_files().items():
@@ -204,11 +166,10 @@ def _with_zoo_names(record: RunRecord) -> RunRecord:
             continue
         published = load(file).state_dict()
         if all(torch.equal(value, published[key]) for key, value in state.items()):
-            training = dict(record.training)
             words = [word.replace(began, name) for word in training["command"]]
             overrides = {key: value.replace(began, name) for key, value in training["overrides"].items()}
-            return record._replace(training=training | {"command": words, "overrides": overrides})
-    return record
+            return training | {"command": words, "overrides": overrides}
+    return training
 
 
 def _trained_on(record: RunRecord, plans: bool) -> dict[str, Any]:
@@ -217,30 +178,20 @@ def _trained_on(record: RunRecord, plans: bool) -> dict[str, Any]:
     if not (weights := record.began_with):
         return data
     try:
-        return together(data, _seen_by(weights, plans))
+        if entry := find(weights):
+            seen = entry.card.data
+        elif weights.endswith(".ckpt"):
+            seen = _trained_on(_read_run(Path(weights), read_checkpoint(weights)), plans)
+        else:
+            seen = provenance(read_config(weights).get("protocol", {}).get("fold"), plans=plans)
+        return together(data, seen)
     except UserError as error:
         raise UserError(
             f"the run began with {weights!r}, and the card has to say what they saw: {error}"
         ) from error
 
 
-def _seen_by(weights: str, plans: bool) -> dict[str, Any]:
-    if entry := find(weights):
-        return entry.card.data
-    if weights.endswith(".ckpt"):
-        return _trained_on(read_run(Path(weights), read_checkpoint(weights)), plans)
-    return provenance(read_config(weights).get("protocol", {}).get("fold"), plans=plans)
-
-
-def _measured_before(path: Path, digest: str) -> list[dict[str, Any]]:
-    """Return the evaluations of a card that is there, if it is of the same weights."""
-    if not path.is_file():
-        return []
-    card = read_card(path)
-    return card.evaluations if card.sha256 == digest else []
-
-
-def read_run(checkpoint: Path, content: dict[str, Any]) -> RunRecord:
+def _read_run(checkpoint: Path, content: dict[str, Any]) -> RunRecord:
     """Return the record of a checkpoint's run, given the checkpoint's content.
 
     Raises:
@@ -273,6 +224,7 @@ def _record(run: Path, content: dict[str, Any]) -> RunRecord:
         for option in options_of(command)
         if option.key not in _OF_THIS_MACHINE
     ]
+    own = [one for one in options if one.key not in _SAID_ELSEWHERE and not one.key.startswith("rollout.")]
     protocol, monitor = content["pedzoo"]["protocol"], config["monitor"]
     seed, values = int(config["seed_everything"]), monitored(run, monitor)
     training = {
@@ -287,11 +239,7 @@ def _record(run: Path, content: dict[str, Any]) -> RunRecord:
         "step": content["global_step"],
         "epoch": content["epoch"],
         "command": [*command[:2], *(word for option in options for word in option.words)],
-        "overrides": {
-            option.key: option.value
-            for option in options
-            if option.key not in _SAID_ELSEWHERE and not option.key.startswith("rollout.")
-        },
+        "overrides": {option.key: option.value for option in own},
     }
     made_with = json.loads((run / "versions.json").read_text())["versions"]
     went_on = next((option.value for option in options if option.key == "ckpt_path"), None)

@@ -18,15 +18,7 @@ from pedzoo.core.fetch import fetch, sha256_of
 from pedzoo.core.paths import CARD, WEIGHTS, cache_home, expanded, shipped
 from pedzoo.core.registry import MODELS, names_code
 from pedzoo.core.size_limits import LARGEST_CARD, load_yaml
-from pedzoo.models.zoo.card import (
-    ModelCard,
-    card_files,
-    check_name,
-    is_name,
-    name_of_files,
-    read_card,
-    weights_beside,
-)
+from pedzoo.models.zoo.card import ModelCard, card_files, check_name, is_name, read_card
 
 SOURCES = "PEDZOO_ZOO"
 """Environment variable: folders and addresses, with commas between, where names are looked up, too."""
@@ -42,27 +34,18 @@ _HUB = re.compile(f"hf://({_WORD})/({_WORD})(?:@({_WORD}))?(?:/([^/]+))?")
 _FRONT = re.compile(r"---\n(.*?)\n---\n", re.DOTALL)
 
 
-class ModelAddress(NamedTuple):
-    """Where a model is.
+class ZooEntry(NamedTuple):
+    """A model of the zoo or of a file: its card, and where that is.
 
     Attributes:
-        url: Of the folder with its files: its own folder, or one that has folders or files of several models.
-        folder: Path of the files below the cache: ``ARCH.TAG.yaml`` and ``ARCH.TAG.safetensors``.
-        model: ``ARCH.TAG``.
+        card: Its card.
+        path: Where the card lies.
+        folders: Addresses at which its folder may be, in the order of trying; none on this machine.
     """
 
-    url: str
-    folder: str
-    model: str
-
-    @property
-    def cards(self) -> list[str]:
-        """Addresses at which the card may be, in the order in which they are tried."""
-        return [f"{self.url}/{self.model}.yaml", f"{self.url}/{self.model}/{CARD}", f"{self.url}/{CARD}"]
-
-    def weights(self, card: ModelCard) -> list[str]:
-        """Return the addresses at which the weights may be, in the order of `cards`."""
-        return [f"{self.url}/{card.file}", f"{self.url}/{self.model}/{WEIGHTS}", f"{self.url}/{WEIGHTS}"]
+    card: ModelCard
+    path: Path
+    folders: tuple[str, ...] = ()
 
 
 def is_address(name: str) -> bool:
@@ -70,30 +53,181 @@ def is_address(name: str) -> bool:
     return name.startswith(("hf://", "http://", "https://"))
 
 
-def place(name: str) -> ModelAddress:
-    """Return where the model of an address is.
+def is_file(name: str) -> bool:
+    """Return whether a name is that of a file: weights, a checkpoint, or a class in a file of one's own."""
+    check_scheme(name)
+    return not is_address(name) and (names_code(name) or name.endswith((".ckpt", ".safetensors")))
 
-    A repository of the Hugging Face hub without the name of a model is one model's: the front matter of its
-    README says which, as ``model_name``.
+
+def check_scheme(name: str) -> None:
+    """Refuse the address of a file of this machine. Raises UserError: it is one, and its path would do."""
+    if name.startswith("file:"):
+        path = url2pathname(urlsplit(name).path) or "FOLDER/ARCH.TAG"
+        raise UserError(f"{name!r}: expected a path for what is on this machine: {path}")
+
+
+def find(name: str) -> ZooEntry | None:
+    """Return the model of a name; its card is fetched where it must, its weights are not.
+
+    Args:
+        name: ``ARCH.TAG``; ``FOLDER/ARCH.TAG``, or a ``FOLDER`` of one model; an address:
+            ``hf://OWNER/REPO[@REVISION][/ARCH.TAG]`` or ``https://HOST/FOLDER/ARCH.TAG``.
+
+    Returns:
+        None for what has no card: a file of weights or of code, an architecture, a word that is nothing.
 
     Raises:
-        UserError: The address is of another form, or the README cannot be had or does not say.
+        UserError: There is no model at that place, several have the name, or its card is refused.
     """
-    return _on_hub(name) if name.startswith("hf:") else _on_web(name)
+    if is_file(name):
+        return None
+    try:
+        if is_address(name):
+            return _fetched(name)
+        path = expanded(name)
+        if path.name == name:
+            if is_name(name) and (result := _by_name(name)):
+                return result
+            if name in MODELS.names() or not ((path / CARD).is_file() or card_files(path)):
+                return None
+        if path.is_dir():
+            return _only_one(path)
+        raise unknown(f"model of {str(path.parent)!r}", path.name, card_files(path.parent))
+    except OSError as error:  # longer than names of files may be, a folder that others may not read
+        raise UserError(f"no model {name!r:.100}: {error.strerror}") from error
 
 
-def fetched_models() -> dict[str, list[str]]:
+def _by_name(name: str) -> ZooEntry | None:
+    for folder in _folders():
+        if (path := folder / name / CARD).is_file():
+            return _named(path)
+    if len(stored := _addresses_fetched().get(name, [])) > 1:
+        raise UserError(f"{name!r} was fetched from {len(stored)} places, say which: {' or '.join(stored)}")
+    if stored:
+        return _fetched(stored[0])
+    failed = [f"no folder {str(folder)!r}" for folder in _folders() if not folder.is_dir()]
+    for source in filter(is_address, _sources()):
+        try:
+            return _fetched(f"{source}/{name}")
+        except UserError as error:
+            failed.append(str(error))
+    if failed:
+        raise UserError(f"{no_model(name)}; {SOURCES}: {'; '.join(failed)}")
+    return None
+
+
+def _only_one(folder: Path) -> ZooEntry:
+    if (own := folder / CARD).is_file():
+        return ZooEntry(read_card(own), own)
+    if len(cards := card_files(folder)) != 1:
+        remedy = f"say which: {', '.join(str(folder / name) for name in cards)}" if cards else "no card in it"
+        raise UserError(f"folder {str(folder)!r} is not that of one model: {remedy}")
+    return _named(*cards.values())
+
+
+def _named(path: Path) -> ZooEntry:
+    """Return the model of a card in a folder that must have its name."""
+    card = read_card(path)
+    if card.name != path.parent.name:
+        raise UserError(
+            f"model card {str(path)!r} is of {card.name!r}: the folder must have the model's name"
+        )
+    return ZooEntry(card, path)
+
+
+def _fetched(name: str) -> ZooEntry:
+    """Return the model of an address. A card that was fetched is kept: its model stays what it was."""
+    url, place = _on_hub(name) if name.startswith("hf:") else _on_web(name)
+    # the model's own folder, or one that is this model's alone, as a repository of the hub
+    folders = f"{url}/{Path(place).name}", url
+    path = download([f"{folder}/{CARD}" for folder in folders], f"{FETCHED}/{place}/{CARD}")
+    try:
+        return _named(path)._replace(folders=folders)
+    except UserError as error:
+        path.unlink(missing_ok=True)  # perhaps a page of the server's about something else
+        raise UserError(f"{name}: {error}") from error
+
+
+def _on_hub(name: str) -> tuple[str, str]:
+    """Return where the model of an address is: an address, and the folder of the cache, which has its name.
+
+    A repository without the name of a model is one model's: the front matter of its README says which.
+    """
+    match = _HUB.fullmatch(name)
+    if not match:
+        raise UserError(f"{name!r}: expected hf://OWNER/REPO, with @REVISION and /ARCH.TAG where wanted")
+    owner, repo, revision, model = match.groups(default="")
+    url = f"{_hub()}/{owner}/{repo}/resolve/{revision or 'main'}"
+    place = f"hf/{owner}/{repo}/{revision or 'main'}"
+    return url, f"{place}/{check_name(model) if model else _only_model(name, url, place)}"
+
+
+def _only_model(name: str, url: str, place: str) -> str:
+    page = download([f"{url}/README.md"], f"{FETCHED}/{place}/README.md")
+    front = _FRONT.match(page.read_text("utf-8", errors="replace"))
+    try:
+        said = load_yaml(front[1]) if front else None
+    except UserError as error:
+        raise UserError(f"{name}: the front matter of its README {error}") from error
+    model = said.get("model_name") if isinstance(said, dict) else None
+    if not isinstance(model, str) or not is_name(model):
+        raise UserError(f"{name}: its README does not say which model it is (model_name); add /ARCH.TAG")
+    return model
+
+
+def _on_web(name: str) -> tuple[str, str]:
+    """Return the same of an address of the web."""
+    try:
+        parts = urlsplit(name)
+    except ValueError as error:  # brackets that do not close
+        raise UserError(f"{name!r}: {error}") from error
+    folder, _, model = parts.path.rpartition("/")
+    if not parts.hostname or parts.username or parts.query or parts.fragment or not is_name(model):
+        raise UserError(f"{name!r}: expected {parts.scheme}://HOST/FOLDER/ARCH.TAG and nothing else")
+    place = f"{parts.scheme}/{quote(parts.netloc, safe='')}{folder}/{model}"
+    return f"{parts.scheme}://{parts.netloc}{folder}", place
+
+
+def _addresses_fetched() -> dict[str, list[str]]:
     """Return the addresses of all models whose cards were fetched, by their plain names."""
-    root = cache_home() / FETCHED
-    result: dict[str, list[str]] = {}
-    for path in sorted(root.glob("hf/*/*/*/*.yaml")):
-        owner, repo, revision = path.relative_to(root).parts[1:-1]
-        result.setdefault(path.stem, []).append(f"hf://{owner}/{repo}@{revision}/{path.stem}")
-    for path in sorted(root.glob("http*/*/**/*.yaml")):
-        scheme, host, *folders = path.relative_to(root).parts[:-1]
-        address = "/".join([unquote(host), *folders, path.stem])
-        result.setdefault(path.stem, []).append(f"{scheme}://{address}")
-    return {name: addresses for name, addresses in result.items() if is_name(name)}
+    root, result = cache_home() / FETCHED, {}
+    for path in sorted(root.glob(f"*/*/**/{CARD}")):
+        kind, *inside, model = path.relative_to(root).parts[:-1]
+        if kind == "hf" and len(inside) == 3:
+            address = "hf://{}/{}@{}/{}".format(*inside, model)
+        elif kind in ("http", "https") and inside:
+            address = "/".join((f"{kind}://{unquote(inside[0])}", *inside[1:], model))
+        else:
+            continue
+        if is_name(model):
+            result.setdefault(model, []).append(address)
+    return result
+
+
+def weights_of(entry: ZooEntry) -> Path:
+    """Return the weights of a model, checked against its card, and downloaded where they are not there.
+
+    Raises:
+        UserError: They cannot be had, or are others than the card says.
+    """
+    card, path = entry.card, entry.path.with_name(WEIGHTS)
+    if entry.folders:
+        # an address that a card names gets no token of the user's
+        urls = [card.url] if card.url else [f"{folder}/{WEIGHTS}" for folder in entry.folders]
+        again = f"; if the model has changed there, remove {entry.path}"
+        place = path.relative_to(cache_home()).as_posix()
+        bring = fetch if card.url else download
+        return bring(urls, filename=place, sha256=card.sha256, size=card.size, hint=again)
+    if not path.is_file():
+        if card.url:
+            return fetch(card.url, card.sha256, f"weights/{card.sha256}/{WEIGHTS}", size=card.size)
+        raise UserError(f"model {card.name!r} has no weights: its card expects {str(path)!r}")
+    if (result := sha256_of(path)) != card.sha256:
+        remedy = "reinstall pedzoo" if shipped("checkpoints") in entry.path.parents else "get both anew"
+        raise UserError(
+            f"weights {str(path)!r} have sha256 {result}, but their card says {card.sha256}: {remedy}"
+        )
+    return path
 
 
 def download(
@@ -113,136 +247,6 @@ def download(
 
 def _hub() -> str:
     return os.environ.get("HF_ENDPOINT", "https://huggingface.co").rstrip("/")
-
-
-def _on_hub(name: str) -> ModelAddress:
-    match = _HUB.fullmatch(name)
-    if not match:
-        raise UserError(f"{name!r}: expected hf://OWNER/REPO, with @REVISION and /ARCH.TAG where wanted")
-    owner, repo, revision, model = match.groups()
-    revision = revision or "main"
-    url, below = f"{_hub()}/{owner}/{repo}/resolve/{revision}", f"{FETCHED}/hf/{owner}/{repo}/{revision}"
-    return ModelAddress(url, below, check_name(model) if model else _only_model(name, url, below))
-
-
-def _only_model(name: str, url: str, below: str) -> str:
-    text = download([f"{url}/README.md"], f"{below}/README.md").read_text("utf-8", errors="replace")
-    front = _FRONT.match(text)
-    try:
-        said = load_yaml(front[1]) if front else None
-    except UserError as error:
-        raise UserError(f"{name}: the front matter of its README {error}") from error
-    model = said.get("model_name") if isinstance(said, dict) else None
-    if not isinstance(model, str) or not is_name(model):
-        raise UserError(f"{name}: its README does not say which model it is (model_name); add /ARCH.TAG")
-    return model
-
-
-def _on_web(name: str) -> ModelAddress:
-    try:
-        parts = urlsplit(name)
-    except ValueError as error:  # brackets that do not close
-        raise UserError(f"{name!r}: {error}") from error
-    folder, _, last = parts.path.rpartition("/")
-    model = last.removesuffix(".safetensors").removesuffix(".yaml")
-    if not parts.hostname or parts.username or parts.query or parts.fragment or not is_name(model):
-        raise UserError(f"{name!r}: expected {parts.scheme}://HOST/FOLDER/ARCH.TAG and nothing else")
-    below = f"{FETCHED}/{parts.scheme}/{quote(parts.netloc, safe='')}{folder}"
-    return ModelAddress(f"{parts.scheme}://{parts.netloc}{folder}", below, model)
-
-
-class ZooEntry(NamedTuple):
-    """A model of the zoo or of a file: its card, and where that is.
-
-    Attributes:
-        card: Its card.
-        path: Where the card lies.
-        place: Where on the net it is from; None for one of this machine.
-    """
-
-    card: ModelCard
-    path: Path
-    place: ModelAddress | None = None
-
-
-def find(name: str) -> ZooEntry | None:
-    """Return the model of a name; its card is fetched where it must, its weights are not.
-
-    Args:
-        name: ``ARCH.TAG``; ``FOLDER/ARCH.TAG``, or a ``FOLDER`` of one model; an address:
-            ``hf://OWNER/REPO[@REVISION][/ARCH.TAG]`` or ``https://HOST/FOLDER/ARCH.TAG``.
-
-    Returns:
-        None for what has no card: a file of weights or of code, an architecture, a word that is nothing.
-
-    Raises:
-        UserError: There is no model at that place, several have the name, or its card is refused.
-    """
-    check_scheme(name)
-    try:
-        return _found(name)
-    except OSError as error:  # longer than names of files may be, a folder that others may not read
-        raise UserError(f"no model {name!r:.100}: {error.strerror}") from error
-
-
-def _found(name: str) -> ZooEntry | None:
-    if is_address(name):
-        return _fetched(name)
-    if is_file(name):
-        return None
-    path = expanded(name)
-    if path.name == name:
-        if is_name(name) and (result := _by_name(name)):
-            return result
-        has_card = (path / CARD).is_file() or card_files(path)
-        return _only_one(path) if name not in MODELS.names() and has_card else None
-    if path.is_dir():
-        return _only_one(path)
-    if file := (there := card_files(path.parent)).get(path.name):
-        return _named(file)
-    raise unknown(f"model of {str(path.parent)!r}", path.name, there)
-
-
-def is_file(name: str) -> bool:
-    """Return whether a name is that of a file: weights, a checkpoint, or a class in a file of one's own."""
-    check_scheme(name)
-    return not is_address(name) and (names_code(name) or name.endswith((".ckpt", ".safetensors")))
-
-
-def check_scheme(name: str) -> None:
-    """Refuse the address of a file of this machine, in the place of its path.
-
-    Raises:
-        UserError: It is one.
-    """
-    if name.startswith("file:"):
-        path = url2pathname(urlsplit(name).path) or "FOLDER/ARCH.TAG"
-        raise UserError(f"{name!r}: expected a path for what is on this machine: {path}")
-
-
-def weights_of(entry: ZooEntry) -> Path:
-    """Return the weights of a model, checked against its card, and downloaded where they are not there.
-
-    Raises:
-        UserError: They cannot be had, or are others than the card says.
-    """
-    card, path = entry.card, weights_beside(entry.path, entry.card)
-    if entry.place:
-        # an address that a card names gets no token of the user's
-        urls, bring = ([card.url], fetch) if card.url else (entry.place.weights(card), download)
-        again = f"; if the model has changed there, remove {entry.path}"
-        name = f"{entry.place.folder}/{card.name}.safetensors"
-        return bring(urls, filename=name, sha256=card.sha256, size=card.size, hint=again)
-    if not path.is_file():
-        if card.url:
-            return fetch(card.url, card.sha256, f"weights/{card.sha256}/{card.file}", size=card.size)
-        raise UserError(f"model {card.name!r} has no weights: its card expects {str(path)!r}")
-    if (result := sha256_of(path)) != card.sha256:
-        remedy = "reinstall pedzoo" if shipped("checkpoints") in entry.path.parents else "get both anew"
-        raise UserError(
-            f"weights {str(path)!r} have sha256 {result}, but their card says {card.sha256}: {remedy}"
-        )
-    return path
 
 
 def no_model(name: str, others: Iterable[str] = (), kind: str = "model") -> UserError:
@@ -281,7 +285,7 @@ def of_robots(name: str) -> UserError:
 
 def names() -> list[str]:
     """Return the names of all models on this machine: shipped, in the user's folders, and fetched."""
-    return sorted({*(name for folder in _folders() for name in card_files(folder)), *fetched_models()})
+    return sorted({*(name for folder in _folders() for name in card_files(folder)), *_addresses_fetched()})
 
 
 def robots() -> list[str]:
@@ -289,61 +293,11 @@ def robots() -> list[str]:
     return [name for name in names() if name.startswith(ROBOTS)]
 
 
-def _sources(address: bool) -> list[str]:
-    """Return the user's sources that are addresses, or those that are folders."""
+def _sources() -> list[str]:
+    """Return the user's own folders and addresses."""
     sources = (source.strip().rstrip("/") for source in os.environ.get(SOURCES, "").split(","))
-    return [source for source in sources if source and is_address(source) == address]
+    return [source for source in sources if source]
 
 
 def _folders() -> list[Path]:
-    return [shipped("checkpoints"), *(expanded(source) for source in _sources(address=False))]
-
-
-def _by_name(name: str) -> ZooEntry | None:
-    for folder in _folders():
-        if file := card_files(folder).get(name):
-            return _named(file)
-    if len(stored := fetched_models().get(name, [])) > 1:
-        raise UserError(f"{name!r} was fetched from {len(stored)} places, say which: {' or '.join(stored)}")
-    if stored:
-        return _fetched(stored[0])
-    failed = [f"no folder {str(folder)!r}" for folder in _folders() if not folder.is_dir()]
-    for source in _sources(address=True):
-        try:
-            return _fetched(f"{source}/{name}")
-        except UserError as error:
-            failed.append(str(error))
-    if failed:
-        raise UserError(f"{no_model(name)}; {SOURCES}: {'; '.join(failed)}")
-    return None
-
-
-def _only_one(folder: Path) -> ZooEntry:
-    if (own := folder / CARD).is_file():
-        return ZooEntry(read_card(own), own)
-    if len(cards := card_files(folder)) != 1:
-        remedy = f"say which: {', '.join(str(folder / name) for name in cards)}" if cards else "no card in it"
-        raise UserError(f"folder {str(folder)!r} is not that of one model: {remedy}")
-    return _named(*cards.values())
-
-
-def _fetched(name: str) -> ZooEntry:
-    """Return the model of an address. A card that was fetched is kept: its model stays what it was."""
-    where = place(name)
-    path = download(where.cards, f"{where.folder}/{where.model}.yaml")
-    try:
-        return _named(path)._replace(place=where)
-    except UserError as error:
-        path.unlink(missing_ok=True)  # perhaps a page of the server's about something else
-        raise UserError(f"{name}: {error}") from error
-
-
-def _named(path: Path) -> ZooEntry:
-    """Return the model of a card's file, which must be named after it, or its folder must."""
-    card = read_card(path)
-    if card.name != name_of_files(path):
-        what = "folder" if path.name == CARD else "file"
-        raise UserError(
-            f"model card {str(path)!r} is of {card.name!r}: the {what} must have the model's name"
-        )
-    return ZooEntry(card, path)
+    return [shipped("checkpoints"), *(expanded(one) for one in _sources() if not is_address(one))]
