@@ -26,7 +26,7 @@ class Walking:
     Attributes:
         safety: Keep clear of others and walls, see `pedzoo.policies.safety_layer.layer`.
         extend_goal: Do not slow down round corners, see `pedzoo.policies.walker.extend_goals`.
-        keep_speed: Alone, walk at the preferred speed, see `pedzoo.models.blocks.people.own_speed`.
+        keep_speed: Alone, walk at the preferred speed, see `pedzoo.models.architectures.sgan.at_own_speed`.
     """
 
     safety: bool = False
@@ -40,40 +40,33 @@ class Forecaster(nn.Module):
     Attributes:
         name: As it was loaded: ``sgan_goal.zara1``, a file, an architecture.
         card: Its `pedzoo.models.zoo.card.ModelCard`, of weights that have one.
+        config: The settings that it was built with, as plain values without groups.
         needs: Inputs besides histories: ``goal``, ``map``.
-        noise_dim: Width of the noise of one person that `next_steps` takes; 0 where it takes none.
-        noise_periods: How often each number of the noise is drawn when it walks, seconds, see
-            `pedzoo.models.blocks.timed_noise`; empty where `walking_noise` says it for all.
-        remembers: Whether its policy keeps how people began, see `pedzoo.policies.memory`.
-        keeps_distance: Whether its people keep more room than their bodies need, so that the safety layer
-            need not.
-        mode_at_zero: The most likely future is that of noise zero.
-        walking_noise: How often its noise is drawn when it walks, by default.
-        walking_safety: Whether its steps are kept clear of people and walls when it walks, by default;
-            see `pedzoo.policies.safety_layer.layer`.
-        walking_extend_goal: Whether nearer goals are moved out when it walks, likewise; see
-            `pedzoo.policies.walker.extend_goals`.
-        walking_keep_speed: Whether it walks at the preferred speed alone, likewise.
         goal_protocol: The goal protocol that it was trained on; None where it does not matter.
-        config: The settings that it was built with, as plain values without groups: with the weights, all
-            of the model.
+        stochastic: Whether its samples differ.
+        noise_dim: Width of the noise of one person that `next_steps` takes; 0 where it takes none.
+        noise_periods: How often each number of it is drawn when it walks, seconds, see
+            `pedzoo.models.blocks.timed_noise`; empty where `walking_noise` says it for all.
+        mode_at_zero: The most likely future is that of noise zero.
+        walking: How it walks, by default.
+        walking_noise: How often its noise is drawn when it walks, by default.
+        remembers: Whether its policy keeps how people began, see `pedzoo.policies.memory`.
+        keeps_distance: Whether its people keep so much room that the safety layer adds none to their bodies.
     """
 
     name: str = ""
     card: Any = None
+    config: dict[str, Any]
     needs: frozenset[str] = frozenset()
+    goal_protocol: GoalProtocol | None = None
     stochastic: ClassVar[bool] = True
     noise_dim: int = 0
     noise_periods: tuple[float, ...] = ()
+    mode_at_zero: ClassVar[bool] = False
+    walking: Walking = Walking()
+    walking_noise: Noise = "episode"
     remembers: ClassVar[bool] = False
     keeps_distance: bool = False
-    mode_at_zero: ClassVar[bool] = False
-    walking_noise: Noise = "episode"
-    walking_safety: bool = False
-    walking_extend_goal: bool = False
-    walking_keep_speed: bool = False
-    goal_protocol: GoalProtocol | None = None
-    config: dict[str, Any]
 
     def __repr__(self) -> str:
         weights = sum(value.numel() for value in self.parameters())
@@ -81,12 +74,9 @@ class Forecaster(nn.Module):
         return f"{type(self).__name__}({self.name!r}{goal}, {weights:,} weights)"
 
     def built_with(self, *groups: Any) -> None:
-        """Keep the settings that the model was built with; those of `Walking` say how it walks by default."""
+        """Keep the groups of settings that the model was built with."""
         self.config = flattened(*groups)
-        for group in groups:
-            if isinstance(group, Walking):
-                self.walking_safety, self.walking_extend_goal = group.safety, group.extend_goal
-                self.walking_keep_speed = group.keep_speed
+        self.walking = next((group for group in groups if isinstance(group, Walking)), self.walking)
 
     @classmethod
     def of(cls, **settings: Any) -> Self:
@@ -122,7 +112,7 @@ class Forecaster(nn.Module):
         return future[:, 0, :, :steps]
 
     def step_and_wish(self, batch: TensorDict, noise: Tensor | None) -> tuple[Tensor, Tensor]:
-        """Return the next steps (B, A, 2), metres, and those that people wish for.
+        """Return the step and the step before constraints (B, A, 2), metres.
 
         The two differ where people hold back behind others: see `keeps_distance`.
         """
@@ -140,11 +130,11 @@ class Forecaster(nn.Module):
         raise UserError(f"{type(self).__name__} has nothing to train")
 
     def log_likelihood(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor | None:
-        """Return how likely each person's true future was (B, A); None for a model without a density.
+        """Return how likely each person's true future was (B, A), nats; None for a model without a density.
 
-        Log densities, nats, of the displacements that `known_displacements` tells, all steps of a person
-        together, or a lower bound of them; 0 where nothing is known. Where all are known, that is also the
-        density of the positions.
+        Log densities, or a lower bound of them, of the displacements that `known_displacements` tells, all
+        steps of a person together; 0 where nothing is known. Where all are known, that is also the density of
+        the positions.
         """
         return None
 

@@ -29,7 +29,7 @@ from pedzoo.maps.bank import MAX_DISTANCE, MapBank
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.models.base import Forecaster
 from pedzoo.models.blocks import alexnet
-from pedzoo.models.blocks.map_encoders import AlexNetEncoder, MapEncoder, encode, map_to_feature
+from pedzoo.models.blocks.map_encoders import AlexNetEncoder, Viewpoints, encode, map_to_feature
 from pedzoo.models.zoo.loading import config_of
 
 TOLERANCE = 1e-4
@@ -40,13 +40,7 @@ _SIZES = {"scenes": 3, "people": 5, "rows": 11, "columns": 13}
 
 
 class Port(NamedTuple):
-    """An input or output of a graph.
-
-    Attributes:
-        shape: Its sizes; those with names are free, and equal for equal names.
-        about: Its meaning.
-        dtype: Type of its numbers.
-    """
+    """An input or output of a graph; sizes of its shape with names are free, and equal for equal names."""
 
     shape: tuple[int | str, ...]
     about: str
@@ -54,13 +48,7 @@ class Port(NamedTuple):
 
 
 class Parity(NamedTuple):
-    """How far a graph was from torch on some scenes.
-
-    Attributes:
-        scenes: How many.
-        people: Slots for people in each.
-        difference: The largest of all displacements', metres per step.
-    """
+    """How far a graph was from torch, metres per step at most, on some scenes with slots for people."""
 
     scenes: int
     people: int
@@ -77,17 +65,15 @@ class Exported(NamedTuple):
 
 
 class Graph(nn.Module):
-    """Calls a forecaster with a scene batch that is made from plain tensors.
+    """Calls a forecaster with a scene batch that is made from plain tensors, ``ports`` by name.
 
     All scenes of a call are on one floor plan. It is an input, too, so the same graph serves every plan.
-    ``steps`` are predicted; ``ports`` and ``outputs`` are its inputs and outputs by name.
     """
 
     def __init__(self, model: Forecaster, steps: int) -> None:
         """Take a forecaster, which stays as it is, and how many steps it shall predict.
 
-        Raises:
-            UserError: The model draws its noise itself, which no graph repeats.
+        Raises UserError: it draws its noise itself, which no graph repeats.
         """
         super().__init__()
         if model.stochastic and not model.noise_dim:
@@ -96,7 +82,10 @@ class Graph(nn.Module):
                 "model a noise_dim and next_steps, see pedzoo.models.base.Forecaster"
             )
         self.ports, self.outputs, self.steps = _inputs(model), _outputs(model, steps), steps
-        self.model = reading_from_plan(deepcopy(model).eval())
+        self.model = deepcopy(model).eval()
+        for part in self.model.modules():
+            if isinstance(part, AlexNetEncoder):
+                part.__class__ = _InputReader  # with the weights that it has
         self._no_plans = MapBank()
 
     def forward(self, inputs: dict[str, Tensor]) -> tuple[Tensor, ...]:
@@ -128,13 +117,6 @@ class Graph(nn.Module):
         some = model.next_steps(batch, noise, self.steps, self.steps)
         return (some, model.mode(batch, self.steps)[:, 0]) if len(self.outputs) > 1 else (some,)
 
-    def example(self, sizes: dict[str, int]) -> dict[str, Tensor]:
-        """Return some inputs, whose free sizes are ``sizes`` by name."""
-        return {
-            name: torch.ones([s if isinstance(s, int) else sizes[s] for s in port.shape]).to(port.dtype)
-            for name, port in self.ports.items()
-        }
-
 
 def _inputs(model: Forecaster) -> dict[str, Port]:
     result = {
@@ -161,12 +143,12 @@ def _outputs(model: Forecaster, steps: int) -> dict[str, Port]:
     about = (
         "metres per step of 0.4 s, zero for padding: the first one over 0.4 s is the velocity to walk with"
     )
-    if model.noise_dim and model.mode_at_zero:
-        about += "; noise zero gives the most likely future"
-    result = {"displacements": Port(shape, about)}
-    if model.noise_dim and not model.mode_at_zero:
-        result["most_likely"] = Port(shape, "the most likely future, for every noise")
-    return result
+    if not model.noise_dim:
+        return {"displacements": Port(shape, about)}
+    if model.mode_at_zero:
+        return {"displacements": Port(shape, f"{about}; noise zero gives the most likely future")}
+    most_likely = Port(shape, "the most likely future, for every noise")
+    return {"displacements": Port(shape, about), "most_likely": most_likely}
 
 
 def export_onnx(
@@ -231,10 +213,16 @@ def _traced(graph: Graph, metadata: dict[str, str]) -> bytes:
         name: {i: free[side] for i, side in enumerate(port.shape) if isinstance(side, str)}
         for name, port in graph.ports.items()
     }
+    example = {
+        name: torch.ones([side if isinstance(side, int) else _SIZES[side] for side in port.shape]).to(
+            port.dtype
+        )
+        for name, port in graph.ports.items()
+    }
     try:
         with torch.no_grad(), _quiet():
             # not by torch.onnx.export alone, which turns every LSTM into a loop
-            program = torch.export.export(graph, (graph.example(_SIZES),), dynamic_shapes={"inputs": shapes})
+            program = torch.export.export(graph, (example,), dynamic_shapes={"inputs": shapes})
             onnx = torch.onnx.export(
                 program,
                 input_names=list(graph.ports),
@@ -260,12 +248,10 @@ def _traced(graph: Graph, metadata: dict[str, str]) -> bytes:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep the exporter's own output from the terminal."""
     before = logging.root.manager.disable
     logging.disable(logging.WARNING)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with warnings.catch_warnings(action="ignore"):
             yield
     finally:
         logging.disable(before)
@@ -274,10 +260,8 @@ def _quiet() -> Iterator[None]:
 def plan_inputs(model: nn.Module, bank: MapBank, grid: OccupancyGrid) -> dict[str, NDArray[np.float32]]:
     """Return the inputs ``map_image`` (C, rows, columns) and ``map_affine`` (2, 3) of a floor plan.
 
-    The model says which maps it reads, the bank what unknown cells mean.
-
-    Raises:
-        UserError: AlexNet's weights are missing.
+    The model says which maps it reads, the bank what unknown cells mean. Raises UserError: AlexNet's weights
+    are missing.
     """
     if encoder := alexnet_of(model):
         image = encode(grid, bank, alexnet.load(encoder.weights), encoder.cell).numpy()
@@ -293,22 +277,14 @@ def alexnet_of(model: nn.Module) -> AlexNetEncoder | None:
     return next((part for part in model.modules() if isinstance(part, AlexNetEncoder)), None)
 
 
-def reading_from_plan(model: Forecaster) -> Forecaster:
-    """Return ``model``, changed so that it reads a `PlanInput`."""
-    for name, part in list(model.named_modules()):
-        if isinstance(part, AlexNetEncoder):
-            model.set_submodule(name, _FeatureReader(part))
-    return model
-
-
 class PlanInput(MapBank):
-    """A bank whose only floor plan is an input of the graph, for every ``map_id`` of scenes.
+    """A bank whose only floor plan is the ``map_image`` and ``map_affine`` of `plan_inputs`.
 
-    Scenes lie on it as they are: their pose is the identity.
+    It is that of every ``map_id``. Scenes lie on it as they are: their pose is the identity.
     """
 
     def __init__(self, image: Tensor, affine: Tensor) -> None:
-        """Take ``map_image`` and ``map_affine`` of `plan_inputs`."""
+        """Take the inputs of the graph."""
         super().__init__()
         self._image, self._affine = image, affine
 
@@ -335,29 +311,22 @@ class PlanInput(MapBank):
         return result[0].permute(1, 2, 0)
 
 
-class _FeatureReader(MapEncoder):
+class _InputReader(AlexNetEncoder):
     """An `AlexNetEncoder` whose features are the image of a `PlanInput`."""
 
-    def __init__(self, encoder: AlexNetEncoder) -> None:
-        super().__init__(encoder.dim)
-        self.head = encoder.head
-
-    def forward(
-        self, bank: MapBank, position: Tensor, heading: Tensor, map_id: Tensor, pose: Tensor
-    ) -> Tensor:
-        assert isinstance(bank, PlanInput)
-        return self.head(bank.read(position.unsqueeze(1))[:, 0])
+    def features(self, at: Viewpoints) -> Tensor:
+        assert isinstance(at.bank, PlanInput)
+        return at.bank.read(at.position.unsqueeze(1))[:, 0]
 
 
 @torch.no_grad()
 def parity(data: bytes, model: Forecaster, graph: Graph) -> list[Parity]:
-    """Return how far a graph is from torch on scenes of the embedded recording.
+    """Return how far a graph is from torch on the embedded recording.
 
     On one person, one scene, all scenes of a batch, and a single scene with all people of the batch.
 
     Raises:
-        UserError: The graph cannot be run with these numbers of scenes and people, or differs from torch by
-            more than `TOLERANCE`.
+        UserError: The graph cannot be run on these, or differs from torch by more than `TOLERANCE`.
     """
     import onnxruntime
     from onnxruntime.capi.onnxruntime_pybind11_state import Fail, InvalidArgument, RuntimeException
@@ -381,8 +350,9 @@ def parity(data: bytes, model: Forecaster, graph: Graph) -> list[Parity]:
                 "model, take sizes from x.shape[0] and not from len(x), which the graph does not follow"
             ) from error
         expected = graph.answers(model, scenes, noise)
-        apart = [_difference(a, b.numpy()) for a, b in zip(result, expected, strict=True)]
-        checks.append(Parity(agents.shape[0], agents.shape[1], max(apart)))
+        apart = [np.abs(a - b.numpy()) for a, b in zip(result, expected, strict=True)]
+        worst = max(float(np.nan_to_num(values, nan=np.inf).max()) for values in apart)
+        checks.append(Parity(*agents.shape, worst))
     worst = max(checks, key=lambda check: check.difference)
     if worst.difference > TOLERANCE:
         raise UserError(
@@ -390,10 +360,6 @@ def parity(data: bytes, model: Forecaster, graph: Graph) -> list[Parity]:
             f"{worst.people} people; at most {TOLERANCE:g} is rounding, so nothing was written"
         )
     return checks
-
-
-def _difference(result: Any, expected: np.ndarray) -> float:
-    return float(np.nan_to_num(np.abs(result - expected), nan=np.inf).max())
 
 
 def _embedded(model: Forecaster) -> tuple[TensorDict, dict[str, Any]]:

@@ -160,8 +160,8 @@ class Walker(NamedPolicy):
         self.model, self.noise, self.execute_steps = model, noise, execute_steps
         self.name = model.name
         self.noise_seed = as_integer("noise_seed", noise_seed)
-        self.safety = model.walking_safety if safety is None else safety
-        self.extend_goal = model.walking_extend_goal if extend_goal is None else extend_goal
+        self.safety = model.walking.safety if safety is None else safety
+        self.extend_goal = model.walking.extend_goal if extend_goal is None else extend_goal
         self._remember_nothing()
 
     def _remember_nothing(self) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any, cast
 
 import pytest
@@ -22,7 +21,7 @@ from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.models.architectures.anchor_net import AnchorNet
 from pedzoo.models.architectures.anchors import Anchors
 from pedzoo.models.blocks.anchored import SPEEDS, AnchorForecaster, clustered, reversed_in_time
-from pedzoo.models.zoo.loading import load, save_weights
+from pedzoo.models.zoo.loading import load
 
 NAMES = ("anchors", "anchor_mlp", "anchor_net")
 
@@ -103,21 +102,23 @@ def test_an_untrained_network_is_its_anchors(name: str) -> None:
         torch.testing.assert_close(network.mode(batch, 8), floor.mode(batch, 8))
 
 
-@pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("people", [1, 2, 50, 200])
+@pytest.mark.parametrize("name", [*NAMES, *(f"{name}.zara1_pred12" for name in NAMES)])
+@pytest.mark.parametrize("people", [1, 50, 200])
 def test_turned_moved_and_permuted_scenes_have_the_same_futures(name: str, people: int) -> None:
-    model, batch = made(name), scene(people)
-    pose = torch.tensor([[1.1, 1.0, 30.0, -20.0]])
-    usual = futures(model, batch, 8)
+    """Of models here and of shipped weights."""
+    model, batch = cast("AnchorForecaster", load(name)) if "." in name else made(name), scene(people)
+    usual = futures(model, batch, model.steps)
     assert all(path.isfinite().all() for path in usual)
+    pose = torch.tensor([[1.1, 1.0, 30.0, -20.0]])
     modes, guess = (geometry.turn_to_scene(path, pose) for path in usual)
-    assert farthest_futures(futures(model, moved(batch, pose), 8), (modes, guess)) < 5e-3
+    assert farthest_futures(futures(model, moved(batch, pose), model.steps), (modes, guess)) < 5e-3
     order = torch.randperm(people, generator=torch.Generator().manual_seed(1))
-    agents = agents_of(batch)
     permuted = cast("TensorDict", batch.clone())
-    permuted["agents"] = agents[:, order]
+    permuted["agents"] = agents_of(batch)[:, order]
     modes, guess = (path[:, :, order] for path in usual)
-    assert farthest_futures(futures(model, permuted, 8), (modes, guess)) < 1e-3
+    assert farthest_futures(futures(model, permuted, model.steps), (modes, guess)) < 1e-3
+    # no two people have the same futures, so this can fail
+    assert people == 1 or farthest_futures(futures(model, permuted, model.steps), usual) > 0.1
 
 
 def test_far_people_are_not_seen_and_near_ones_are() -> None:
@@ -241,15 +242,6 @@ def test_a_reversed_scene_runs_backwards() -> None:
     partly = make_batch((3, 2), partly=True)
     gone = ~agents_of(partly)["future_valid"].all(-1)
     assert not (agents_of(reversed_in_time(partly, None))["mask"] & gone).any()
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_weights_bring_the_anchors_back(name: str, tmp_path: Path) -> None:
-    model, batch = made(name), scene(5)
-    save_weights(model, tmp_path / "mine.safetensors")
-    again = load(tmp_path / "mine.safetensors")
-    assert torch.equal(again.candidates(batch, 20, 8), model.candidates(batch, 20, 8))
-    assert torch.equal(again.mode(batch, 8), model.mode(batch, 8))
 
 
 def test_other_step_counts_refused_in_training_else_prolonged() -> None:

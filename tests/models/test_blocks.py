@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Literal
 
 import pytest
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from pedzoo.models.blocks.discriminator import Discriminator
 from pedzoo.models.blocks.mlp import init_like_sgan, mlp
 from pedzoo.models.blocks.people import pooling
 from pedzoo.models.blocks.people.crowd import Crowd, share_seen
@@ -169,7 +171,7 @@ def test_slot_pooling_leaves_out_absent_and_far_people() -> None:
     place = torch.randn(9, 2)
     place[4] += 100  # in the second scene, out of everybody's sight
     place[7] += torch.tensor([27.0, 0.0])  # in the third one, it counts less
-    result = pooling._max_over_slots(u, v, weight, absent, place)
+    result = pooling._max_at_once(u, v, weight, place.view(3, 3, 2), absent)
     for i in (~absent).flatten().nonzero()[:, 0].tolist():
         scene = range(i // 3 * 3, i // 3 * 3 + 3)
         values = [
@@ -190,17 +192,6 @@ def test_pooling_with_frozen_weights_still_reaches_the_people() -> None:
     got = torch.autograd.grad(pool(hidden, position, crowd).sum(), [hidden, position])
     wanted = torch.autograd.grad(plain_pooling(pool, hidden, position, crowd).sum(), [hidden, position])
     torch.testing.assert_close(got, wanted)
-
-
-def test_pooling_permutes_with_people_and_ignores_other_scenes() -> None:
-    pool = SocialPooling(5)
-    crowd = crowd_of((4, 3, 4))
-    hidden, position = torch.randn(11, 5), torch.randn(11, 2)
-    order = torch.tensor([2, 0, 3, 1, *range(4, 11)])
-    pooled = pool(hidden, position, crowd)
-    torch.testing.assert_close(pool(hidden[order], position[order], crowd), pooled[order])
-    hidden[:4], position[:4] = 7.0, -9.0
-    torch.testing.assert_close(pool(hidden, position, crowd)[4:], pooled[4:])
 
 
 def test_pooling_far_from_the_origin() -> None:
@@ -258,3 +249,48 @@ def test_mlp_ends_with_relu_and_draws_only_linear_weights() -> None:
     assert changed == {"mlp.0.weight", "mlp.2.weight"}
     assert block["mlp"][0].weight.std().item() == pytest.approx(math.sqrt(2 / 400), rel=0.02)  # type: ignore[index]
     assert (block["mlp"](torch.randn(50, 400)) >= 0).all()
+
+
+# -- the discriminator: the published formula, and the shortcut for several futures of the same people
+
+THREE = (2, 4, 1)
+BOTH = pytest.mark.parametrize("kind", ["local", "global"])
+
+
+def judge_of(kind: Literal["local", "global"]) -> Discriminator:
+    """Return a discriminator whose scores are not cut off at zero for most people."""
+    torch.manual_seed(0)
+    result = Discriminator(kind, 4, 5, 6).double()
+    torch.nn.init.constant_(result.classifier.get_submodule("2").get_parameter("bias"), 2.0)
+    return result
+
+
+@BOTH
+def test_scores_are_the_plain_ones(kind: Literal["local", "global"]) -> None:
+    judge, crowd = judge_of(kind), crowd_of(THREE)
+    window, start = torch.randn(7, 16, 2).double(), torch.randn(7, 2).double()
+    hidden = plain_encoder(judge.encoder, window)
+    if judge.pooling is not None:
+        hidden = plain_pooling(judge.pooling, hidden, start, crowd)
+    wanted = judge.classifier(hidden)[:, 0]
+    assert (wanted > 0).sum() > 4
+    torch.testing.assert_close(judge(window, start, crowd), wanted)
+
+
+@BOTH
+def test_futures_of_the_same_people_are_judged_as_whole_windows(kind: Literal["local", "global"]) -> None:
+    judge = judge_of(kind)
+    both = Crowd.of((torch.arange(4) < torch.tensor(THREE).unsqueeze(1)).repeat(2, 1))
+    observed, start = torch.randn(7, 8, 2).double(), torch.randn(7, 2).double()
+    futures = torch.randn(2, 7, 8, 2).double().requires_grad_()
+    windows = torch.cat([torch.cat((observed, future), 1) for future in futures])
+    results = []
+    for score in (
+        judge.of_futures(observed, futures, start, both),
+        judge(windows, start.repeat(2, 1), both),
+    ):
+        assert score.shape == (14,)
+        weighted = (torch.linspace(-1, 2, 14).double() * score.square()).sum()
+        results.append((score, *torch.autograd.grad(weighted, [futures, *judge.parameters()])))
+    for got, wanted in zip(*results, strict=True):
+        torch.testing.assert_close(got, wanted)

@@ -16,7 +16,17 @@ from pedzoo.core.geometry import identity_pose, move_to_scene, turn_to_scene
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
 from pedzoo.models.blocks import alexnet
-from pedzoo.models.blocks.map_encoders import AlexNetEncoder, MapEncoder, PatchEncoder
+from pedzoo.models.blocks.map_encoders import (
+    CLIP,
+    ENCODERS,
+    RADII,
+    RAYS,
+    AlexNetEncoder,
+    PatchEncoder,
+    RingEncoder,
+    Viewpoints,
+    atlas_of,
+)
 
 WEIGHTS = "alexnet_imagenet_features_fp16.safetensors"
 
@@ -39,32 +49,37 @@ def room(
     return OccupancyGrid(cells, 0.1, origin, name=name)
 
 
-def people(grid: OccupancyGrid | None, n: int = 6) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Arguments of an encoder's forward."""
+def people(bank: MapBank, grid: OccupancyGrid | None, n: int = 6) -> Viewpoints:
+    """People who stand and look anywhere on a floor plan."""
     generator = torch.Generator().manual_seed(0)
     angle = torch.rand(n, generator=generator) * 6
     heading = torch.stack((angle.cos(), angle.sin()), dim=1)
     ids = torch.full((n,), grid.map_id if grid else -1)
-    return torch.rand(n, 2, generator=generator) * 6, heading, ids, identity_pose(n)
+    return Viewpoints(bank, torch.rand(n, 2, generator=generator) * 6, heading, ids, identity_pose(n))
 
 
-@pytest.mark.parametrize("encoder", [PatchEncoder(dim=5), AlexNetEncoder(dim=5)])
-def test_empty_banks_serve_scenes_without_maps(encoder: MapEncoder) -> None:
-    assert encoder(MapBank(), *people(None)).shape == (6, encoder.dim)
-    assert encoder(MapBank(), *people(None, 0)).shape == (0, encoder.dim)
+def posed(at: Viewpoints, pose: Tensor) -> Viewpoints:
+    """The same people in scenes of another pose (6, 4)."""
+    position, heading = move_to_scene(at.position, pose), turn_to_scene(at.heading, pose)
+    return at._replace(position=position, heading=heading, pose=pose)
+
+
+@pytest.mark.parametrize("name", ENCODERS)
+def test_empty_banks_serve_scenes_without_maps(name: str) -> None:
+    encoder = ENCODERS[name](dim=5)
+    assert encoder(people(MapBank(), None)).shape == (6, 5)
+    assert encoder(people(MapBank(), None, 0)).shape == (0, 5)
     with pytest.raises(UserError, match="not of this bank"):
-        encoder(MapBank(), *people(room()))
+        encoder(people(MapBank(), room()))
 
 
 def test_a_wall_in_front_is_in_front() -> None:
     grid = room()
     encoder = PatchEncoder(size=4.0, cells=8)
-    bank = MapBank([grid])
     # One metre before the wall: facing it, with the back to it, with it to the right, and to the left.
     heading = torch.tensor([[1.0, 0], [-1, 0], [0, 1], [0, -1]])
-    patch = encoder.patch(
-        bank, torch.tensor([[3.0, 3.0]] * 4), heading, torch.full((4,), grid.map_id), identity_pose(4)
-    )
+    position, ids = torch.tensor([[3.0, 3.0]] * 4), torch.full((4,), grid.map_id)
+    patch = encoder.patch(Viewpoints(MapBank([grid]), position, heading, ids, identity_pose(4)))
     assert patch.shape == (4, 1, 8, 8)
     inside = patch[:, 0] < 0
     assert inside[0].any(0).tolist() == [False] * 6 + [True] * 2
@@ -75,27 +90,40 @@ def test_a_wall_in_front_is_in_front() -> None:
 
 
 def test_patches_turn_with_the_scene() -> None:
-    grid = room()
-    encoder = PatchEncoder()
-    bank = MapBank([grid])
-    position, heading, ids, plain = people(grid)
+    grid, encoder = room(), PatchEncoder()
+    at = people(MapBank([grid]), grid)
+    expected = encoder.patch(at)
     for mirror in (1.0, -1.0):
-        pose = torch.tensor([[1.1, mirror, 3.0, -2.0]]).repeat(6, 1)
-        turned = encoder.patch(bank, move_to_scene(position, pose), turn_to_scene(heading, pose), ids, pose)
-        expected = encoder.patch(bank, position, heading, ids, plain)
+        turned = encoder.patch(posed(at, torch.tensor([[1.1, mirror, 3.0, -2.0]]).repeat(6, 1)))
         torch.testing.assert_close(turned, expected if mirror > 0 else expected.flip(2), atol=1e-4, rtol=0)
 
 
-def test_patches_train_and_carry_gradients_to_positions() -> None:
-    grid = room()
-    encoder = PatchEncoder()
-    bank = MapBank([grid])
-    position, heading, ids, pose = people(grid)
-    position.requires_grad_()
-    encoder(bank, position, heading, ids, pose).square().sum().backward()
-    assert position.grad is not None and position.grad.abs().sum() > 0
+def test_rings_read_distances_turned_to_the_heading() -> None:
+    """First the distance here, then rings from the smallest, anticlockwise from straight ahead."""
+    grid, encoder = room(), RingEncoder(dim=4)
+    at = posed(people(MapBank([grid]), grid), torch.tensor([[0.7, -1.0, 2.0, 1.0]]).repeat(6, 1))
+    result = encoder.distances(at)
+    angle = (
+        torch.atan2(at.heading[:, 1], at.heading[:, 0]).unsqueeze(1) + torch.arange(RAYS) * 2 * math.pi / RAYS
+    )
+    ring = torch.stack((angle.cos(), angle.sin()), -1)
+    here = at.position.unsqueeze(1)
+    points = torch.cat((here, *(here + radius * ring for radius in RADII)), 1)
+    wanted = at.bank.signed_distance(points, at.map_id, at.pose).clamp(-CLIP, CLIP)
+    torch.testing.assert_close(result, wanted, atol=1e-4, rtol=0)
+    assert result.shape == (6, 1 + len(RADII) * RAYS) and float(result.min()) < 0 < float(result.max())
+
+
+@pytest.mark.parametrize("name", ["patch", "rings"])
+def test_encoders_train_and_carry_gradients_to_positions(name: str) -> None:
+    torch.manual_seed(0)
+    grid, encoder = room(), ENCODERS[name](dim=32)
+    at = people(MapBank([grid]), grid)
+    at.position.requires_grad_()
+    encoder(at).square().sum().backward()
+    assert at.position.grad is not None and at.position.grad.abs().sum() > 0
     assert all(weight.grad is not None for weight in encoder.parameters())
-    assert all(key.startswith("net.") for key in encoder.state_dict())
+    assert all(key.startswith("net.") for key in encoder.state_dict())  # and no map
     with pytest.raises(UserError, match="at least 4 cells"):
         PatchEncoder(cells=2)
 
@@ -151,15 +179,16 @@ def test_features_are_read_exactly_at_a_persons_place(
     monkeypatch.setattr(alexnet, "load", lambda path: {})
     origin = (3.0, -1.0, 0.4)
     grids = [OccupancyGrid(np.zeros((70, 130), np.uint8), resolution, origin, name="a"), room()]
-    encoder = AlexNetEncoder(cell=0.4)
-    bank = MapBank(grids)
     width, height = 130 * resolution, 70 * resolution
     local = torch.tensor([[0.0, 0.0], [width, height], [0.3 * width, 0.9 * height], [width, 0.0]])
     cos, sin = math.cos(0.4), math.sin(0.4)
     places = local @ torch.tensor([[cos, sin], [-sin, cos]]) + torch.tensor(origin[:2])
     pose = torch.tensor([[0.5, -1.0, 7.0, 1.0]]).repeat(4, 1)
     ids = torch.full((4,), grids[0].map_id)
-    result = encoder.features(bank, move_to_scene(places, pose), ids, pose)[:, :2]
+    at = Viewpoints(MapBank(grids), move_to_scene(places, pose), places, ids, pose)
+    atlas_of.cache_clear()
+    result = AlexNetEncoder(cell=0.4).features(at)[:, :2]
+    atlas_of.cache_clear()
     pixel = torch.tensor([width / math.ceil(width * 40 - 1e-6), height / math.ceil(height * 40 - 1e-6)])
     assert (pixel <= 0.4 / 16 + 1e-6).all()
     torch.testing.assert_close(result, local / pixel - 0.5 + 16, atol=5e-3, rtol=0)
@@ -168,30 +197,22 @@ def test_features_are_read_exactly_at_a_persons_place(
 def test_alexnet_tells_walls_from_floor_and_is_not_saved(weights: Path) -> None:
     grid, moved = room(), room("moved", (10.0, 5.0, 0.0))
     encoder = AlexNetEncoder(weights=str(weights))
-    before = encoder.state_dict().keys()
-    bank = MapBank([grid])
-    position, heading, ids, pose = people(grid)
-    first = encoder.features(bank, position, ids, pose)
-    assert first.shape == (6, 256)
-    assert first.std(0).max() > 0.1
-    assert encoder.features(bank, position, torch.full_like(ids, -1), pose).abs().max() == 0
-
-    encoder(bank, position.requires_grad_(), heading, ids, pose).sum().backward()
-    assert position.grad is not None and position.grad.abs().sum() > 0
-    assert encoder.state_dict().keys() == before == {"head.0.weight", "head.0.bias"}
+    at = people(MapBank([grid]), grid)
+    first = encoder.features(at)
+    assert first.shape == (6, 256) and first.std(0).max() > 0.1
+    assert encoder.features(at._replace(map_id=torch.full_like(at.map_id, -1))).abs().max() == 0
+    at.position.requires_grad_()
+    encoder(at).sum().backward()
+    assert at.position.grad is not None and at.position.grad.abs().sum() > 0
+    assert encoder.state_dict().keys() == {"head.0.weight", "head.0.bias"}
     assert sum(weight.numel() for weight in encoder.parameters()) == 257 * 32
 
     # Another bank, in which the same room is moved: the same features at moved places; the old map is gone.
-    bank = MapBank([moved])
-    shift = torch.tensor([10.0, 5.0])
-    torch.testing.assert_close(
-        encoder.features(bank, position + shift, torch.full_like(ids, moved.map_id), pose),
-        first,
-        atol=1e-3,
-        rtol=1e-3,
-    )
+    at = at._replace(bank=MapBank([moved]), position=at.position + torch.tensor([10.0, 5.0]))
+    there = at._replace(map_id=torch.full_like(at.map_id, moved.map_id))
+    torch.testing.assert_close(encoder.features(there), first, atol=1e-3, rtol=1e-3)
     with pytest.raises(UserError, match="not of this bank"):
-        encoder.features(bank, position, ids, pose)
+        encoder.features(at)
 
 
 def test_alexnet_weights_are_read_from_both_formats_and_checked(

@@ -8,20 +8,18 @@ from typing import Any, cast
 import pytest
 import torch
 from helpers.batches import changed, make_batch, of_people, on_plan, random_weights
-from tensordict import NonTensorData, TensorDict
+from tensordict import TensorDict
 from torch import Tensor
 from torch.distributions import Categorical, Independent, MixtureSameFamily, Normal
 
 from pedzoo.core import geometry
-from pedzoo.core.batch import agents_of, maps_of
+from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
-from pedzoo.eval.rollout import rollout
 from pedzoo.metrics.forecast import ForecastScore, NegativeLogLikelihood
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.architectures.social_vrnn import SocialVRNN
 from pedzoo.models.base import known_displacements, true_displacements
 from pedzoo.models.blocks.mixture import FutureMixture
-from pedzoo.models.zoo.loading import save_weights
 from pedzoo.sim.make import make_env
 
 SMALL: dict[str, Any] = {
@@ -82,16 +80,6 @@ def random_mixture(people: int = 4, components: int = 3, steps: int = 5) -> Futu
         for size in ((people, components), (people, components, steps, 2), (people, components, steps, 2))
     )
     return FutureMixture(logits, mean, 0.2 + scale.abs())
-
-
-def test_mixture_by_hand() -> None:
-    """Weights 1/4 and 3/4, one step: 1/4 N(0; 0, 1)^2 + 3/4 N(0; 1, 2) N(0; 0, 2)."""
-    logits = torch.tensor([0.0, math.log(3.0)])
-    mean = torch.tensor([[[0.0, 0.0]], [[1.0, 0.0]]])
-    scale = torch.tensor([[[1.0, 1.0]], [[2.0, 2.0]]])
-    result = FutureMixture(logits, mean, scale).log_prob(torch.zeros(1, 2), torch.ones(1, dtype=torch.bool))
-    density = 0.25 / (2 * math.pi) + 0.75 * math.exp(-0.125) / (8 * math.pi)
-    assert float(result) == pytest.approx(math.log(density), rel=1e-6)
 
 
 def test_mixture_equals_torch_and_leaves_unknown_steps_out() -> None:
@@ -221,55 +209,6 @@ def test_noise_chooses_latent_and_component() -> None:
     assert not torch.allclose(model.next_steps(batch, noise, 2, 8), walked)
 
 
-@pytest.mark.parametrize("map", [None, "patch"])
-def test_moving_turning_and_permuting_people(map: Any) -> None:
-    """Beside a wall, too, where that is turned with the scene."""
-    bank = make_env("door").bank
-    model = cast("SocialVRNN", random_weights(SocialVRNN.of(**{**SMALL, "map": map}))).eval()
-    batch = on_plan(make_batch((3, 2), goal=False, padding=0.0), bank)
-    pose = torch.tensor([[2.1, 1.0, 3.0, -5.0]]).expand(2, 4)
-    agents = agents_of(batch)
-    moved = changed(batch, **{k: geometry.move_to_scene(agents[k], pose) for k in ("history", "future")})
-    moved = on_plan(moved, bank, pose=pose)
-    turn = torch.tensor([math.cos(2.1), math.sin(2.1)])
-    for answer in (lambda b: model.mode(b, 8), lambda b: model.sample(b, 3, 8, seeded())):
-        # a ten-thousandth of world x is in every person's heading
-        torch.testing.assert_close(answer(moved), geometry.rotate(answer(batch), turn), atol=3e-3, rtol=0)
-    nats = model.log_likelihood(batch, seeded())
-    torch.testing.assert_close(model.log_likelihood(moved, seeded()), nats, atol=0.05, rtol=1e-3)
-    order = torch.tensor([2, 0, 1])
-    full = make_batch((3, 3), goal=False)
-    permuted = changed(full, **{k: agents_of(full)[k][:, order] for k in ("history", "future")})
-    torch.testing.assert_close(model.mode(permuted, 8), model.mode(full, 8)[:, :, order])
-    noise = torch.randn(2, 3, model.noise_dim, generator=seeded())
-    walked = model.next_steps(permuted, noise[:, order], 2, 8)
-    torch.testing.assert_close(walked, model.next_steps(full, noise, 2, 8)[:, order])
-
-
-def test_padding_and_other_scenes_never_matter() -> None:
-    model, sizes = small(), (3, 1, 4)
-    batch = batch_of(sizes)
-    noise = torch.randn(3, 4, model.noise_dim, generator=seeded(), dtype=torch.float64)
-    whole, walked = model.mode(batch, 8), model.next_steps(batch, noise, 1, 8)
-    for i, size in enumerate(sizes):
-        alone = TensorDict(
-            {
-                "agents": agents_of(batch)[i : i + 1, :size],
-                "map_id": batch["map_id"][i : i + 1],
-                "scene_pose": batch["scene_pose"][i : i + 1],
-                "maps": NonTensorData(maps_of(batch), batch_size=[1]),
-            },
-            batch_size=1,
-        )
-        torch.testing.assert_close(model.mode(alone, 8)[0], whole[i, :, :size])
-        torch.testing.assert_close(
-            model.next_steps(alone, noise[i : i + 1, :size], 1, 8)[0], walked[i, :size]
-        )
-    zeros = batch_of(sizes, padding=0.0)
-    assert loss_of(model, batch) == pytest.approx(loss_of(model, zeros))
-    assert (model.log_likelihood(batch)[~agents_of(batch)["mask"]] == 0).all()
-
-
 def test_what_is_not_known_of_the_future_does_not_matter() -> None:
     model, batch = small(mode_weight=2.0), batch_of(partly=True)
     future, known = agents_of(batch)["future"], agents_of(batch)["future_valid"]
@@ -354,24 +293,7 @@ def test_scores_tell_the_likelihood_of_models_that_have_one() -> None:
     assert score.compute()["nll_nats_per_step"] == pytest.approx(-nats / steps, rel=1e-5)
 
 
-def test_it_walks(tmp_path: Any) -> None:
-    torch.manual_seed(0)
-    weights = str(tmp_path / "weights.safetensors")
-    save_weights(SocialVRNN(), weights)
-    result, _ = rollout(weights, "door", "compiled", 2)
-    assert result.trace.isfinite().all()
-    first = result.past[:, :, -1] - result.past[:, :, 0]
-    assert first.norm(dim=-1).min() > 0.5
-
-
 @pytest.mark.parametrize("options", [{"latent_dim": 0}, {"components": 0}, {"min_scale": 0.0}])
 def test_options_out_of_range(options: dict[str, Any]) -> None:
     with pytest.raises(UserError, match="expected at least 1, at least 1, and above 0 m"):
         SocialVRNN.of(**options)
-
-
-def test_a_map_is_asked_for() -> None:
-    model = SocialVRNN()
-    with pytest.raises(UserError, match="does not say which floor plans"):
-        model.mode(make_batch((2,), goal=False).exclude("maps"), 8)
-    assert model.mode(make_batch((2,), goal=False), 8).isfinite().all()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from pedzoo.models.blocks.people.own_speed import at_own_speed
+from pedzoo.models.architectures.sgan import at_own_speed
 from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.walker import Walker

@@ -16,7 +16,7 @@ from pedzoo.core.geometry import identity_pose
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.walls import LocalWalls
-from pedzoo.models.base import Forecaster
+from pedzoo.models.base import Forecaster, Walking
 from pedzoo.models.zoo.loading import load
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.policy import Policy
@@ -266,7 +266,7 @@ class Dash(Forecaster):
     def __init__(self, safety: bool) -> None:
         """Set whether it is held back."""
         super().__init__()
-        self.config, self.walking_safety = {"safety": safety}, safety
+        self.config, self.walking = {"safety": safety}, Walking(safety)
 
     def next_steps(self, batch: TensorDict, noise: Tensor | None, steps: int, horizon: int) -> Tensor:
         """Return the straight way at 1.3 m/s."""

@@ -229,7 +229,7 @@ def test_a_controller_of_your_own_recordings(capsys: pytest.CaptureFixture[str])
     quick = [word for word in QUICK if word not in ("--data.fold", "embedded")]
     assert main([*onwards, *files, *quick, *STILL, "--trainer.max_epochs", "1"]) == 0
     after = pedzoo.load("runs/closed_loop.sgan_goal_map/a-seed0/checkpoints/best.ckpt")
-    assert after.walking_safety and after.needs == {"goal", "map"}
+    assert after.walking.safety and after.needs == {"goal", "map"}
 
 
 @pytest.mark.parametrize("weights", ["sgan_goal.zara1", "social_vrnn.zara1"])
@@ -245,8 +245,8 @@ def test_any_generator_goes_into_the_loop(weights: str, capsys: pytest.CaptureFi
     held = {key: value for key, value in held.items() if key in before.config}
     assert generator["init_args"] == grouped(type(before), before.config | held)
     assert before.config | held == after.config
-    assert after.walking_safety is after.walking_extend_goal is ("safety" in held)
-    assert not before.walking_safety and not before.walking_extend_goal
+    assert after.walking.safety is after.walking.extend_goal is ("safety" in held)
+    assert not before.walking.safety and not before.walking.extend_goal
     assert config["weights"] == weights and config["model"]["init_args"]["lr"] == pytest.approx(7e-4)
     pairs = zip(before.parameters(), after.parameters(), strict=True)
     assert any(not torch.equal(a, b) for a, b in pairs)

@@ -353,7 +353,7 @@ def test_batches_bring_the_floor_plans_of_the_data() -> None:
     module, seen = make_module("gan"), []
     module.generator = SGAN.of(map="patch", best_k=2)
     assert module.generator.map is not None
-    module.generator.map.register_forward_pre_hook(lambda part, given: seen.append(given[0]))
+    module.generator.map.register_forward_pre_hook(lambda part, given: seen.append(given[0].bank))
     data = make_data()
     make_trainer(max_epochs=1, limit_train_batches=1).fit(module, data)
     assert seen and all(bank is data.bank for bank in seen)

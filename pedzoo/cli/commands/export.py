@@ -115,9 +115,9 @@ def _onnx(name: str, onnx: str, plan_name: str | None) -> dict[str, Any]:
     print("against torch, largest difference in metres per step:")
     for check in result.parity:
         print(f"  {check.scenes:>3} scenes of {check.people:>3} people: {check.difference:.1e}")
-    if model.walking_safety:
+    if model.walking.safety:
         print("the safety layer, which keeps steps clear of people and walls, is not in the graph")
-    if model.walking_extend_goal:
+    if model.walking.extend_goal:
         print(f"nearer goals are not moved out to {AHEAD_SECONDS:g} s at the desired velocity in the graph")
     for extra in files[1:]:
         print(f"{extra}  map_image and map_affine of {plan_name}")

@@ -9,7 +9,7 @@ from torch import nn
 from pedzoo.core.types import OBS_LEN, PRED_LEN
 from pedzoo.models.base import Walking
 from pedzoo.models.blocks.anchored import UNIT, AnchorForecaster, AnchorInputs, AnchorLosses, ModePredictions
-from pedzoo.models.blocks.mlp import init_with_zeros, two_layers
+from pedzoo.models.blocks.mlp import init_with_zeros, mlp
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class AnchorMLP(AnchorForecaster):
         super().__init__(a.steps, a.modes, None, losses)
         self.built_with(architecture, losses, walking)
         width = a.hidden_dim
-        self.body = two_layers(2 * OBS_LEN, width)
+        self.body = mlp(2 * OBS_LEN, width, width, layer=nn.GELU)
         self.paths = nn.Linear(width, (a.modes + 1) * a.steps * 2)
         self.choice = nn.Linear(width, a.modes)
         self.widths = nn.Linear(width, a.steps * 2)

@@ -12,14 +12,14 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.nn import functional
 
-from pedzoo.core.batch import agents_of, maps_of
+from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import unrotate
 from pedzoo.core.types import OBS_LEN, PRED_LEN, GoalProtocol
 from pedzoo.models.base import Walking
 from pedzoo.models.blocks.anchored import UNIT, AnchorForecaster, AnchorInputs, AnchorLosses, ModePredictions
-from pedzoo.models.blocks.map_encoders import PatchEncoder, RingEncoder
-from pedzoo.models.blocks.mlp import init_with_zeros, two_layers
+from pedzoo.models.blocks.map_encoders import ENCODERS, Viewpoints
+from pedzoo.models.blocks.mlp import init_with_zeros, mlp
 
 NEAR = 5.0
 """Metres: farther people are not seen."""
@@ -94,13 +94,12 @@ class AnchorNet(AnchorForecaster):
         self.built_with(architecture, losses, walking)
         self.architecture, width = a, a.width
         self.needs = frozenset(["goal"] * a.goal + ["map"] * (a.map is not None))
-        self.own = two_layers(2 * OBS_LEN + 4 * a.goal + 2 * a.goal, a.own_dim)
+        self.own = mlp(2 * OBS_LEN + 6 * a.goal, a.own_dim, a.own_dim, layer=nn.GELU)
         if a.neighbours:
-            self.other = two_layers(2 * OBS_LEN + 3, width)
+            self.other = mlp(2 * OBS_LEN + 3, width, width, layer=nn.GELU)
             self.ask, self.answer = nn.Linear(a.own_dim, width), nn.Linear(width, 2 * width)
             self.alone = nn.Parameter(torch.zeros(1, 1, 2 * width))
-        encoders = {"patch": PatchEncoder, "rings": RingEncoder}
-        self.map = encoders[a.map](dim=a.map_dim) if a.map else None
+        self.map = ENCODERS[a.map](dim=a.map_dim) if a.map else None
         seen = a.own_dim + (width if a.neighbours else 0) + (a.map_dim if a.map else 0)
         self.context = nn.Linear(seen, width)
         self.anchor = nn.Linear(2 * a.steps, width) if a.anchors else None
@@ -133,20 +132,18 @@ class AnchorNet(AnchorForecaster):
         """Return all that is known about people (P, width)."""
         moved = seen.history.diff(dim=1) / seen.unit.unsqueeze(-1)
         own = [moved.flatten(1), (seen.unit / UNIT).log(), seen.speed.unsqueeze(-1)]
-        if seen.goal is not None:
-            goal = seen.goal[:, :2]
+        if seen.aims is not None:
+            goal, wanted = seen.aims.unbind(1)
             # far goals say no more than their direction
             near = goal / (1 + goal.norm(dim=-1, keepdim=True) / 4)
-            own += [near, seen.base[:, -1] / seen.unit, seen.goal[:, 2:]]
+            own += [near, seen.base[:, -1] / seen.unit, wanted]
         own = self.own(torch.cat(own, -1))
         features = [own]
         if self.architecture.neighbours:
             features.append(self._neighbours(batch, seen, own))
         if self.map is not None:
-            crowd, agents = seen.crowd, agents_of(batch)
-            position = crowd.pack(agents["history"])[:, -1]
-            pose, map_id = batch["scene_pose"][crowd.scene], batch["map_id"][crowd.scene, 0]
-            features.append(self.map(maps_of(batch), position, seen.heading, map_id, pose))
+            position = seen.crowd.pack(agents_of(batch)["history"])[:, -1]
+            features.append(self.map(Viewpoints.of(batch, seen.crowd.scene, position, seen.heading)))
         return self.context(torch.cat(features, -1))
 
     def _neighbours(self, batch: TensorDict, seen: AnchorInputs, own: Tensor) -> Tensor:

@@ -11,37 +11,35 @@ from typing import Literal, NamedTuple, cast
 import torch
 from tensordict import TensorDict
 from torch import Tensor, nn
+from torch.nn import functional
 
-from pedzoo.core.batch import agents_of, goals_of, maps_of
+from pedzoo.core.batch import agents_of, goals_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import PRED_LEN, STEP_SECONDS, TIMED, GoalProtocol
 from pedzoo.models.base import Forecaster, Walking
-from pedzoo.models.blocks.map_encoders import AlexNetEncoder, PatchEncoder, RingEncoder
-from pedzoo.models.blocks.mlp import ContextNoise, init_like_sgan, init_with_zeros, mlp
+from pedzoo.models.blocks.map_encoders import ENCODERS, Viewpoints
+from pedzoo.models.blocks.mlp import init_like_sgan, init_with_zeros, mlp
 from pedzoo.models.blocks.people import ego_frame, linear_extrapolation
 from pedzoo.models.blocks.people.approach import ApproachPooling
 from pedzoo.models.blocks.people.crowd import Crowd
-from pedzoo.models.blocks.people.own_speed import at_own_speed
 from pedzoo.models.blocks.people.pooling import SocialPooling
 from pedzoo.models.blocks.recurrent import DisplacementDecoder, DisplacementEncoder
 from pedzoo.models.blocks.variety import VarietyLoss
 
+CATCHING_UP = 0.5
+"""Of the difference from the speed that people like, in a step: about as the model gets faster and slower."""
+
+TURNED, FACING = 0.5, 0.9
+"""Cosines between the way and a step: those who turn farther away walk as the model says, as they turn."""
+
 
 class Encoded(NamedTuple):
-    """Values that do not depend on the noise: computed once for all samples of a batch.
+    """Values that do not depend on the noise: computed once for all samples of a batch."""
 
-    Attributes:
-        context: Decoder state without its noise (P, decoder_dim - noise_dim).
-        first: Last observed displacement (P, 2), in each person's frame.
-        base: Displacements in the world (P, T, 2) that the network's output is added to; None for none.
-        heading: Direction of each person's frame (P, 2); None for the world's.
-        crowd: The packing.
-    """
-
-    context: Tensor
-    first: Tensor
-    base: Tensor | None
-    heading: Tensor | None
+    context: Tensor  # decoder state without its noise (P, decoder_dim - noise_dim)
+    first: Tensor  # last observed displacement (P, 2), in each person's frame
+    base: Tensor | None  # displacements in the world (P, T, 2) that the network's output is added to
+    heading: Tensor | None  # direction of each person's frame (P, 2); None for the world's
     crowd: Crowd
 
 
@@ -101,6 +99,26 @@ class Architecture:
             raise UserError("frame way is that of the way to the goal: set goal_dim, or frame heading")
 
 
+class ContextNoise(nn.Module):
+    """Adds to a context the output of a small network for it and the noise together.
+
+    A decoder that starts from [context; z] adds the two in every gate, so z can shift what people do and
+    hardly choose between two ways of doing it. Untrained, it adds nothing.
+    """
+
+    def __init__(self, context_dim: int, noise_dim: int, hidden_dim: int) -> None:
+        """Create the parameters."""
+        super().__init__()
+        self.net = nn.Sequential(
+            nn.Linear(context_dim + noise_dim, hidden_dim), nn.ReLU(), nn.Linear(hidden_dim, context_dim)
+        )
+        init_with_zeros(cast("nn.Linear", self.net[-1]))
+
+    def forward(self, context: Tensor, z: Tensor) -> Tensor:
+        """Return the context (..., C) of people with the noise ``z`` (..., noise_dim)."""
+        return context + self.net(torch.cat((context, z), -1))
+
+
 class SGAN(Forecaster):
     """Encoder, pooling, conditions, noise, decoder."""
 
@@ -122,10 +140,9 @@ class SGAN(Forecaster):
         super().__init__()
         self.built_with(architecture, losses, walking)
         a = architecture
-        self.goal_protocol = a.goal_protocol
+        self.goal_protocol, self.losses = a.goal_protocol, losses
         self.noise_dim, self.noise, self.frame, self.residual = a.noise_dim, a.noise, a.frame, a.residual
         self.walking_noise = "mixed" if a.noise == "mixed" else "episode"
-        self.losses = losses
         map_dim = a.map_dim if a.map else 0
         self.needs = frozenset(["goal"] * (a.goal_dim > 0) + ["map"] * (a.map is not None))
         self.encoder = DisplacementEncoder(a.embedding_dim, a.encoder_dim)
@@ -137,9 +154,8 @@ class SGAN(Forecaster):
         self.to_decoder = mlp(seen, a.mlp_dim, a.decoder_dim - a.noise_dim)
         self.decoder = DisplacementDecoder(a.embedding_dim, a.decoder_dim)
         init_like_sgan(self)
-        # after the published initialisation: a map encoder brings its own
-        encoders = {"patch": PatchEncoder, "alexnet": AlexNetEncoder, "rings": RingEncoder}
-        self.map = encoders[a.map](dim=map_dim) if a.map else None
+        # after the published initialisation: these bring their own
+        self.map = ENCODERS[a.map](dim=map_dim) if a.map else None
         self.map_dropout = nn.Dropout(losses.map_dropout)
         self.approach = ApproachPooling(a.encoder_dim, a.approach_dim) if a.approach_dim else None
         if late := map_dim + a.approach_dim:
@@ -148,8 +164,6 @@ class SGAN(Forecaster):
         self.trait = (
             ContextNoise(a.decoder_dim - a.noise_dim, a.noise_dim, a.trait_dim) if a.trait_dim else None
         )
-        if self.trait is not None:
-            self.trait.reset()
         if a.residual != "none":
             # the untrained network is the trivial continuation itself
             init_with_zeros(self.decoder.output)
@@ -159,34 +173,29 @@ class SGAN(Forecaster):
         agents = agents_of(batch)
         crowd = Crowd.of(agents["mask"])
         history = crowd.pack(agents["history"])
-        position = history[:, -1]
-        moved = history.diff(dim=1)
+        position, moved = history[:, -1], history.diff(dim=1)
         last_step = moved[:, -1]
-        goal = wanted = None
+        aims = goal = heading = None
         if self.goal is not None:
-            to_goal, desired = goals_of(batch, "this model")
-            goal, wanted = crowd.pack(to_goal) - position, crowd.pack(desired)
-        turned = self.frame != "world" or self.map is not None or self.approach is not None
-        heading = None
-        if turned:
-            if self.frame == "way" and goal is not None:
-                heading = ego_frame.way(moved, goal)
-            else:
-                heading = ego_frame.heading(moved, goal)
+            goal, wanted = (crowd.pack(value) for value in goals_of(batch, "this model"))
+            goal = goal - position
+            aims = torch.stack((goal, wanted), 1)
+        if self.frame == "way" and goal is not None:
+            heading = ego_frame.way(moved, goal)
+        elif self.frame != "world" or self.map is not None or self.approach is not None:
+            heading = ego_frame.heading(moved, goal)
         frame = None if self.frame == "world" else heading
         moved = ego_frame.into(frame, moved)
         hidden = self.encoder(moved)
         features = [hidden]
         if self.pooling is not None:
             features.append(self.pooling(hidden, position, crowd))
-        if self.goal is not None and goal is not None and wanted is not None:
-            features.append(
-                self.goal(torch.cat((ego_frame.into(frame, goal), ego_frame.into(frame, wanted)), -1))
-            )
-        if self.map is not None:
-            pose, map_id = batch["scene_pose"][crowd.scene], batch["map_id"][crowd.scene, 0]
-            features.append(self.map_dropout(self.map(maps_of(batch), position, heading, map_id, pose)))
-        if self.approach is not None:
+        if self.goal is not None and aims is not None:
+            features.append(self.goal(ego_frame.into(frame, aims).flatten(1)))
+        if self.map is not None and heading is not None:
+            seen = self.map(Viewpoints.of(batch, crowd.scene, position, heading))
+            features.append(self.map_dropout(seen))
+        if self.approach is not None and heading is not None:
             features.append(self.approach(position, last_step, heading, hidden, crowd))
         seen, first, base = torch.cat(features, -1), moved[:, -1], self._base(last_step, goal, steps)
         if alone:
@@ -208,14 +217,10 @@ class SGAN(Forecaster):
         """Return noise (K, P, noise_dim), the same for all people of a scene or not, as ``noise`` says."""
         crowd, like = encoded.crowd, encoded.context
         rows = crowd.shape[0] if self.noise == "scene" else len(like)
+        device = like.device if generator is None else generator.device
         size = samples, rows, self.noise_dim
-        if generator is None:
-            z = torch.randn(size, device=like.device, dtype=like.dtype)
-        else:
-            z = torch.randn(size, generator=generator, device=generator.device, dtype=like.dtype).to(
-                like.device
-            )
-        return crowd.to_people(z) if self.noise == "scene" else z
+        z = torch.randn(size, generator=generator, device=device, dtype=like.dtype).to(like.device)
+        return z[:, crowd.scene] if self.noise == "scene" else z
 
     def decode(self, encoded: Encoded, z: Tensor, steps: int) -> Tensor:
         """Return displacements in the world (K, P, T, 2) for noise ``z`` (K, P, noise_dim)."""
@@ -229,8 +234,7 @@ class SGAN(Forecaster):
         z = z.flatten(0, 1)
         if self.trait is not None:
             context = self.trait(context, z)
-        hidden = torch.cat((context, z), 1)
-        path = self.decoder(hidden, first, steps)
+        path = self.decoder(torch.cat((context, z), 1), first, steps)
         path = ego_frame.out_of(encoded.heading, path.view(samples, people, steps, 2))
         return path if encoded.base is None else path + encoded.base[:, :steps]
 
@@ -239,8 +243,9 @@ class SGAN(Forecaster):
     ) -> Tensor:
         """Return random futures (B, K, A, T, 2)."""
         encoded = self.encode(batch, steps)
-        path = self.decode(encoded, self.draw(encoded, samples, generator), steps)
-        return encoded.crowd.unpack(path.transpose(0, 1)).transpose(1, 2)
+        return encoded.crowd.unpack_samples(
+            self.decode(encoded, self.draw(encoded, samples, generator), steps)
+        )
 
     def mode(self, batch: TensorDict, steps: int) -> Tensor:
         """Return the future (B, 1, A, T, 2) at the mode of the noise, z = 0."""
@@ -255,7 +260,7 @@ class SGAN(Forecaster):
 
     def step_and_wish(self, batch: TensorDict, noise: Tensor | None) -> tuple[Tensor, Tensor]:
         """Return the next steps (B, A, 2), metres, twice; alone, people keep their speed if they shall."""
-        if not self.walking_keep_speed:
+        if not self.walking.keep_speed:
             return super().step_and_wish(batch, noise)
         encoded = self.encode(batch, PRED_LEN, alone=True)
         pack, agents = encoded.crowd.pack, agents_of(batch)
@@ -284,3 +289,25 @@ class SGAN(Forecaster):
         seen = encoded or self.encode(batch, steps)
         z = self.draw(seen, max(self.losses.best_k, 2), generator)
         return self.losses(lambda noise: self.decode(seen, noise, steps), z, batch, seen.crowd, sample)
+
+
+def at_own_speed(step: Tensor, alone: Tensor, last: Tensor, wanted: Tensor) -> Tensor:
+    """Return steps (P, 2) of people who would walk at their own speed if they were alone.
+
+    As much of a step as others leave of a step alone, they leave of it at that speed, too. Few recorded
+    people walk as slowly or as fast as hosts may want: a model's speed alone is off by -7 to +30 %.
+
+    Args:
+        step: What the model says (P, 2), metres, as all that follow.
+        alone: What it would say if there were no others.
+        last: Their last steps.
+        wanted: Along the way, at the speed that they like.
+    """
+    ahead = functional.normalize(alone + 0.1 * wanted, dim=-1)
+    facing = (ahead * functional.normalize(wanted, dim=-1)).sum(-1, keepdim=True)
+    # some walk at an angle to their way: as much too fast on their path as they are too slow on the way
+    own = wanted.norm(dim=-1, keepdim=True) / facing.clamp_min(FACING).sqrt()
+    speed = torch.lerp((last * ahead).sum(-1, keepdim=True), own, CATCHING_UP)
+    left = (step * ahead).sum(-1, keepdim=True) / (alone * ahead).sum(-1, keepdim=True).clamp_min(1e-3)
+    share = ((facing - TURNED) / (FACING - TURNED)).clamp(0, 1) * left.clamp(0, 1)
+    return step + share * (speed * ahead - alone)

@@ -20,13 +20,13 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.distributions import Normal, kl_divergence
+from torch.nn import functional
 
-from pedzoo.core.batch import agents_of, maps_of
+from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
 from pedzoo.models.base import Forecaster, known_displacements, true_displacements
-from pedzoo.models.blocks.map_encoders import PatchEncoder
-from pedzoo.models.blocks.mixture import FutureMixture, MixtureDecoder
-from pedzoo.models.blocks.mlp import LatentHead
+from pedzoo.models.blocks.map_encoders import PatchEncoder, Viewpoints
+from pedzoo.models.blocks.mixture import FutureMixture
 from pedzoo.models.blocks.people import ego_frame, linear_extrapolation
 from pedzoo.models.blocks.people.approach import RelativePooling
 from pedzoo.models.blocks.people.crowd import Crowd
@@ -34,20 +34,12 @@ from pedzoo.models.blocks.recurrent import DisplacementEncoder
 
 
 class EncodedPeople(NamedTuple):
-    """Values of the people of a batch that do not depend on a draw.
+    """Values of the people of a batch that do not depend on a draw."""
 
-    Attributes:
-        features: The inputs x (P, D), encoded.
-        prior: Distribution p(z | x) of the latents (P, latent_dim).
-        last: Last displacements (P, 2) in each person's frame.
-        heading: Directions of these frames (P, 2).
-        crowd: The packing.
-    """
-
-    features: Tensor
-    prior: Normal
-    last: Tensor
-    heading: Tensor
+    features: Tensor  # the inputs x (P, D), encoded
+    prior: Normal  # distribution p(z | x) of the latents (P, latent_dim)
+    last: Tensor  # last displacements (P, 2) in each person's frame
+    heading: Tensor  # directions of these frames (P, 2)
     crowd: Crowd
 
 
@@ -103,6 +95,52 @@ class Losses:
     map_dropout: float = 0.0
 
 
+class LatentHead(nn.Module):
+    """A small network that says how a latent is distributed: a diagonal Gaussian per person."""
+
+    def __init__(self, input_dim: int, hidden_dim: int, latent_dim: int) -> None:
+        """Create the parameters."""
+        super().__init__()
+        self.net = nn.Sequential(
+            nn.Linear(input_dim, hidden_dim), nn.ReLU(), nn.Linear(hidden_dim, 2 * latent_dim)
+        )
+
+    def forward(self, *inputs: Tensor) -> Normal:
+        """Return the distribution of the latents (P, latent_dim), given ``inputs`` (P, ...) side by side."""
+        mean, scale = self.net(torch.cat(inputs, -1)).chunk(2, -1)
+        # 1 where the network says 0, and never so small that a divergence overflows
+        return Normal(mean, functional.softplus(scale + 0.5413) + 1e-3, validate_args=False)
+
+
+class MixtureDecoder(nn.Module):
+    """An LSTM that writes all components of a `FutureMixture`, for any number of steps.
+
+    Nothing sampled is fed back: one pass gives every component at every step. The LSTM starts from the
+    context and reads the latent at each step.
+    """
+
+    def __init__(self, context_dim: int, a: Architecture) -> None:
+        """Create the parameters: ``context_dim`` is the width of a person's features."""
+        super().__init__()
+        self.components, self.min_scale = a.components, a.min_scale
+        self.start = nn.Linear(context_dim + a.latent_dim, a.hidden_dim)
+        self.lstm = nn.LSTM(a.latent_dim, a.hidden_dim)
+        self.output = nn.Linear(a.hidden_dim, 4 * a.components)
+        self.logits = nn.Linear(a.hidden_dim, a.components)
+
+    def forward(self, context: Tensor, latent: Tensor, base: Tensor) -> FutureMixture:
+        """Return each person's mixture; its means are added to displacements ``base`` (P, T, 2)."""
+        people, steps = base.shape[:2]
+        start = self.start(torch.cat((context, latent), -1)).tanh()
+        state = start.unsqueeze(0), torch.zeros_like(start).unsqueeze(0)
+        hidden, _ = self.lstm(latent.expand(steps, *latent.shape), state)
+        written = self.output(hidden).view(steps, people, self.components, 4).permute(1, 2, 0, 3)
+        mean, scale = written.split(2, -1)
+        # as large as walking people's changes of velocity at first, not as their velocities
+        scale = 0.1 * functional.softplus(scale) + self.min_scale
+        return FutureMixture(self.logits(start), base.unsqueeze(1) + 0.1 * mean, scale)
+
+
 class SocialVRNN(Forecaster):
     """Encoders of state, others and map; prior and posterior of one latent; a decoder of mixtures."""
 
@@ -127,7 +165,7 @@ class SocialVRNN(Forecaster):
         self.future = DisplacementEncoder(a.embedding_dim, a.state_dim)
         self.prior = LatentHead(width, a.hidden_dim, a.latent_dim)
         self.posterior = LatentHead(width + a.state_dim, a.hidden_dim, a.latent_dim)
-        self.decoder = MixtureDecoder(width, a.latent_dim, a.hidden_dim, a.components, a.min_scale)
+        self.decoder = MixtureDecoder(width, a)
 
     def see(self, batch: TensorDict) -> EncodedPeople:
         """Return the known features of all people."""
@@ -141,8 +179,7 @@ class SocialVRNN(Forecaster):
         if self.others is not None:
             features.append(self.others(position, moved[:, -1], heading, crowd))
         if self.map is not None:
-            pose, map_id = batch["scene_pose"][crowd.scene], batch["map_id"][crowd.scene, 0]
-            features.append(self.map_dropout(self.map(maps_of(batch), position, heading, map_id, pose)))
+            features.append(self.map_dropout(self.map(Viewpoints.of(batch, crowd.scene, position, heading))))
         joined = torch.cat(features, -1)
         return EncodedPeople(joined, self.prior(joined), own[:, -1], heading, crowd)
 
@@ -242,8 +279,7 @@ class SocialVRNN(Forecaster):
 
     def _world(self, seen: EncodedPeople, path: Tensor) -> Tensor:
         """Return paths (K, P, T, 2) of each person's frame as displacements in the world (B, K, A, T, 2)."""
-        turned = ego_frame.out_of(seen.heading, path)
-        return seen.crowd.unpack(turned.transpose(0, 1)).transpose(1, 2)
+        return seen.crowd.unpack_samples(ego_frame.out_of(seen.heading, path))
 
 
 def _draw(given: Normal, samples: int, generator: torch.Generator | None) -> Tensor:

@@ -7,6 +7,7 @@ companions, the walls and on how late the person is. It is trained on whole walk
 """
 
 import math
+from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
@@ -17,6 +18,7 @@ from torch.nn import functional
 from pedzoo.core.geometry import rotate, smooth_norm, unrotate
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS, GoalProtocol
 from pedzoo.models.base import Forecaster, Walking, known_displacements, true_displacements
+from pedzoo.models.blocks.mlp import mlp
 from pedzoo.models.blocks.people.evasion import evasion
 from pedzoo.models.blocks.people.following import held_back
 from pedzoo.models.blocks.people.narrow import confinement, narrowness
@@ -24,7 +26,6 @@ from pedzoo.models.blocks.people.nearest import FEATURES, nearest
 from pedzoo.models.blocks.people.setting_out import AT_ONCE, setting_out
 from pedzoo.models.blocks.people.step_features import RAYS, WALLS, Situation
 from pedzoo.models.blocks.people.style import STYLE_DIM, held_of, jitter_of, kink_of_change, kinks_of
-from pedzoo.models.blocks.people.walker_architecture import WalkerArchitecture
 from pedzoo.models.blocks.timed_noise import timed_noise
 
 LASTING, SMOOTH, EVERY_STEP, JITTER = 3, (24.0, 8.0, 4.0, 2.0), 4, 2
@@ -67,25 +68,57 @@ BRAKING = 0.35
 """m/s: how much slower people who halt get in a step."""
 
 
+@dataclass(frozen=True)
+class Architecture:
+    """The network's architecture, and which of its parts are used.
+
+    Attributes:
+        hidden_dim: Width of the two hidden layers; 0 for none: then all that is learned is a linear function
+            of a person's own state, some hundred numbers, which few recordings suffice for.
+        near_dim: Width of a neighbour's features.
+        walls: Whether it sees the floor plan.
+        style: Whether it sees how people walked in their first steps.
+        held: Whether velocities can be held.
+        halts: Whether people halt now and then, beside what slows them down.
+        step_noise: Whether changes of velocity are drawn at every step.
+        companions: Whether it sees companions.
+        lasting_halts: Whether halts last for some seconds, and begin by braking; else each is one step.
+        groups: Whether companions are those of ``agents/group``; else they are guessed from how people walk.
+        style_prior: Whether velocities are held as often, and places jitter as much, as in people's first
+            steps before training; else people differ in that only as far as the network has learned.
+        avoids: Whether people evade others on a collision course before training, too, and set out again
+            where somebody stopped them. If they see walls, they turn faster near them.
+        follows: Whether people keep a gap to those in front, and change their velocity faster the farther it
+            is off what they want.
+    """
+
+    hidden_dim: int = 64
+    near_dim: int = 32
+    walls: bool = True
+    style: bool = True
+    held: bool = True
+    halts: bool = True
+    step_noise: bool = True
+    companions: bool = True
+    lasting_halts: bool = False
+    groups: bool = False
+    style_prior: bool = False
+    avoids: bool = False
+    follows: bool = False
+
+
 class SocialWalker(Forecaster):
     """One step at a time, in the frame of each person's way."""
 
     needs = frozenset({"goal"})
     remembers: ClassVar[bool] = True
     mode_at_zero: ClassVar[bool] = True
-    noise_periods = (
-        *(math.inf,) * LASTING,
-        *SMOOTH,
-        *(STEP_SECONDS,) * EVERY_STEP,
-        *(-STEP_SECONDS,) * JITTER,
-    )
+    noise_periods = (math.inf,) * LASTING + SMOOTH + (STEP_SECONDS,) * EVERY_STEP + (-STEP_SECONDS,) * JITTER
     noise_dim = len(noise_periods)
     goal_protocol: GoalProtocol = "destination"
 
     def __init__(
-        self,
-        architecture: WalkerArchitecture = WalkerArchitecture(),
-        walking: Walking = Walking(safety=True),
+        self, architecture: Architecture = Architecture(), walking: Walking = Walking(safety=True)
     ) -> None:
         """Create the parameters.
 
@@ -100,22 +133,14 @@ class SocialWalker(Forecaster):
         self.sees_walls = a.walls and (a.hidden_dim > 0 or a.avoids)
         self.needs = frozenset({"goal", "map"} if self.sees_walls else {"goal"})
         if a.hidden_dim:
-            self._add_layers(a)
+            self.near = mlp(FEATURES, a.near_dim, a.near_dim)
+            seen = 2 * (OBS_LEN - 1) + OWN + 2 * STYLE_DIM + self.noise_dim + 2 * a.near_dim + 5
+            self.body = mlp(seen + (1 + RAYS * len(WALLS)) * a.walls, a.hidden_dim, a.hidden_dim)
         self.head = nn.Linear(a.hidden_dim or OWN, OUTPUTS + AVOIDING * a.avoids)
         self.patience = nn.Parameter(torch.tensor([1.1, 1.5, 0.3]))  # usual, of those who stood, by chance
         with torch.no_grad():  # the untrained network walks to the waypoint
             self.head.weight.mul_(0.2 if a.hidden_dim else 0.0)
             self.head.bias.zero_()
-
-    def _add_layers(self, a: WalkerArchitecture) -> None:
-        self.near = nn.Sequential(
-            nn.Linear(FEATURES, a.near_dim), nn.ReLU(), nn.Linear(a.near_dim, a.near_dim), nn.ReLU()
-        )
-        seen = 2 * (OBS_LEN - 1) + OWN + 2 * STYLE_DIM + self.noise_dim + 2 * a.near_dim + 5
-        seen += (1 + RAYS * len(WALLS)) * a.walls
-        self.body = nn.Sequential(
-            nn.Linear(seen, a.hidden_dim), nn.ReLU(), nn.Linear(a.hidden_dim, a.hidden_dim), nn.ReLU()
-        )
 
     def velocities(self, now: Situation, noise: Tensor) -> tuple[Tensor, Tensor]:
         """Return velocities until the next decision (B, A, 2), m/s, and those that people wish for.
@@ -133,17 +158,8 @@ class SocialWalker(Forecaster):
         style, crowd = now.style * float(a.style), now.crowd_style.expand_as(now.style) * float(a.style)
         stands = (past[:, :, -1].square().sum(-1) < 0.01).to(past.dtype)
         arriving = (-(now.remaining / 1.2).square()).exp()
-        own = torch.stack(
-            (
-                now.pref_speed,
-                (-now.remaining / 1.5).exp(),
-                (now.remaining / 10).clamp_max(1),
-                (now.late / 4).tanh(),
-                stands,
-                now.stood,
-            ),
-            -1,
-        )
+        left = (-now.remaining / 1.5).exp(), (now.remaining / 10).clamp_max(1)
+        own = torch.stack((now.pref_speed, *left, (now.late / 4).tanh(), stands, now.stood), -1)
         if a.hidden_dim:
             pooled = self.near(others.features) * others.share.unsqueeze(-1)
             seen = [past.flatten(2), own, style, crowd, z, pooled.sum(2), pooled.amax(2), *with_me, company]

@@ -5,11 +5,10 @@ Defined here because torchvision is not a dependency; keys and shapes are those 
 
 import hashlib
 import os
-import pickle
-import struct
 from pathlib import Path
 
 import torch
+from safetensors.torch import load_file
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -46,9 +45,6 @@ The first convolution (11, 4, 2) gives 4 i + 3. A pooling (3, 2, 0) puts 2 i + 1
 """
 
 _OR_GIVE = "or give a .safetensors or .pth file as weights=... or in the environment variable PEDZOO_ALEXNET"
-
-_NO_PICKLE = (pickle.UnpicklingError, struct.error, RuntimeError, EOFError, ValueError, LookupError)
-"""Errors of reading a damaged file as a pickle."""
 
 
 def input_length(cells: int) -> int:
@@ -99,35 +95,29 @@ def load(path: str | None = None) -> dict[str, Tensor]:
     file = expanded(given) if given else obtain()
     if not file.is_file():
         raise UserError(f"no AlexNet weights at {given!r}: get {URLS[0]}, {_OR_GIVE}")
-    tensors = _read(file)
+    try:
+        if file.suffix == ".safetensors":
+            tensors = load_file(file)
+        else:
+            tensors = torch.load(file, map_location="cpu", weights_only=True)
+    except Exception as error:  # a damaged pickle can end in any
+        raise UserError(f"{file} cannot be read as weights ({error}): delete it and get {URLS[0]}") from error
+    # Through half precision always, so that features do not depend on the file's format.
+    halved, digest = {}, hashlib.sha256()
     for key in KEYS:
         layer, _, kind = key.rpartition(".")
         shape = SHAPES[layer] if kind == "weight" else SHAPES[layer][:1]
-        if not isinstance(tensors.get(key), Tensor) or tuple(tensors[key].shape) != shape:
+        value = tensors.get(key) if isinstance(tensors, dict) else None
+        if not isinstance(value, Tensor) or tuple(value.shape) != shape:
             raise UserError(
                 f"{file} holds no AlexNet: expected {key} of shape {shape} as in torchvision's ({URLS[0]})"
             )
-    digest = hashlib.sha256()
-    for key in KEYS:
-        digest.update(tensors[key].half().contiguous().numpy().tobytes())
+        halved[key] = value.half().contiguous()
+        digest.update(halved[key].numpy().tobytes())
     if digest.hexdigest() != SHA256_FP16:
         raise UserError(
             f"{file} holds other AlexNet weights (sha256 over fp16 {digest.hexdigest()}, expected "
             f"{SHA256_FP16}), and features of others mean nothing to a trained model: delete it and get "
             f"{URLS[0]}"
         )
-    # Through half precision always, so that features do not depend on the file's format.
-    return {key: tensors[key].half().float() for key in KEYS}
-
-
-def _read(file: Path) -> dict[str, Tensor]:
-    from safetensors import SafetensorError
-    from safetensors.torch import load_file
-
-    try:
-        if file.suffix == ".safetensors":
-            return load_file(file)
-        tensors = torch.load(file, map_location="cpu", weights_only=True)
-        return tensors if isinstance(tensors, dict) else {}
-    except (SafetensorError, *_NO_PICKLE) as error:
-        raise UserError(f"{file} cannot be read as weights ({error}): delete it and get {URLS[0]}") from error
+    return {key: value.float() for key, value in halved.items()}

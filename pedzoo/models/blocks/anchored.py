@@ -24,20 +24,18 @@ from pedzoo.models.blocks.mixture import FutureMixture
 from pedzoo.models.blocks.people import ego_frame, linear_extrapolation
 from pedzoo.models.blocks.people.crowd import Crowd
 
-SPEEDS = (0.1, 0.338, 0.6)
-"""Metres per step of 0.4 s: bounds of the classes of speeds, each of which has anchors of its own."""
-
-UNIT = 0.338
-"""Metres per step: the futures of faster people are measured in their own speed."""
+SPEEDS, UNIT = (0.1, 0.338, 0.6), 0.338
+"""Metres per step of 0.4 s: bounds of the classes of speeds, each of which has anchors of its own, and the
+speed beyond which futures are measured in people's own speed.
+"""
 
 LEAST = 0.02
 """Metres per step: the smallest standard deviation, since standing people are recorded at one place."""
 
-MOST = 20_000
-"""Futures that k-means looks at, at most: more change the centroids by less than the seed does."""
-
-FEW = 4
-"""Futures per centroid below which a class of speeds takes those of all classes."""
+MOST, FEW = 20_000, 4
+"""Futures that k-means looks at, at most: more change the centroids by less than the seed does. And those per
+centroid below which a class of speeds takes the futures of all classes.
+"""
 
 
 @dataclass(frozen=True)
@@ -58,39 +56,23 @@ class AnchorLosses:
 
 
 class AnchorInputs(NamedTuple):
-    """The people of a batch, each in their own frame.
+    """The people of a batch, each in their own frame."""
 
-    Attributes:
-        history: Positions (P, 8, 2) from the last one, metres.
-        goal: Goal and desired velocity (P, 4), metres and m/s; None without a goal.
-        base: Positions (P, T, 2) that anchors are added to, metres.
-        speed: Last displacement's length (P,), metres.
-        unit: Metres (P, 1) of one unit of the anchors.
-        heading: Directions of the frames (P, 2).
-        crowd: The packing.
-    """
-
-    history: Tensor
-    goal: Tensor | None
-    base: Tensor
-    speed: Tensor
-    unit: Tensor
-    heading: Tensor
+    history: Tensor  # positions (P, 8, 2) from the last one, metres
+    aims: Tensor | None  # goal and desired velocity (P, 2, 2), metres and m/s; None without a goal
+    base: Tensor  # positions (P, T, 2) that anchors are added to, metres
+    speed: Tensor  # last displacement's length (P,), metres
+    unit: Tensor  # metres (P, 1) of one unit of the anchors
+    heading: Tensor  # directions of the frames (P, 2)
     crowd: Crowd
 
 
 class ModePredictions(NamedTuple):
-    """What a model says about P people, in units of the anchors.
+    """What a model says about P people, in units of the anchors."""
 
-    Attributes:
-        path: Positions (P, M + 1, T, 2) from the base: modes, and last the one best guess.
-        logits: Unnormalised log probabilities of the modes (P, M).
-        log_scale: Log standard deviations of displacements (P, M, T, 2).
-    """
-
-    path: Tensor
-    logits: Tensor
-    log_scale: Tensor
+    path: Tensor  # positions (P, M + 1, T, 2) from the base: modes, and last the one best guess
+    logits: Tensor  # unnormalised log probabilities of the modes (P, M)
+    log_scale: Tensor  # log standard deviations of displacements (P, M, T, 2)
 
 
 class AnchorForecaster(Forecaster):
@@ -170,27 +152,24 @@ class AnchorForecaster(Forecaster):
             )
 
     def see(self, batch: TensorDict) -> AnchorInputs:
-        """Return the people of a batch in their own ego_frame."""
+        """Return the people of a batch in their own frames."""
         agents = agents_of(batch)
         crowd = Crowd.of(agents["mask"])
         history = crowd.pack(agents["history"])
-        moved = history.diff(dim=1)
-        goal = wanted = None
+        moved, aims = history.diff(dim=1), None
         if "goal" in self.needs:
             goal, wanted = (crowd.pack(value) for value in goals_of(batch, "this model"))
-            goal = goal - history[:, -1]
-        heading = ego_frame.heading(moved, goal)
+            aims = torch.stack((goal - history[:, -1], wanted), 1)
+        heading = ego_frame.heading(moved, None if aims is None else aims[:, 0])
         own = ego_frame.into(heading, history - history[:, -1:])
         last = ego_frame.into(heading, moved[:, -1])
         base = own.new_zeros(len(own), self.steps, 2)
-        if goal is not None and wanted is not None:
-            goal, wanted = ego_frame.into(heading, goal), ego_frame.into(heading, wanted)
-            base = linear_extrapolation.bent_line(last, goal, self.steps, self.goal_protocol in TIMED).cumsum(
-                1
-            )
-            goal = torch.cat((goal, wanted), -1)
+        if aims is not None:
+            aims = ego_frame.into(heading, aims)
+            base = linear_extrapolation.bent_line(last, aims[:, 0], self.steps, self.goal_protocol in TIMED)
+            base = base.cumsum(1)
         speed = (last.square().sum(-1) + 1e-12).sqrt()
-        return AnchorInputs(own, goal, base, speed, speed.clamp_min(UNIT).unsqueeze(-1), heading, crowd)
+        return AnchorInputs(own, aims, base, speed, speed.clamp_min(UNIT).unsqueeze(-1), heading, crowd)
 
     def truth(self, batch: TensorDict, seen: AnchorInputs) -> Tensor:
         """Return true positions (P, T, 2) from the last observed one, in each person's frame."""
@@ -214,9 +193,9 @@ class AnchorForecaster(Forecaster):
 
         A sample is one of all people of a scene: who would touch others draws once more.
         """
-        seen, mixture = self._futures(batch)
-        path = self._drawn(seen, mixture, samples, steps, generator)
-        again = self._drawn(seen, mixture, samples, steps, generator)
+        futures = self._futures(batch)
+        path = self._drawn(*futures, samples, steps, generator)
+        again = self._drawn(*futures, samples, steps, generator)
         return torch.where(_touching(batch, path)[..., None, None], again, path)
 
     def candidates(
@@ -228,8 +207,7 @@ class AnchorForecaster(Forecaster):
         path = self._world(seen, torch.stack([mixture.mean_of(one) for one in order]), steps)
         if samples <= self.modes:
             return path
-        more = self._drawn(seen, mixture, samples - self.modes, steps, generator)
-        return torch.cat((path, more), 1)
+        return torch.cat((path, self._drawn(seen, mixture, samples - self.modes, steps, generator)), 1)
 
     def mode(self, batch: TensorDict, steps: int) -> Tensor:
         """Return the one best guess (B, 1, A, T, 2): of all futures the one that is least far off."""
@@ -271,8 +249,7 @@ class AnchorForecaster(Forecaster):
         moves = seen.crowd.pack(known_displacements(batch))
         nats = (0.5 * (wrong / scale).square() + scale.log()).sum(-1) * moves
         nats = nats.sum(-1) / moves.sum(-1).clamp_min(1)
-        cost = (cost + own.choice_weight * choice + nats) * known.any(-1)
-        return cost.sum()
+        return ((cost + own.choice_weight * choice + nats) * known.any(-1)).sum()
 
     @torch.no_grad()
     def log_likelihood(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor | None:
@@ -284,7 +261,6 @@ class AnchorForecaster(Forecaster):
         return seen.crowd.unpack(mixture.log_prob(_displacements(self.truth(batch, seen)), known))
 
     def _futures(self, batch: TensorDict) -> tuple[AnchorInputs, FutureMixture]:
-        """Return the people of a batch, and the density of their displacements."""
         seen = self.see(batch)
         return seen, self.mixture(self.write(batch, seen), seen)
 
@@ -294,12 +270,14 @@ class AnchorForecaster(Forecaster):
         mixture: FutureMixture,
         samples: int,
         steps: int,
-        generator: torch.Generator | None,
+        random: torch.Generator | None,
     ) -> Tensor:
-        device = mixture.logits.device if generator is None else generator.device
-        share = torch.rand(samples, len(mixture.logits), generator=generator, device=device)
+        device = mixture.logits.device
+        share = torch.rand(
+            samples, len(mixture.logits), generator=random, device=random.device if random else device
+        )
         many = FutureMixture(*(value.expand(samples, *value.shape) for value in mixture))
-        return self._world(seen, many.mean_of(many.at_quantile(share.to(mixture.logits.device))), steps)
+        return self._world(seen, many.mean_of(many.at_quantile(share.to(device))), steps)
 
     def _world(self, seen: AnchorInputs, path: Tensor, steps: int) -> Tensor:
         """Return displacements (K, P, T, 2) in people's frames as (B, K, A, steps, 2) in the world.
@@ -308,11 +286,10 @@ class AnchorForecaster(Forecaster):
         """
         more = path[:, :, -1:].expand(-1, -1, max(steps - self.steps, 0), -1)
         path = ego_frame.out_of(seen.heading, torch.cat((path, more), 2)[:, :, :steps])
-        return seen.crowd.unpack(path.transpose(0, 1)).transpose(1, 2)
+        return seen.crowd.unpack_samples(path)
 
 
 def _speed_class(seen: AnchorInputs) -> Tensor:
-    """Return which of the classes of speeds people are in (P,) long."""
     return torch.bucketize(seen.speed, seen.speed.new_tensor(SPEEDS))
 
 
@@ -334,17 +311,11 @@ def _touching(batch: TensorDict, path: Tensor) -> Tensor:
 
 
 class Clusters(NamedTuple):
-    """Futures (..., T, 2), positions from here, in the units and frames that they were given in.
+    """Futures (..., T, 2), positions from here, in the units and frames that they were given in."""
 
-    Attributes:
-        centroids: M centroids and, as the last one, the mean of all (M + 1, T, 2), from right to left.
-        logits: Log shares of the futures that each of the M is nearest to (M,).
-        scale: Standard deviations of displacements around a centroid's (M, T, 2).
-    """
-
-    centroids: Tensor
-    logits: Tensor
-    scale: Tensor
+    centroids: Tensor  # M centroids from right to left and, as the last one, the mean of all (M + 1, T, 2)
+    logits: Tensor  # log shares of the futures that each of the M is nearest to (M,)
+    scale: Tensor  # standard deviations of displacements around a centroid's (M, T, 2)
 
 
 def clustered(futures: Tensor, modes: int, seed: int) -> Clusters:
@@ -360,19 +331,18 @@ def clustered(futures: Tensor, modes: int, seed: int) -> Clusters:
     points = points + random.normal(0, 1e-5, points.shape)
     centroids, nearest = kmeans2(points, modes, iter=100, minit="++", rng=random, missing="warn")
     order = np.argsort(np.arctan2(centroids[:, -1], centroids[:, -2] + 1e-9), kind="stable")
-    place = np.argsort(order)
-    centroids, nearest = centroids[order], place[nearest]
-    count = torch.from_numpy(np.bincount(nearest, minlength=modes)).float()
-    displacements = torch.from_numpy(np.diff(points.reshape(-1, steps, 2), axis=1, prepend=0)).float()
-    typical = torch.from_numpy(np.diff(centroids.reshape(-1, steps, 2), axis=1, prepend=0)).float()
-    label = torch.from_numpy(nearest)
-    squared = (displacements - typical[label]).square()
+    centroids, label = centroids[order], torch.from_numpy(np.argsort(order)[nearest])
+    count = torch.bincount(label, minlength=modes).float()
+    moved, typical = (
+        torch.from_numpy(np.diff(each.reshape(-1, steps, 2), axis=1, prepend=0)).float()
+        for each in (points, centroids)
+    )
+    squared = (moved - typical[label]).square()
     # one more future, as far off as all are: a cluster of one is not certain
     total = squared.mean(0).expand(modes, -1, -1).clone().index_add_(0, label, squared)
-    scale = (total / (count + 1).view(-1, 1, 1)).sqrt()
-    centres = torch.from_numpy(centroids).float().view(modes, steps, 2)
-    mean = torch.from_numpy(points.mean(0)).float().view(1, steps, 2)
-    return Clusters(torch.cat((centres, mean)), ((count + 1) / (count + 1).sum()).log(), scale)
+    centres = torch.from_numpy(np.concatenate((centroids, points.mean(0, keepdims=True)))).float()
+    logits = ((count + 1) / (count + 1).sum()).log()
+    return Clusters(centres.view(-1, steps, 2), logits, (total / (count + 1).view(-1, 1, 1)).sqrt())
 
 
 def fan(modes: int, steps: int) -> Tensor:
@@ -395,17 +365,16 @@ def reversed_in_time(batch: TensorDict, goal: GoalProtocol | None) -> TensorDict
     place = torch.cat((agents["history"], agents["future"]), 2).flip(2)
     known = torch.cat((agents["valid"], agents["future_valid"]), 2).all(2) & agents["mask"]
     history, future = place[:, :, :observed], place[:, :, observed:]
-    valid = known.unsqueeze(2)
     changed = {
         "history": history,
         "future": future,
-        "valid": valid.expand(history.shape[:3]),
-        "future_valid": valid.expand(future.shape[:3]),
+        "valid": known.unsqueeze(2).expand(history.shape[:3]),
+        "future_valid": known.unsqueeze(2).expand(future.shape[:3]),
         "velocity": (history[:, :, -1] - history[:, :, -2]) / STEP_SECONDS,
         "mask": known,
     }
     if goal == "window_end":
-        to_goal = torch.nn.functional.normalize(future[:, :, -1] - history[:, :, -1], dim=-1)
+        to_goal = functional.normalize(future[:, :, -1] - history[:, :, -1], dim=-1)
         changed |= {"goal": future[:, :, -1], "desired_velocity": agents["pref_speed"] * to_goal}
     result = batch.clone(recurse=False)
     result["agents"] = agents.clone(recurse=False).update(changed)

@@ -41,18 +41,16 @@ class Discriminator(nn.Module):
         init_like_sgan(self)
 
     def forward(self, displacements: Tensor, start: Tensor, crowd: Crowd) -> Tensor:
-        """Return scores (P,), never negative unless ``signed``; real people should score high.
+        """Return scores (P,) of displacements (P, T, 2), metres, from places ``start`` (P, 2) in the world.
 
-        Observed and then predicted displacements (P, T, 2), metres, after a zero; world positions (P, 2) at
-        the start.
+        They are never negative unless ``signed``; real people should score high.
         """
         return self._classify(self.encoder(displacements), start, crowd)
 
     def of_futures(self, observed: Tensor, futures: Tensor, start: Tensor, crowd: Crowd) -> Tensor:
-        """Return scores (N * P,) of N futures of the same people; the observed part is read only once.
+        """Return scores (N * P,) of futures (N, P, T, 2) of people who were observed (P, 7, 2), metres.
 
-        Observed displacements (P, 7, 2) and futures (N, P, T, 2), metres; the crowd has N copies of all
-        scenes.
+        The observed part is read only once. The crowd has N copies of all scenes.
         """
         hidden, cell = (state.repeat(1, len(futures), 1) for state in self.encoder.states(observed))
         hidden, _ = self.encoder.states(futures.flatten(0, 1), (hidden, cell))

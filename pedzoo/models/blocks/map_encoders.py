@@ -1,23 +1,67 @@
-"""Encoders of the floor plan around a person: rings, a patch, or AlexNet's features of the whole plan."""
+"""Encoders of the floor plan around a person: rings, a patch, or AlexNet's features of the whole plan.
 
-from __future__ import annotations
+Floor plans are no part of a model: every batch brings the `MapBank` that its ``map_id`` speaks of, and no
+checkpoint holds a map.
+"""
 
 import math
-from abc import ABC, abstractmethod
-from collections import OrderedDict
-from collections.abc import Callable
-from typing import Any, Generic, TypeVar
+from functools import lru_cache
+from typing import NamedTuple, Self
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from pedzoo.core.batch import maps_of
 from pedzoo.core.errors import UserError
 from pedzoo.maps.bank import Atlas, MapBank
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.models.blocks import alexnet
+from pedzoo.models.blocks.mlp import mlp
+
+RADII, RAYS = (0.3, 0.6, 1.0, 1.6), 12
+"""Radii of rings, metres: doors are a little wider than a person, and a step is half a metre. And the points
+on each; the first one is straight ahead.
+"""
+
+CLIP = 1.5
+"""Metres: farther walls are all alike."""
+
+
+class Viewpoints(NamedTuple):
+    """Where P people stand, and on which floor plans.
+
+    Attributes:
+        bank: The floor plans, on the device of the positions.
+        position: Scene positions (P, 2), metres.
+        heading: Unit vectors (P, 2) in the scene's frame: where each person is going.
+        map_id: Floor plan of each person's scene (P,) long, -1 for none.
+        pose: Pose of each person's scene (P, 4).
+    """
+
+    bank: MapBank
+    position: Tensor
+    heading: Tensor
+    map_id: Tensor
+    pose: Tensor
+
+    @classmethod
+    def of(cls, batch: TensorDict, scene: Tensor, position: Tensor, heading: Tensor) -> Self:
+        """Return the viewpoints of people in the scenes ``scene`` (P,) long of a batch."""
+        return cls(maps_of(batch), position, heading, batch["map_id"][scene, 0], batch["scene_pose"][scene])
+
+    def distances(self, offsets: Tensor) -> Tensor:
+        """Return distances to walls (P, N), metres, at offsets (2, N) ahead of and left of each person."""
+        with torch.autocast(self.position.device.type, enabled=False):
+            ahead = self.heading.float()
+            left = torch.stack((-ahead[:, 1], ahead[:, 0]), dim=-1)
+            axes = torch.stack((ahead, left), dim=-1)
+            offsets = offsets.expand(self.position.shape[0], 2, -1)
+            points = torch.baddbmm(self.position.float().unsqueeze(2), axes, offsets).transpose(1, 2)
+            return self.bank.signed_distance(points, self.map_id, self.pose)
 
 
 def rings(radii: tuple[float, ...], rays: int) -> Tensor:
@@ -27,100 +71,26 @@ def rings(radii: tuple[float, ...], rays: int) -> Tensor:
     return torch.cat([torch.zeros(2, 1), *(radius * ring for radius in radii)], 1)
 
 
-def distances_at(
-    bank: MapBank, offsets: Tensor, position: Tensor, heading: Tensor, map_id: Tensor, pose: Tensor
-) -> Tensor:
-    """Return distances to walls (P, N), metres, at offsets (2, N) ahead of and left of each person.
-
-    Other arguments as of `MapEncoder.forward`.
-    """
-    with torch.autocast(position.device.type, enabled=False):
-        ahead = heading.float()
-        left = torch.stack((-ahead[:, 1], ahead[:, 0]), dim=-1)
-        axes = torch.stack((ahead, left), dim=-1)
-        offsets = offsets.expand(position.shape[0], 2, -1)
-        points = torch.baddbmm(position.float().unsqueeze(2), axes, offsets).transpose(1, 2)
-        return bank.signed_distance(points, map_id, pose)
-
-
-class MapEncoder(nn.Module, ABC):
-    """Encodes the floor plan at each person's place.
-
-    Floor plans are no part of a model: every batch brings the `MapBank` that its ``map_id`` speaks of, and no
-    checkpoint holds a map.
-
-    Attributes:
-        dim: Features per person.
-    """
-
-    dim: int
-
-    def __init__(self, dim: int) -> None:
-        """Encode into ``dim`` features."""
-        super().__init__()
-        self.dim = dim
-
-    def distances_at(
-        self, bank: MapBank, offsets: Tensor, position: Tensor, heading: Tensor, map_id: Tensor, pose: Tensor
-    ) -> Tensor:
-        """Return distances to walls (P, N) as `distances_at` does."""
-        return distances_at(bank, offsets, position, heading, map_id, pose)
-
-    @abstractmethod
-    def forward(
-        self, bank: MapBank, position: Tensor, heading: Tensor, map_id: Tensor, pose: Tensor
-    ) -> Tensor:
-        """Return the features (P, dim).
-
-        Args:
-            bank: The floor plans, on the device of the positions.
-            position: Scene positions (P, 2), metres.
-            heading: Unit vectors (P, 2) in the scene's frame: where each person is going.
-            map_id: Floor plan of each person's scene (P,) long, -1 for none.
-            pose: Pose of each person's scene (P, 4).
-        """
-
-
-RADII = (0.3, 0.6, 1.0, 1.6)
-"""Metres: doors are a little wider than a person, and a step at walking speed is half a metre."""
-
-RAYS = 12
-"""Points on a ring; the first one is straight ahead."""
-
-CLIP = 1.5
-"""Metres: farther walls are all alike."""
-
-
-class RingEncoder(MapEncoder):
+class RingEncoder(nn.Module):
     """Walls near by, finely, and at an eighth of the reads of a patch: for training in the loop."""
 
     def __init__(self, dim: int = 32, hidden_dim: int = 64) -> None:
         """Encode into ``dim`` features, with a layer of ``hidden_dim`` inside."""
-        super().__init__(dim)
+        super().__init__()
         offsets = rings(RADII, RAYS)
         self.register_buffer("offsets", offsets, persistent=False)
-        self.net = nn.Sequential(
-            nn.Linear(offsets.shape[1], hidden_dim), nn.ReLU(), nn.Linear(hidden_dim, dim), nn.ReLU()
-        )
+        self.net = mlp(offsets.shape[1], hidden_dim, dim)
 
-    def distances(
-        self, bank: MapBank, position: Tensor, heading: Tensor, map_id: Tensor, pose: Tensor
-    ) -> Tensor:
-        """Return distances to walls (P, 49), metres, at most ``CLIP``: here, then rings, anticlockwise.
+    def distances(self, at: Viewpoints) -> Tensor:
+        """Return distances to walls (P, 49), metres, at most ``CLIP``: here, then rings, anticlockwise."""
+        return at.distances(self.get_buffer("offsets")).clamp(-CLIP, CLIP)
 
-        Arguments as in `MapEncoder.forward`.
-        """
-        distance = self.distances_at(bank, self.get_buffer("offsets"), position, heading, map_id, pose)
-        return distance.clamp(-CLIP, CLIP)
-
-    def forward(
-        self, bank: MapBank, position: Tensor, heading: Tensor, map_id: Tensor, pose: Tensor
-    ) -> Tensor:
-        """Return the features (P, dim); arguments as in `MapEncoder.forward`."""
-        return self.net(self.distances(bank, position, heading, map_id, pose))
+    def forward(self, at: Viewpoints) -> Tensor:
+        """Return the features (P, dim)."""
+        return self.net(self.distances(at))
 
 
-class PatchEncoder(MapEncoder):
+class PatchEncoder(nn.Module):
     """A few thousand weights, trained from scratch; turning the whole world changes nothing."""
 
     def __init__(self, size: float = 6.0, cells: int = 16, dim: int = 32) -> None:
@@ -139,12 +109,11 @@ class PatchEncoder(MapEncoder):
             raise UserError(
                 f"a patch of {cells} x {cells} cells and {size} m: expected at least 4 cells, above 0 m"
             )
-        super().__init__(dim)
+        super().__init__()
         steps = (torch.arange(cells, dtype=torch.float32) + 0.5) * (size / cells) - size / 2
         left, ahead = torch.meshgrid(steps, steps, indexing="ij")
         self._cells = cells
-        offsets = torch.stack((ahead, left)).flatten(1)  # (2, cells * cells)
-        self.register_buffer("offsets", offsets, persistent=False)
+        self.register_buffer("offsets", torch.stack((ahead, left)).flatten(1), persistent=False)
         convolutions = nn.Sequential(
             nn.Conv2d(1, 8, 4, stride=4),  # no overlap: a third of the time of a padded 3 x 3 at stride 2
             nn.ReLU(),
@@ -157,61 +126,30 @@ class PatchEncoder(MapEncoder):
         width = convolutions(torch.zeros(1, 1, cells, cells)).shape[1]
         self.net = nn.Sequential(convolutions, nn.Linear(width, dim))
 
-    def patch(self, bank: MapBank, position: Tensor, heading: Tensor, map_id: Tensor, pose: Tensor) -> Tensor:
+    def patch(self, at: Viewpoints) -> Tensor:
         """Return distances to walls (P, 1, cells, cells) in units of ``CLIP``, negative inside walls.
 
         Columns go ahead (the last one is in front of the person), rows go left (the last one is to the left).
-        Arguments as in `MapEncoder.forward`.
         """
-        distance = self.distances_at(bank, self.get_buffer("offsets"), position, heading, map_id, pose)
+        distance = at.distances(self.get_buffer("offsets"))
         return (distance.clamp(-CLIP, CLIP) / CLIP).reshape(-1, 1, self._cells, self._cells)
 
-    def forward(
-        self, bank: MapBank, position: Tensor, heading: Tensor, map_id: Tensor, pose: Tensor
-    ) -> Tensor:
-        """Return the features (P, dim); arguments as in `MapEncoder.forward`."""
-        return self.net(self.patch(bank, position, heading, map_id, pose))
-
-
-T = TypeVar("T")
-
-MOST = 4
-"""Banks of which something is kept: a policy meets a training set, an environment and little else."""
-
-
-class PerBank(Generic[T]):
-    """Values by bank and device; the least recently used ones are dropped. Copies begin empty."""
-
-    def __init__(self) -> None:
-        """Keep nothing yet."""
-        self._kept: OrderedDict[tuple[MapBank, torch.device], T] = OrderedDict()
-
-    def of(self, bank: MapBank, make: Callable[[MapBank], T]) -> T:
-        """Return the value of a bank on its device, made by ``make(bank)`` where it is not kept."""
-        key = bank, bank.device
-        if key not in self._kept:
-            with torch.inference_mode(False):  # the next use may ask for gradients
-                self._kept[key] = make(bank)
-            while len(self._kept) > MOST:
-                self._kept.popitem(last=False)
-        self._kept.move_to_end(key)
-        return self._kept[key]
-
-    def __reduce__(self) -> tuple[type[PerBank[Any]], tuple[()]]:
-        return PerBank, ()
+    def forward(self, at: Viewpoints) -> Tensor:
+        """Return the features (P, dim)."""
+        return self.net(self.patch(at))
 
 
 _MARGIN = alexnet.STRIDE
 """Pixels repeated around a plan, so that feature cells are centred up to its very border and a bit beyond."""
 
 
-class AlexNetEncoder(MapEncoder):
+class AlexNetEncoder(nn.Module):
     """Frozen AlexNet convolutions over every floor plan, then a trained linear layer per person.
 
     The plan is a picture from above: free is white, walls are black, and unknown cells are either, as the
-    bank counts them. Features are computed in the map's own frame when a bank is bound. They are not turned
-    to a person's heading (nor to a scene's rotation or mirroring: only the place is moved). The convolutions
-    and the features are no parameters or buffers: checkpoints hold the linear layer only.
+    bank counts them. Features are computed in the map's own frame. They are not turned to a person's heading
+    (nor to a scene's rotation or mirroring: only the place is moved). The convolutions and the features are
+    no parameters or buffers: checkpoints hold the linear layer only.
 
     Attributes:
         weights: File with AlexNet's weights, None for the usual place.
@@ -226,35 +164,38 @@ class AlexNetEncoder(MapEncoder):
             weights: File with AlexNet's weights, see `pedzoo.models.blocks.alexnet.load`.
             cell: Metres that one feature cell covers at most; the plan is rescaled for it.
         """
-        super().__init__(dim)
+        super().__init__()
         self.head = nn.Sequential(nn.Linear(alexnet.CHANNELS, dim), nn.ReLU())
         self.weights, self.cell = weights, cell
-        self._encoded: dict[tuple[int, str], Tensor] = {}
-        self._atlases: PerBank[Atlas] = PerBank()
 
-    def atlas(self, bank: MapBank) -> Atlas:
-        """Return the features of every floor plan of ``bank``, about a second for each that is new."""
-        return self._atlases.of(bank, self._encode)
-
-    def _encode(self, bank: MapBank) -> Atlas:
-        known, needed = self._encoded, {(grid.map_id, bank.unknown): grid for grid in bank.grids}
-        new = {key: grid for key, grid in needed.items() if key not in known}
-        weights = alexnet.load(self.weights) if new else {}
-        for key, grid in new.items():
-            known[key] = encode(grid, bank, weights, self.cell)
-        nowhere = torch.zeros(alexnet.CHANNELS)
-        to_pixel = [map_to_feature(grid, self.cell) for grid in bank.grids]
-        return Atlas.stack([known[key] for key in needed], to_pixel, nowhere).to(bank.device)
-
-    def features(self, bank: MapBank, position: Tensor, map_id: Tensor, pose: Tensor) -> Tensor:
+    def features(self, at: Viewpoints) -> Tensor:
         """Return AlexNet's features (P, 256) at each person's place; zeros without a map."""
-        return self.atlas(bank).sample(position, bank.index(map_id), pose)
+        atlas = atlas_of(at.bank, at.bank.device, self.weights, self.cell)
+        return atlas.sample(at.position, at.bank.index(at.map_id), at.pose)
 
-    def forward(
-        self, bank: MapBank, position: Tensor, heading: Tensor, map_id: Tensor, pose: Tensor
-    ) -> Tensor:
-        """Return the features (P, dim); arguments as in `MapEncoder.forward`."""
-        return self.head(self.features(bank, position, map_id, pose))
+    def forward(self, at: Viewpoints) -> Tensor:
+        """Return the features (P, dim)."""
+        return self.head(self.features(at))
+
+
+MapEncoder = RingEncoder | PatchEncoder | AlexNetEncoder
+
+ENCODERS: dict[str, type[MapEncoder]] = {
+    "patch": PatchEncoder,
+    "alexnet": AlexNetEncoder,
+    "rings": RingEncoder,
+}
+"""By the names that settings of models give them."""
+
+
+@lru_cache(8)  # a policy meets a training set, an environment and little else
+def atlas_of(bank: MapBank, device: torch.device, weights: str | None, cell: float) -> Atlas:
+    """Return AlexNet's features of every floor plan of a bank, on a device; about a second for each plan."""
+    tensors = alexnet.load(weights) if bank.grids else {}
+    with torch.inference_mode(False):  # the next use may ask for gradients
+        features = [encode(grid, bank, tensors, cell) for grid in bank.grids]
+        to_pixel = [map_to_feature(grid, cell) for grid in bank.grids]
+        return Atlas.stack(features, to_pixel, nowhere=torch.zeros(alexnet.CHANNELS)).to(device)
 
 
 @torch.no_grad()
@@ -263,8 +204,10 @@ def encode(grid: OccupancyGrid, bank: MapBank, weights: dict[str, Tensor], cell:
     free = torch.from_numpy(~grid.occupied(bank.unknown)).float()[None, None]
     size = _picture_size(grid, cell)
     picture = F.interpolate(free, size=size, mode="bilinear", antialias=True)
+    height, width = (
+        alexnet.input_length(math.ceil(length / alexnet.STRIDE) + 1) - length - _MARGIN for length in size
+    )
     # Repeating the border, and not zeros: black would be a wall around every plan.
-    height, width = (alexnet.input_length(_feature_cells(length)) - length - _MARGIN for length in size)
     picture = F.pad(picture, (_MARGIN, width, _MARGIN, height), mode="replicate")
     return alexnet.features(picture.expand(-1, 3, -1, -1), weights)[0]
 
@@ -284,7 +227,3 @@ def _picture_size(grid: OccupancyGrid, cell: float) -> tuple[int, int]:
     # 440 cells of 0.05 m are 880 pixels, and not 881 because 0.05 has no exact binary form.
     height, width = (math.ceil(side * pixels_per_cell - 1e-6) for side in grid.cells.shape)
     return height, width
-
-
-def _feature_cells(length: int) -> int:
-    return math.ceil(length / alexnet.STRIDE) + 1

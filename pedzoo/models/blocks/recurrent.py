@@ -22,12 +22,7 @@ class DisplacementEncoder(nn.Module):
     """
 
     def __init__(self, embedding_dim: int, hidden_dim: int) -> None:
-        """Create the parameters.
-
-        Args:
-            embedding_dim: Width of the embedding e.
-            hidden_dim: Width of the LSTM's state.
-        """
+        """Create the parameters: widths of the embedding e and of the LSTM's state."""
         super().__init__()
         self.embedding = nn.Linear(2, embedding_dim)
         self.lstm = nn.LSTM(embedding_dim, hidden_dim)
@@ -44,18 +39,15 @@ class DisplacementEncoder(nn.Module):
         people, steps = displacements.shape[:2]
         width = self.lstm.hidden_size
         if start is None:  # the state after the zero displacement
-            gates = _without_forget(weights[2] + weights[3])
-            start = cast(
-                "tuple[Tensor, Tensor]",
-                tuple(state.expand(1, people, width) for state in _from_rest(gates.view(1, 1, -1))),
-            )
-        hidden, cell = start
+            start = _from_rest(_without_forget(weights[2] + weights[3]))
+        hidden, cell = (state.expand(1, people, width) for state in start)
         rows = _rows(steps * width, displacements)
         if people <= rows:
             return _lstm(displacements, (hidden, cell), weights, batch_first=True)[1:]
         pieces = zip(displacements.split(rows), hidden.split(rows, 1), cell.split(rows, 1), strict=True)
         ends = [_lstm(moved, (h, c), weights, batch_first=True)[1:] for moved, h, c in pieces]
-        return torch.cat([end[0] for end in ends], 1), torch.cat([end[1] for end in ends], 1)
+        hidden, cell = (torch.cat(end, 1) for end in zip(*ends, strict=True))
+        return hidden, cell
 
 
 class DisplacementDecoder(nn.Module):
@@ -69,12 +61,7 @@ class DisplacementDecoder(nn.Module):
     """
 
     def __init__(self, embedding_dim: int, hidden_dim: int) -> None:
-        """Create the parameters.
-
-        Args:
-            embedding_dim: Width of the embedding of the fed back displacement.
-            hidden_dim: Width of the LSTM's state.
-        """
+        """Create the parameters: widths of embedded displacements and of the LSTM's state."""
         super().__init__()
         self.embedding = nn.Linear(2, embedding_dim)
         self.lstm = nn.LSTM(embedding_dim, hidden_dim)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, cast
+from typing import Literal
 
 import torch
 from tensordict import TensorDict
@@ -16,44 +16,36 @@ from pedzoo.models.blocks.people.crowd import Crowd
 Kind = Literal["squared_displacement", "distance"]
 
 
-class SceneError:
-    """Mean error over the people and known steps of each scene of one batch of recordings.
+def scene_error(kind: Kind, batch: TensorDict, crowd: Crowd) -> Callable[..., Tensor]:
+    """Return a function of displacements (K, P, T, 2) and, if not the truth is meant, others (P, T, 2).
 
-    ``squared_displacement`` is the published loss, per step; ``distance`` of positions is the ADE itself.
+    It returns the mean error (B, K) over the people and known steps of each scene of a batch, packed by
+    ``crowd``. ``squared_displacement`` is the published loss, per step; ``distance`` of positions is the ADE.
     """
+    squared, truth = kind == "squared_displacement", crowd.pack(true_displacements(batch))
+    known = crowd.pack(known_displacements(batch) if squared else agents_of(batch)["future_valid"])
+    count = crowd.sum_per_scene(known.sum(1).to(truth.dtype)).clamp(min=1).unsqueeze(1)
 
-    def __init__(self, kind: Kind, batch: TensorDict, crowd: Crowd) -> None:
-        """Take the truth of ``batch``, packed by ``crowd``."""
-        self.kind, self.crowd = kind, crowd
-        self.truth = crowd.pack(true_displacements(batch))
-        known = (
-            known_displacements(batch) if kind == "squared_displacement" else agents_of(batch)["future_valid"]
-        )
-        self.known = known = cast("Tensor", crowd.pack(known))
-        self.count = crowd.sum_per_scene(known.sum(1).to(self.truth.dtype)).clamp(min=1)
+    def error(path: Tensor, other: Tensor | None = None) -> Tensor:
+        wrong = path - (truth if other is None else other)
+        # the root has no slope at zero
+        off = (wrong if squared else wrong.cumsum(-2)).square().sum(-1)
+        off = off if squared else (off + 1e-8).sqrt()
+        return crowd.sum_per_scene((off * known).sum(2).t()) / count
 
-    def __call__(self, path: Tensor, other: Tensor | None = None) -> Tensor:
-        """Return errors (B, K) of displacements (K, P, T, 2), against the truth or ``other`` (P, T, 2)."""
-        wrong = path - (self.truth if other is None else other)
-        if self.kind == "squared_displacement":
-            wrong = wrong.square().sum(-1)
-        else:
-            # the root has no slope at zero
-            wrong = (wrong.cumsum(-2).square().sum(-1) + 1e-8).sqrt()
-        return self.crowd.sum_per_scene((wrong * self.known).sum(2).t()) / self.count.unsqueeze(1)
+    return error
 
 
 @dataclass(frozen=True)
 class VarietyLoss:
     """The variety loss, the energy score and the error of the most likely forecast, weighed.
 
-    For each scene the error of the best of ``best_k`` samples, best for all its people together (Gupta et
-    al., CVPR 2018, eq. 8). Only the winners have a gradient: candidates are drawn without one, and the
-    winners run again.
+    The variety loss is the error of the best of ``best_k`` samples, best for all people of a scene together
+    (Gupta et al., CVPR 2018, eq. 8). Only the winners have a gradient: they run again.
 
     Attributes:
         best_k: Samples of the variety loss.
-        error: Error of a sample; see `pedzoo.models.blocks.variety`.
+        error: Error of a sample; see `scene_error`.
         variety_weight: Weight of the variety loss.
         mode_weight: Weight of the same loss on the noise-free prediction.
         energy_weight: Weight of the energy score of two random samples, E|X - y| - E|X - X'| / 2, whose
@@ -95,7 +87,7 @@ class VarietyLoss:
             crowd: Their packing.
             sample: Whether a sample is wanted.
         """
-        error = SceneError(self.error, batch, crowd)
+        error = scene_error(self.error, batch, crowd)
         chosen = {"sample": z[-1]} if sample or self.energy_weight else {}
         chosen["winner"] = z[-1]
         if self.best_k > 1 and self.variety_weight:

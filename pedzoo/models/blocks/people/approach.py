@@ -8,14 +8,11 @@ from pedzoo.core import geometry
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.models.blocks.people.crowd import Crowd
 
-REACH = 2.0
-"""Metres: the scale of distances. Farther people look more and more alike."""
+REACH, NEAR = 2.0, 4.0
+"""Metres: the scales of distances of both poolings. Farther people look more and more alike."""
 
 HORIZON = 4.0
 """Seconds: closest approaches farther ahead count as so far ahead."""
-
-NEAR = 4.0
-"""The same scale for `RelativePooling`."""
 
 _FEATURES = 8
 
@@ -29,13 +26,7 @@ class ApproachPooling(nn.Module):
     """
 
     def __init__(self, state_dim: int, dim: int, hidden_dim: int = 64) -> None:
-        """Create the parameters.
-
-        Args:
-            state_dim: Width of each person's features, such as an encoder's state.
-            dim: Features per person.
-            hidden_dim: Width inside.
-        """
+        """Create the parameters: ``state_dim`` is the width of a person's state, ``dim`` of the result."""
         super().__init__()
         self.pair = nn.Linear(_FEATURES, hidden_dim)
         self.other = nn.Linear(state_dim, hidden_dim, bias=False)
@@ -45,9 +36,9 @@ class ApproachPooling(nn.Module):
     def forward(
         self, position: Tensor, moved: Tensor, heading: Tensor, state: Tensor, crowd: Crowd
     ) -> Tensor:
-        """Return the features (P, dim), never negative; arguments as of `RelativePooling`, and ``state``.
+        """Return the features (P, dim), never negative; arguments as of `RelativePooling`.
 
-        ``state`` (P, state_dim): features of the people seen.
+        ``state`` (P, state_dim) are features of the people seen.
         """
         other = self.other(state)
 
@@ -56,7 +47,7 @@ class ApproachPooling(nn.Module):
             inner = functional.relu(self.pair(pair) + other[them])
             return functional.relu(self.output(inner))
 
-        return crowd.most_of_others(seen, position, position.new_zeros(position.shape[0], self.dim))
+        return crowd.most_of_others(seen, position, self.dim)
 
 
 def _features(away: Tensor, moved: Tensor, heading: Tensor) -> Tensor:
@@ -103,4 +94,4 @@ class RelativePooling(nn.Module):
             near = NEAR / (NEAR + distance)
             return self.net(torch.cat((near * away / NEAR, relative, near), -1))
 
-        return crowd.most_of_others(seen, position, position.new_zeros(position.shape[0], self.dim))
+        return crowd.most_of_others(seen, position, self.dim)

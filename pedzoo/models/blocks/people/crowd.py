@@ -47,9 +47,8 @@ class Crowd:
         return cls(mask, mask.numel() > 0 and bool(mask.all()))
 
     @cached_property
-    def _there(self) -> tuple[Tensor, Tensor]:
-        scene, slot = self._mask.nonzero(as_tuple=True)
-        return scene, slot
+    def _there(self) -> tuple[Tensor, ...]:
+        return self._mask.nonzero(as_tuple=True)
 
     @cached_property
     def scene(self) -> Tensor:
@@ -91,15 +90,18 @@ class Crowd:
         padded = packed.new_zeros(*self.shape, *packed.shape[1:])
         return padded.index_put(self._there, packed)
 
-    def most_of_others(
-        self, seen: Callable[[Tensor, Tensor], Tensor], position: Tensor, pooled: Tensor
-    ) -> Tensor:
+    def unpack_samples(self, packed: Tensor) -> Tensor:
+        """Return samples (B, K, A, ...) of packed ones (K, P, ...), zero where no person is."""
+        return self.unpack(packed.transpose(0, 1)).transpose(1, 2)
+
+    def most_of_others(self, seen: Callable[[Tensor, Tensor], Tensor], position: Tensor, dim: int) -> Tensor:
         """Return the maxima (P, D), over all others within reach, of a person's features of another.
 
-        ``seen`` takes observers (G, 1, n) and observed people (G, n, 1), long, of the G scenes of each size
-        n, and returns features (G, n, n, D), never negative. ``position`` (P, 2), metres. ``pooled`` (P, D):
-        zeros, the result for people alone.
+        They are zeros for people alone. ``seen`` takes observers (G, 1, n) and observed people (G, n, 1),
+        long, of the G scenes of each size n, and returns features (G, n, n, D), never negative. ``position``
+        (P, 2), metres.
         """
+        pooled = position.new_zeros(position.shape[0], dim)
         for group in self.groups:
             me, them = group.unsqueeze(1), group.unsqueeze(2)  # torch is slow at a maximum over the other one
             excluded = me == them
@@ -109,12 +111,6 @@ class Crowd:
             most = (seen(me, them) * share.unsqueeze(-1)).amax(1)
             pooled = pooled.index_copy(0, group.flatten(), most.flatten(0, 1))
         return pooled
-
-    def to_people(self, values: Tensor) -> Tensor:
-        """Return for each person (K, P, C) what ``values`` (K, B, C) say about the scene."""
-        if self.full and self.shape[0] == 1:
-            return values.expand(-1, self.shape[1], -1)
-        return values[:, self.scene]
 
     def sum_per_scene(self, values: Tensor) -> Tensor:
         """Return the sums (B, ...) over the people of each scene of ``values`` (P, ...)."""

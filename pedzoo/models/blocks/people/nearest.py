@@ -9,17 +9,11 @@ from pedzoo.core.geometry import unrotate
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
 from pedzoo.models.blocks.people.crowd import REACH, share_seen
 
-NEAREST = 6
-"""Nearest others of a person that a network sees."""
+NEAREST, FEATURES = 6, 12
+"""Nearest others of a person that a network sees, and numbers of each of them."""
 
-FEATURES = 12
-"""Numbers of each of them."""
-
-_FAR = REACH**2
-"""Square metres: farther agents are not there."""
-
-_SOON = 5.0
-"""Seconds within which two may come close."""
+_FAR, _SOON = REACH**2, 5.0
+"""Square metres: farther agents are not there. And seconds within which two may come close."""
 
 _STAYS, _BESIDE = 0.35, 1.3
 """Metres by which a companion's place beside a person changes in 2.8 s, and how far away it is."""
@@ -29,27 +23,15 @@ _COMPANIONS, _REACH = 3, 3.0
 
 
 class Neighbours(NamedTuple):
-    """The k nearest others of B x A people, in the frame of each person's way.
+    """The k nearest others of B x A people, in the frame of each person's way."""
 
-    Attributes:
-        features: Relative place and velocity, and those of the closest approach (B, A, k, 12).
-        absent: Where there are fewer than k (B, A, k) bool.
-        share: How much each counts (B, A, k), see `share_seen`; 0 where absent.
-        other: Their slots (B, A, k) long.
-        place: Mean place of companions (B, A, 2), metres from the person; 0 without any.
-        velocity: Their mean velocity (B, A, 2) against the person's, m/s.
-        company: How many they are (B, A, 1): a weight of at most 1 for each.
-
-    Companions who are known need not be among the k nearest.
-    """
-
-    features: Tensor
-    absent: Tensor
-    share: Tensor
-    other: Tensor
-    place: Tensor
-    velocity: Tensor
-    company: Tensor
+    features: Tensor  # relative place and velocity, and those of the closest approach (B, A, k, 12)
+    absent: Tensor  # where there are fewer than k (B, A, k) bool
+    share: Tensor  # how much each counts (B, A, k), see `share_seen`; 0 where absent
+    other: Tensor  # their slots (B, A, k) long
+    place: Tensor  # mean place of companions (B, A, 2), metres from the person; 0 without any
+    velocity: Tensor  # their mean velocity (B, A, 2) against the person's, m/s
+    company: Tensor  # how many they are (B, A, 1), at most 1 each; they need not be among the k
 
 
 def nearest(
@@ -89,24 +71,9 @@ def nearest(
     miss = ((closest.square().sum(-1) + 1e-6).sqrt() - bodies).clamp_min(0.0)
     frame = ahead.unsqueeze(2)
     turned, moving = unrotate(place, frame), unrotate(moves, frame)
-    features = torch.cat(
-        (
-            turned / centre.unsqueeze(-1),
-            turned / 4,
-            moving / 1.5,
-            unrotate(closest, frame) / 2,
-            torch.stack(
-                (
-                    1 / (distance + 0.3),
-                    (-distance / 1.5).exp(),
-                    (-soon / 2).exp(),
-                    (-miss / 0.5).exp(),
-                ),
-                -1,
-            ),
-        ),
-        -1,
-    )
+    vectors = turned / centre.unsqueeze(-1), turned / 4, moving / 1.5, unrotate(closest, frame) / 2
+    close = 1 / (distance + 0.3), (-distance / 1.5).exp(), (-soon / 2).exp(), (-miss / 0.5).exp()
+    features = torch.cat((*vectors, torch.stack(close, -1)), -1)
     if companions is None:
         changed = ((place - of_others(before)).square().sum(-1) + 1e-6).sqrt()
         weight = (-changed / _STAYS - (centre / _BESIDE).square()).exp().masked_fill(absent, 0.0)

@@ -37,14 +37,7 @@ class SocialPooling(nn.Module):
     def __init__(
         self, hidden_dim: int, embedding_dim: int = 16, mlp_dim: int = 512, bottleneck_dim: int = 8
     ) -> None:
-        """Create the parameters.
-
-        Args:
-            hidden_dim: Width of the hidden states that are pooled.
-            embedding_dim: Width of the embedded relative position.
-            mlp_dim: Width of the layer per pair.
-            bottleneck_dim: Width of the pooled vector.
-        """
+        """Create the parameters; widths are of hidden states, embedded positions, the layer, the result."""
         super().__init__()
         self.embedding = nn.Linear(2, embedding_dim)
         self.mlp = mlp(embedding_dim + hidden_dim, mlp_dim, bottleneck_dim)
@@ -64,12 +57,11 @@ class SocialPooling(nn.Module):
         u = functional.linear(torch.cat((away, hidden), 1), w_u, b_u)
         v = functional.linear(away, w_v)
         if crowd.absent is not None:
-            best = _max_over_slots(u, v, w_2, crowd.absent, away)
-            return functional.linear(v, -w_2, b_2).add_(best).relu_()
-        if torch.is_grad_enabled():
+            best = _max_at_once(u, v, w_2, away.view(*crowd.shape, 2), crowd.absent)
+        elif torch.is_grad_enabled():
             return torch.relu(_MaxOverPairs.apply(u, v, w_2, crowd, away) + b_2)
-        if crowd.full and u.numel() * crowd.shape[1] <= _AT_ONCE:
-            best = _max_over_few_pairs(u, v, w_2, away.view(*crowd.shape, 2))
+        elif crowd.full and u.numel() * crowd.shape[1] <= _AT_ONCE:
+            best = _max_at_once(u, v, w_2, away.view(*crowd.shape, 2))
         else:
             best = _max_over_pairs(u, v, w_2, crowd.groups, away)[0]
         return functional.linear(v, -w_2, b_2).add_(best).relu_()
@@ -122,10 +114,13 @@ def _max_over_pairs(
     if not groups:
         return v.new_zeros(0, len(weight)), torch.zeros(0, len(weight), dtype=torch.long, device=v.device)
     width, pairs = u.shape[1], max(1, _buffer_size(u) // u.shape[1])
-    pieces = [_piece(group, pairs) for group in groups]
-    buffer = u.new_empty(max(scenes * rows * n for scenes, rows, n in pieces), width)
+    room = (min(max(pairs, group.shape[1]), group.numel() * group.shape[1]) for group in groups)
+    buffer = u.new_empty(max(room), width)
     result = []
-    for group, (scenes, rows, n) in zip(groups, pieces, strict=True):
+    for group in groups:
+        n = group.shape[1]
+        # so many scenes, and so many rows of them, fit in the buffer
+        scenes, rows = min(len(group), max(1, pairs // (n * n))), min(n, max(1, pairs // n))
         # A single group is all people, in order.
         seen, looking, at = (
             x.view(-1, n, x.shape[1]) if len(groups) == 1 else x[group] for x in (u, v, place)
@@ -154,26 +149,18 @@ def _loss_of_far(here: Tensor, there: Tensor) -> Tensor:
     return 1 / share_seen(there.unsqueeze(1) - here.unsqueeze(2)) - 1
 
 
-def _max_over_few_pairs(u: Tensor, v: Tensor, weight: Tensor, place: Tensor) -> Tensor:
-    """Return the maxima of `_max_over_pairs` in as few calls as possible; ``place`` is (B, A, 2)."""
-    n = place.shape[1]
-    pairs = torch.maximum(u.view(-1, 1, n, u.shape[1]), v.view(-1, n, 1, u.shape[1])).view(-1, u.shape[1])
-    value = functional.linear(weight, pairs).view(-1, *place.shape[:2], n) - _loss_of_far(place, place)
+def _max_at_once(u: Tensor, v: Tensor, weight: Tensor, place: Tensor, absent: Tensor | None = None) -> Tensor:
+    """Return the maxima of `_max_over_pairs` in as few calls as possible.
+
+    ``place`` is (B, A, 2); agents that are ``absent`` (B, A) take no part.
+    """
+    scenes, n = place.shape[:2]
+    pairs = torch.maximum(u.view(scenes, 1, n, u.shape[1]), v.view(scenes, n, 1, u.shape[1]))
+    value = functional.linear(weight, pairs.view(-1, u.shape[1])).view(-1, scenes, n, n)
+    value = value - _loss_of_far(place, place)
+    if absent is not None:
+        value = value.masked_fill(absent.unsqueeze(1), -torch.inf)
     return value.amax(3).flatten(1).t()
-
-
-def _max_over_slots(u: Tensor, v: Tensor, weight: Tensor, absent: Tensor, place: Tensor) -> Tensor:
-    """Return the maxima of `_max_over_pairs` over agents that are not ``absent`` (B, A), for B * A slots."""
-    mine, others = v.view(*absent.shape, 1, -1), u.view(absent.shape[0], 1, absent.shape[1], -1)
-    place = place.view(*absent.shape, 2)
-    pairs = functional.linear(torch.maximum(others, mine), weight) - _loss_of_far(place, place).unsqueeze(3)
-    return pairs.masked_fill(absent[:, None, :, None], -torch.inf).amax(2).flatten(0, 1)
-
-
-def _piece(group: Tensor, pairs: int) -> tuple[int, int, int]:
-    """Return how many scenes of a group (G, n), and how many rows of them, fit in ``pairs`` pairs; and n."""
-    scenes, n = group.shape
-    return min(scenes, max(1, pairs // (n * n))), min(n, max(1, pairs // n)), n
 
 
 def _buffer_size(like: Tensor) -> int:
