@@ -207,40 +207,6 @@ def test_pooling_of_no_people_is_empty() -> None:
     assert pool(torch.zeros(0, 5), torch.zeros(0, 2), crowd).shape == (0, 8)
 
 
-def test_pooling_by_hand() -> None:
-    """Two people 3 m apart; one inner unit looks at dx + h, the other at -dx."""
-    pool = SocialPooling(hidden_dim=1, embedding_dim=2, mlp_dim=2, bottleneck_dim=1)
-    inner, outer = pool.mlp[0], pool.mlp[2]
-    assert isinstance(inner, nn.Linear) and isinstance(outer, nn.Linear)
-    with torch.no_grad():
-        pool.embedding.weight.copy_(torch.eye(2))
-        pool.embedding.bias.zero_()
-        inner.weight.copy_(torch.tensor([[1.0, 0.0, 1.0], [-1.0, 0.0, 0.0]]))
-        inner.bias.zero_()
-        outer.weight.copy_(torch.tensor([[1.0, 0.5]]))
-        outer.bias.fill_(0.25)
-    hidden, position = torch.tensor([[0.5], [2.0]]), torch.tensor([[0.0, 0.0], [3.0, 1.0]])
-    # First: itself 0.5, the other (3 + 2) -> 5. Second: itself 2, the other -3 + 0.5 < 0 and 0.5 * 3 = 1.5.
-    torch.testing.assert_close(pool(hidden, position, crowd_of((2,))), torch.tensor([[5.25], [2.25]]))
-
-
-def test_decoder_by_hand() -> None:
-    """One unit, every weight 1 and every bias 0: the gates are d + h for all four."""
-    decoder = DisplacementDecoder(1, 1)
-    with torch.no_grad():
-        for name, parameter in decoder.named_parameters():
-            parameter.fill_(0.0 if "bias" in name else 1.0)
-    hidden, cell, fed, wanted = 0.5, 0.0, 0.3 + 0.2, []
-    for _ in range(2):
-        gate = 1 / (1 + math.exp(-(fed + hidden)))
-        cell = gate * cell + gate * math.tanh(fed + hidden)
-        hidden = gate * math.tanh(cell)
-        fed = 2 * hidden
-        wanted.append([hidden, hidden])
-    got = decoder(torch.tensor([[0.5]]), torch.tensor([[0.3, 0.2]]), 2)
-    torch.testing.assert_close(got, torch.tensor([wanted]))
-
-
 def test_mlp_ends_with_relu_and_draws_only_linear_weights() -> None:
     block = nn.ModuleDict({"mlp": mlp(400, 300, 2), "lstm": nn.LSTM(4, 5)})
     before = {name: value.clone() for name, value in block.state_dict().items()}

@@ -193,14 +193,6 @@ def test_checkpoints_of_others_are_refused_and_not_run(tmp_path: Path) -> None:
     assert not (tmp_path / "trapped").exists()
 
 
-def test_a_checkpoint_of_fit_holds_its_generator(model: Forecaster, tmp_path: Path) -> None:
-    path = tmp_path / "last.ckpt"
-    state = {f"generator.{key}": value for key, value in model.state_dict().items()}
-    state |= {"iteration": torch.zeros(()), "discriminator.x": torch.zeros(2)}
-    torch.save({"pedzoo": zoo.config_of(model), "state_dict": state}, path)
-    assert torch.equal(answers(load(str(path))), answers(model))
-
-
 def test_shipped_weights_are_listed_loaded_by_name_and_checked(model: Forecaster, checkpoints: Path) -> None:
     assert list_models() == []
     with pytest.raises(UserError, match="'sgan' is an architecture; name its weights: none yet"):

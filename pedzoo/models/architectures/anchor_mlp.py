@@ -36,13 +36,7 @@ class AnchorMLP(AnchorForecaster):
         losses: AnchorLosses = AnchorLosses(),
         walking: Walking = Walking(),
     ) -> None:
-        """Create the parameters.
-
-        Args:
-            architecture: The network's architecture.
-            losses: Its losses.
-            walking: How it walks.
-        """
+        """Create the parameters; the classes of the arguments explain the settings."""
         a = architecture
         super().__init__(a.steps, a.modes, None, losses)
         self.built_with(architecture, losses, walking)

@@ -130,13 +130,7 @@ class SGAN(Forecaster):
         losses: VarietyLoss = VarietyLoss(),
         walking: Walking = Walking(),
     ) -> None:
-        """Create the parameters.
-
-        Args:
-            architecture: The network's architecture.
-            losses: Its losses.
-            walking: How it walks.
-        """
+        """Create the parameters; the classes of the arguments explain the settings."""
         super().__init__()
         self.built_with(architecture, losses, walking)
         a = architecture

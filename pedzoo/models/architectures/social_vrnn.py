@@ -145,12 +145,7 @@ class SocialVRNN(Forecaster):
     """Encoders of state, others and map; prior and posterior of one latent; a decoder of mixtures."""
 
     def __init__(self, architecture: Architecture = Architecture(), losses: Losses = Losses()) -> None:
-        """Compose a model.
-
-        Args:
-            architecture: The network's architecture.
-            losses: Its losses.
-        """
+        """Create the parameters; the classes of the arguments explain the settings."""
         super().__init__()
         self.built_with(architecture, losses)
         a = architecture

@@ -31,15 +31,8 @@ from pedzoo.models.blocks.timed_noise import timed_noise
 LASTING, SMOOTH, EVERY_STEP, JITTER = 3, (24.0, 8.0, 4.0, 2.0), 4, 2
 """Noise: numbers that last, periods of those that change smoothly (s), and numbers drawn at every step."""
 
-
-OWN = 6
-"""Numbers of a person's own state."""
-
-OUTPUTS, AVOIDING = 17, 2
-"""Numbers that steer a person, and those of them that steer how others are avoided."""
-
-GATE_NOISE = 1.7
-"""Spread of the chance by which velocities are held, in units of the gate."""
+OWN, OUTPUTS, AVOIDING = 6, 17, 2
+"""Numbers of a person's own state, those that steer a person, and more that steer how others are avoided."""
 
 ASTRAY, LOOKING_UP = 0.3, 3.0
 """Velocities farther off what people want than a share of their speed open the gate by so much more.
@@ -47,11 +40,10 @@ ASTRAY, LOOKING_UP = 0.3, 3.0
 People who follow others change them faster, too.
 """
 
-USUAL_GATE = 2.0
-"""Of the gate: before training velocities change in 9 of 10 steps, but for what first steps show."""
-
-RARE_HALT = 4.0
-"""Of another gate: before training 1 % of the steps of people who walk is a halt."""
+GATE_NOISE, USUAL_GATE, RARE_HALT = 1.7, 2.0, 4.0
+"""Spread of the chance by which velocities are held, in units of the gate. Before training they change in 9
+of 10 steps, but for what first steps show; and by another gate 1 % of the steps of people who walk is a halt.
+"""
 
 HALT_PERIOD = LASTING + SMOOTH.index(8.0)
 """Number of the noise that begins and ends lasting halts: before training one lasts for some 5 s."""
@@ -120,12 +112,7 @@ class SocialWalker(Forecaster):
     def __init__(
         self, architecture: Architecture = Architecture(), walking: Walking = Walking(safety=True)
     ) -> None:
-        """Create the parameters.
-
-        Args:
-            architecture: The network's architecture.
-            walking: How it walks.
-        """
+        """Create the parameters; the classes of the arguments explain the settings."""
         super().__init__()
         self.built_with(architecture, walking)
         self.architecture = a = architecture

@@ -86,13 +86,7 @@ class AnchorForecaster(Forecaster):
     def __init__(
         self, steps: int, modes: int, goal_protocol: GoalProtocol | None, losses: AnchorLosses
     ) -> None:
-        """Make room for anchors.
-
-        Args:
-            steps: Predicted steps T of 0.4 s.
-            modes: Modes M.
-            goal_protocol: The goal protocol of the training data; None for a model that sees no goal.
-            losses: The losses of its training.
+        """Make room for M anchors ``modes`` of T ``steps`` of 0.4 s; no goal protocol: it sees no goal.
 
         Raises:
             UserError: No step or fewer than two modes.

@@ -150,10 +150,6 @@ class AlexNetEncoder(nn.Module):
     bank counts them. Features are computed in the map's own frame. They are not turned to a person's heading
     (nor to a scene's rotation or mirroring: only the place is moved). The convolutions and the features are
     no parameters or buffers: checkpoints hold the linear layer only.
-
-    Attributes:
-        weights: File with AlexNet's weights, None for the usual place.
-        cell: Metres that one feature cell covers at most.
     """
 
     def __init__(self, dim: int = 32, weights: str | None = None, cell: float = 0.4) -> None:
@@ -161,7 +157,7 @@ class AlexNetEncoder(nn.Module):
 
         Args:
             dim: Features per person.
-            weights: File with AlexNet's weights, see `pedzoo.models.blocks.alexnet.load`.
+            weights: File with AlexNet's weights, see `pedzoo.models.blocks.alexnet.load`; None for the usual.
             cell: Metres that one feature cell covers at most; the plan is rescaled for it.
         """
         super().__init__()

@@ -347,15 +347,10 @@ def check_settings(cls: type, init: Mapping[str, Any]) -> None:
 
 
 def check_tensors(state: Mapping[str, Any], source: str, own: bool = False) -> None:
-    """Check that a state is one of weights: tensors of finite real numbers by name.
-
-    Args:
-        state: What was read.
-        source: From where, for the message.
-        own: Whether it is for a user's class, which may keep other numbers than weights.
+    """Check that a state from a source is one of weights: tensors of finite real numbers by name.
 
     Raises:
-        UserError: It holds something else, or a weight above `LARGEST`.
+        UserError: It holds something else, or a weight above `LARGEST` that is not of a user's own class.
     """
     for key, value in state.items():
         wrong, largest = "", 0.0

@@ -126,12 +126,10 @@ def zoo_name(config: str, protocol: Mapping[str, Any]) -> str:
     """Return what weights of a config are called: after the scene that they did not see.
 
     What differs from the usual follows: ``sgan.zara1_pred12``, ``sgan_goal.zara1_destination``. The usual
-    clock is the benchmark's, and the true one for weights that saw every scene and for controllers. Of
-    ``open_loop/sgan_goal_map`` come ``.controller_open_zara1`` and, of all scenes, ``.controller_open``; of
-    ``closed_loop/sgan_goal_map`` likewise ``.indoor_zara1`` and ``.indoor``; of ``ppo/sgan_goal``
-    ``sgan_goal.eth_ucy_ppo``. ``closed_loop/social_walker`` has no open-loop half, and always walks to
-    destinations: ``social_walker.zara1``; trained in buildings, too, ``social_walker.indoor_zara1``; and of
-    ``closed_loop/social_walker_styled`` come ``social_walker.styled_zara1`` and ``social_walker.styled``.
+    clock is the benchmark's, and the true one for weights that saw every scene and for controllers. Those are
+    ``.controller_open_zara1`` (``open_loop/``), ``.indoor_zara1`` and ``.styled_zara1`` (``closed_loop/``),
+    without a scene if they saw all; of ``ppo/sgan_goal`` comes ``sgan_goal.eth_ucy_ppo``.
+    ``closed_loop/social_walker`` has no open-loop half, and always walks to destinations.
     """
     folder, _, config = config.rpartition("/")
     whole_walks = config in WHOLE_WALKS

@@ -250,15 +250,9 @@ def _hub() -> str:
 
 
 def no_model(name: str, others: Iterable[str] = (), kind: str = "model") -> UserError:
-    """Return the error for a name that no model has, with the nearest one.
+    """Return the error for a name that no model has, with the nearest one of models and ``others``.
 
-    Of all the models that there are it lists those of the same family, ``sgan_goal.*``; families if it is of
-    none.
-
-    Args:
-        name: What was asked for.
-        others: Names that would do as well, besides those of models.
-        kind: What was expected.
+    It lists those of the same family, ``sgan_goal.*``, or else families. ``kind`` is what was expected.
     """
     # robots walk among people, and are none
     known = [one for one in names() if kind != "policy" or not one.startswith(ROBOTS)]

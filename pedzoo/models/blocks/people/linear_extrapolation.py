@@ -12,19 +12,6 @@ def constant_velocity(last_step: Tensor, steps: int) -> Tensor:
     return last_step.unsqueeze(-2).expand(*last_step.shape[:-1], steps, 2)
 
 
-def line_end(last_step: Tensor, to_goal: Tensor, steps: int, timed: bool) -> Tensor:
-    """Return where a straight walk ends (..., 2), relative to p8.
-
-    A timed goal is reached exactly at the last step. To any other goal people walk at their last speed
-    and stop there: min(T |v|, |g - p8|) along the unit vector to the goal.
-    """
-    if timed:
-        return to_goal
-    distance = to_goal.norm(dim=-1, keepdim=True)
-    reach = torch.minimum(last_step.norm(dim=-1, keepdim=True) * steps, distance)
-    return to_goal * (reach / distance.clamp(min=1e-9))
-
-
 def straight_line(last_step: Tensor, to_goal: Tensor, steps: int, timed: bool) -> Tensor:
     """Return displacements (..., T, 2) of a straight walk to a goal at ``to_goal`` (..., 2) from p8."""
     if timed:
@@ -38,9 +25,14 @@ def straight_line(last_step: Tensor, to_goal: Tensor, steps: int, timed: bool) -
 def bent_line(last_step: Tensor, to_goal: Tensor, steps: int, timed: bool) -> Tensor:
     """Return displacements (..., T, 2) that start with v and bend to the straight walk's end e.
 
-    The quadratic p8 + k v + (k / T)^2 (e - p8 - T v).
+    The quadratic p8 + k v + (k / T)^2 (e - p8 - T v). A timed goal is reached exactly at the last step. To
+    any other people walk at their last speed and stop there: e - p8 is min(T |v|, |g - p8|) long.
     """
-    bend = line_end(last_step, to_goal, steps, timed) - steps * last_step
+    end = to_goal
+    if not timed:
+        distance = to_goal.norm(dim=-1, keepdim=True)
+        reach = torch.minimum(last_step.norm(dim=-1, keepdim=True) * steps, distance)
+        end = to_goal * (reach / distance.clamp(min=1e-9))
     k = torch.arange(1, steps + 1, device=to_goal.device, dtype=to_goal.dtype)
     weight = (2 * k - 1) / steps**2
-    return last_step.unsqueeze(-2) + weight.unsqueeze(-1) * bend.unsqueeze(-2)
+    return last_step.unsqueeze(-2) + weight.unsqueeze(-1) * (end - steps * last_step).unsqueeze(-2)
