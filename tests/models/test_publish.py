@@ -106,23 +106,14 @@ def test_a_run_that_began_with_other_weights_saw_what_they_saw(tmp_path: Path) -
     assert not (tmp_path / "none").exists()
 
 
-def test_commands_on_cards_have_no_names_of_this_machine(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A checkpoint that was published is called by its zoo name, and a shipped config's file by its own."""
-    began = make_run(tmp_path / "base", seed=1)
-    weights = publish(began, tmp_path / "zoo").with_name("weights.safetensors")
-    monkeypatch.setattr("pedzoo.models.zoo.publish.weight_files", lambda: {"sgan_goal.zara1": weights})
-    checkpoint = make_run(tmp_path / "runs", weights=str(began))
+def test_a_shipped_configs_file_is_called_by_its_name(tmp_path: Path) -> None:
+    checkpoint = make_run(tmp_path / "runs")
     file = checkpoint.parents[1] / "versions.json"
     record = json.loads(file.read_text())
     record["command"][3] = "/elsewhere/configs/sgan_goal.yaml"
-    record["command"] += ["--weights", str(began)]
     file.write_text(json.dumps(record))
-    training = read_card(publish(checkpoint, tmp_path / "tuned")).training
-    assert training["command"][2:4] == ["--config", "sgan_goal"]
-    assert training["command"][-2:] == ["--weights", "sgan_goal.zara1"]
-    assert training["overrides"]["weights"] == "sgan_goal.zara1"
+    command = read_card(publish(checkpoint, tmp_path / "zoo")).training["command"]
+    assert command[2:4] == ["--config", "sgan_goal"]
 
 
 def test_measurements_stay_as_long_as_the_weights_are_the_same(tmp_path: Path) -> None:

@@ -52,13 +52,7 @@ _LEAKS = "The goal is where the person is at the window's end: it leaks the answ
 
 
 class Results(NamedTuple):
-    """A table of what was measured: metrics as rows, cases as columns.
-
-    Attributes:
-        said: How: the command and its protocol.
-        head: The columns; the first one has the names of metrics.
-        rows: Cells.
-    """
+    """A table of what was measured: metrics as rows, cases as columns; and how, by which command."""
 
     said: str
     head: list[str]

@@ -9,16 +9,14 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import torch
-
 from pedzoo.core.errors import UserError
-from pedzoo.core.paths import CARD, WEIGHTS, weight_files
+from pedzoo.core.paths import CARD, WEIGHTS
 from pedzoo.core.registry import names_code
 from pedzoo.core.size_limits import read_mapping
 from pedzoo.core.types import PRED_LEN
 from pedzoo.data.recordings import find_fold, licence, provenance, together
 from pedzoo.models.zoo.card import ModelCard, check_name, read_card, read_config, write_card
-from pedzoo.models.zoo.loading import config_of, load, read_checkpoint, save_weights
+from pedzoo.models.zoo.loading import load, read_checkpoint, save_weights
 from pedzoo.models.zoo.store import find
 
 IN_WEIGHTS = ("config", "fold", "seed", "chosen_by")
@@ -41,19 +39,12 @@ _FREE = frozenset({"seed_everything", "runs", "wandb", "rollout", "root", "enabl
 
 
 class RunRecord(NamedTuple):
-    """The record of a run.
+    """The record of a run."""
 
-    Attributes:
-        training: As a model card has it, see `pedzoo.models.zoo.card.Training`.
-        files: Recordings of one's own that it was trained on; None for those of a fold.
-        versions: Versions it ran with.
-        began_with: Weights or checkpoint that it began with, as they were named; None for new ones.
-    """
-
-    training: dict[str, Any]
-    files: list[str] | None
-    versions: dict[str, str]
-    began_with: str | None
+    training: dict[str, Any]  # as of `pedzoo.models.zoo.card.Training`
+    files: list[str] | None  # recordings of one's own that it was trained on; None for those of a fold
+    versions: dict[str, str]  # it ran with
+    began_with: str | None  # weights or checkpoint, as they were named; None for new ones
 
 
 class Option(NamedTuple):
@@ -95,7 +86,7 @@ def publish(
             "they are loaded: install the class as a plugin and train it by its name"
         )
     record, model = _read_run(checkpoint, content), load(checkpoint)
-    protocol, training = content["pedzoo"]["protocol"], _with_zoo_names(record)
+    protocol, training = content["pedzoo"]["protocol"], record.training
     name = check_name(name or zoo_name(training["config"], protocol))
     data = _trained_on(record, plans="map" in model.needs)
     path = Path(folder) / name / CARD
@@ -149,25 +140,6 @@ def zoo_name(config: str, protocol: Mapping[str, Any]) -> str:
         tag += f"_{protocol['clock']}"
     architecture = config.removesuffix("_destination").removesuffix("_indoor").removesuffix("_styled")
     return f"{architecture}.{tag}"
-
-
-def _with_zoo_names(record: RunRecord) -> dict[str, Any]:
-    """Return what a run says of its training, with the zoo's name of a checkpoint that it began with."""
-    training, began = record.training, record.began_with
-    if not began or not began.endswith(".ckpt") or not Path(began).is_file():
-        return training
-    model = load(began)
-    ours, state = config_of(model), model.state_dict()
-    for name, file in weight_files().items():
-        theirs = read_config(file)
-        if any(theirs.get(key) != ours[key] for key in ("architecture", "init")):
-            continue
-        published = load(file).state_dict()
-        if all(torch.equal(value, published[key]) for key, value in state.items()):
-            words = [word.replace(began, name) for word in training["command"]]
-            overrides = {key: value.replace(began, name) for key, value in training["overrides"].items()}
-            return training | {"command": words, "overrides": overrides}
-    return training
 
 
 def _trained_on(record: RunRecord, plans: bool) -> dict[str, Any]:

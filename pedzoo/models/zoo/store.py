@@ -35,13 +35,7 @@ _FRONT = re.compile(r"---\n(.*?)\n---\n", re.DOTALL)
 
 
 class ZooEntry(NamedTuple):
-    """A model of the zoo or of a file: its card, and where that is.
-
-    Attributes:
-        card: Its card.
-        path: Where the card lies.
-        folders: Addresses at which its folder may be, in the order of trying; none on this machine.
-    """
+    """A model of the zoo: its card, where that lies, and the addresses at which its folder may be, if any."""
 
     card: ModelCard
     path: Path
