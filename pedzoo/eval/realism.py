@@ -31,7 +31,7 @@ from pedzoo.metrics.realism.distances import halves
 from pedzoo.metrics.realism.features import FEATURES, every_step, surroundings
 from pedzoo.metrics.realism.walks import RecordedWalks, Walks, WalksByPerson, of_people, tracks_of, walks_of
 from pedzoo.metrics.statistics import drawn_people, wilson
-from pedzoo.sim.replay.people import RecordedPeople
+from pedzoo.sim.recorded_people import RecordedPeople
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.scenarios.replay import PreparedReplay
 

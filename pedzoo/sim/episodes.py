@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple, get_args
 
 import torch
@@ -19,7 +19,6 @@ from pedzoo.sim import warm_start as warm
 from pedzoo.sim.arrival import deadline, planned
 from pedzoo.sim.physics._base import Physics
 from pedzoo.sim.physics.compiled import Compiled
-from pedzoo.sim.replay.script import SceneStarts
 from pedzoo.sim.rules import Rules
 from pedzoo.sim.scenario import MIN_INITIAL_PATH, Layout, PreparedScenario, filled
 from pedzoo.sim.state import PAST_LEN, State
@@ -29,6 +28,9 @@ TRIES = 8
 
 _MADE, _AGENTS_MADE, _DEEPEST = 512, 2560, 128
 """Limits of what is begun together when scenes end one by one: episodes, agents, and episodes of one row."""
+
+_SAME = ("radius", "kind", "drive", "top_speed", "acceleration", "turn_acceleration", "track")
+"""Fields of a layout that states have under the same name; what they leave out states have by default."""
 
 
 class Episodes:
@@ -67,68 +69,64 @@ class Episodes:
         """Return the first state of the episodes of ``draws``.
 
         Raises:
-            UserError: An agent's goal cannot be reached.
+            UserError: The layout is none, or an agent's goal cannot be reached.
         """
-        layout = self._prepared.layout(draws)
+        layout, scenario = self._prepared.layout(draws), self._prepared.scenario
         self._check(layout)
-        opening = layout.opening or _all_present(layout)
-        recorded = self._warm_start == "recorded" or layout.opening is not None
-        past = warm.recorded(layout) if recorded else warm.standing(layout.start)
-        state = self._placed(draws.key, layout, opening, past).to(self._device)
-        opening = opening.to(self._device)
-        if not recorded and self._warm_start == "orca":
+        begun = layout.person is not None
+        past = (
+            warm.recorded(layout) if begun or self._warm_start == "recorded" else warm.standing(layout.start)
+        )
+        state = self._placed(draws.key, layout, past).to(self._device)
+        given = Layout(*(None if value is None else value.to(self._device) for value in layout))
+        taken = state.controlled
+        if not begun and self._warm_start == "orca":
             state = warm.rolled(state, self._physics, self._rules, self._walls)
         guidance = self._rules.guidance(state)
-        if layout.opening is None:
+        if not begun:
             state, guidance = self._apart(state, guidance)
         remaining_path = guidance.distance
         if bool(remaining_path.isinf().any()):  # others have squeezed an agent into a corner
             start = state._replace(past=warm.standing(layout.start).to(state.past))
             remaining_path = remaining_path.minimum(self._rules.guidance(start).distance)
-        cut_off = ((opening.controlled | (state.stands > 0)) & remaining_path.isinf()).nonzero()
+        cut_off = ((taken | (state.stands > 0)) & remaining_path.isinf()).nonzero()
         if len(cut_off):
             raise self._no_way(state, guidance, *cut_off[0].tolist())
-        if layout.opening is not None:  # played-back people may stand where no path leads away
+        if begun:  # played-back people may stand where no path leads away
             remaining_path = torch.where(remaining_path.isfinite(), remaining_path, 0.0)
-        clock, velocity, until = torch.zeros_like(state.clock), opening.velocity, opening.deadline
+        clock, until = torch.zeros_like(state.clock), given.deadline
         waits = state._replace(clock=clock).holds
         stays = waits & state.stands.isinf() & (state.next_goal < 0)
         if until is None:
             until = deadline(clock, remaining_path, state.pref_speed, self._rules.deadline)
             if self._rules.deadline is None:
-                until = until.clamp_min(self._prepared.scenario.patience)
-        position, past = state.position, state.past
+                until = until.clamp_min(scenario.patience)
         # neither a recording nor the warm start says how they came
-        placed = self._warm_start == "static" if layout.opening is None else self._rules.script is None
-        if velocity is None:
-            velocity = (position - past[:, :, -2]) / TRACE_SECONDS
-        goes = filled(layout.heading, heading_of(guidance.goal_point - position))
+        placed = self._rules.script is None if begun else self._warm_start == "static"
+        position = state.position
+        velocity = filled(given.velocity, (position - state.past[:, :, -2]) / TRACE_SECONDS)
+        goes = filled(given.heading, heading_of(guidance.goal_point - position))
         faces = heading_of(velocity, goes, TURNS_FROM)
-        if layout.heading is not None:
-            faces = torch.where(state.drive == HOLONOMIC, faces, layout.heading)
+        if given.heading is not None:
+            faces = torch.where(state.drive == HOLONOMIC, faces, given.heading)
         return state._replace(
             clock=clock,
             velocity=velocity,
             heading=faces,
             goal_point=guidance.goal_point,
             goal_since=torch.full_like(remaining_path, 0.0 if placed else -torch.inf),
-            reached=self._prepared.scenario.goals * stays.long(),
+            reached=scenario.goals * stays.long(),
             deadline=until.masked_fill(waits, torch.inf),
             overdue=torch.zeros_like(state.overdue),
             remaining_path=remaining_path,
-            planned=torch.where(opening.controlled, planned(remaining_path), 0.0),
+            planned=torch.where(taken, planned(remaining_path), 0.0),
         )
 
     def _apart(self, state: State, guidance: Guidance) -> tuple[State, Guidance]:
         """Return the state and its guidance, with goals nearer than `MIN_INITIAL_PATH` redrawn."""
         for _ in range(TRIES):
-            near = (
-                state.mask
-                & (state.stands <= 0)
-                & (state.goal_id >= 0)
-                & (guidance.distance < MIN_INITIAL_PATH)
-            )
-            near = near & (state.next_goal >= 0)
+            walks = state.mask & (state.stands <= 0) & (state.goal_id >= 0) & (state.next_goal >= 0)
+            near = walks & (guidance.distance < MIN_INITIAL_PATH)
             if not near.any():
                 break
             goal = torch.where(near, state.next_goal, state.goal_id)
@@ -136,56 +134,66 @@ class Episodes:
             guidance = self._rules.guidance(state)
         return state, guidance
 
-    def _placed(self, key: Tensor, layout: Layout, opening: SceneStarts, past: Tensor) -> State:
+    def _placed(self, key: Tensor, layout: Layout, past: Tensor) -> State:
         """Return agents where they start, before anything has happened."""
+        mask, nothing = layout.mask, torch.zeros_like(layout.pref_speed)
         pose = identity_pose(len(key), key.device) if layout.pose is None else layout.pose
         row = self._prepared.planner.map_rows(layout.map_id)
         frame, place = self._prepared.bank.walls_of_scenes(row, pose)
-        position = past[:, :, -1]
-        velocity = (position - past[:, :, -2]) / TRACE_SECONDS
-        usual = torch.full_like(layout.pref_speed, self._physics.body_radius)
-        nothing, later = torch.zeros_like(usual), opening.later
-        if later is None:
-            later = _later_goals(self._prepared, key, layout.goal)
+        velocity = (past[:, :, -1] - past[:, :, -2]) / TRACE_SECONDS
+        slot = torch.arange(mask.shape[1], device=mask.device)
+        same = {name: getattr(layout, name) for name in _SAME}
+        if layout.radius is None:
+            same["radius"] = torch.full_like(nothing, self._physics.body_radius)
         return State.of(
             past,
-            layout.mask,
+            mask,
             layout.pref_speed,
+            **same,
             key=key,
             map_id=layout.map_id,
             row=row,
             wall_frame=frame,
             wall_place=place,
             pose=pose,
-            scene=opening.scene,
-            controlled=opening.controlled,
-            person=opening.person,
-            observed_points=opening.observed_points,
+            scene=filled(layout.scene, torch.zeros_like(layout.map_id)),
+            controlled=filled(layout.controlled, mask & (filled(layout.stand, nothing) <= 0)),
+            person=filled(layout.person, torch.where(mask, slot, -1)),
+            observed_points=filled(layout.observed_points, torch.full_like(layout.goal, PAST_LEN)),
             velocity=velocity,
             heading=filled(layout.heading, heading_of(velocity)),
-            radius=filled(layout.radius, usual),
-            kind=layout.kind,
-            group=opening.group,
-            drive=layout.drive,
-            top_speed=layout.top_speed,
-            acceleration=layout.acceleration,
-            turn_acceleration=layout.turn_acceleration,
-            track=layout.track,
+            group=layout.group,
             goal_id=layout.goal,
-            later_goals=later,
-            goal_point=position,
+            later_goals=layout.later if layout.later is not None else self._later_goals(key, layout.goal),
+            goal_point=past[:, :, -1],
             stands=filled(layout.stand, nothing).maximum(filled(layout.hold, nothing)),
         )
 
-    def _check(self, layout: Layout) -> None:
-        """Check that floor plans and bodies are as the scenario says: sub-steps are as long as these allow.
-
-        Raises:
-            UserError: One is not, or a number is not finite.
-        """
+    def _later_goals(self, key: Tensor, first: Tensor) -> Tensor:
+        """Return the goals (B, A, G) that follow the ``first`` (B, A), drawn ahead; -1 for none."""
         scenario = self._prepared.scenario
-        name, bank = type(scenario).__name__, self._prepared.bank
-        _check_numbers(layout, name)
+        if not scenario.later:
+            return torch.full((*first.shape, 1), -1, device=first.device)
+        scenes, agents = first.shape
+        slot = torch.arange(agents, device=first.device).repeat(scenes)
+        draws, goal, goals = Draws(key.repeat_interleave(agents)), first.flatten(), []
+        for number in range(1, scenario.later + 1):
+            goal = scenario.next_goal(self._prepared, draws, slot, torch.full_like(slot, number), goal)
+            goals.append(goal.view(scenes, agents))
+        return torch.where((first >= 0).unsqueeze(2), torch.stack(goals, 2), -1)
+
+    def _check(self, layout: Layout) -> None:
+        """Check that floor plans and bodies are as the scenario says: sub-steps depend on these."""
+        scenario, bank = self._prepared.scenario, self._prepared.bank
+        name = type(scenario).__name__
+        if not isinstance(layout, Layout):
+            raise UserError(
+                f"{name}.layout returned {type(layout).__name__}: expected a pedzoo.sim.scenario.Layout"
+            )
+        mask, agent = layout.mask, f"of an agent in the layout of {name}"
+        for field in ("start", "pref_speed"):
+            if not getattr(layout, field)[mask].isfinite().all():
+                raise UserError(f"{field} {agent} is not finite: expected a number")
         known = torch.tensor([-1, *(bank.id_of(plan) for plan in bank.names)], device=layout.map_id.device)
         if (foreign := ~torch.isin(layout.map_id, known)).any():
             plans = ", ".join(f"prepared.bank.id_of({plan!r})" for plan in bank.names[:3])
@@ -193,21 +201,20 @@ class Episodes:
                 f"map_id {int(layout.map_id[foreign][0])} in the layout of {name}: expected -1 for open floor"
                 + (f", or one of {name}.plans, {plans}" if plans else f": {name}.plans() returns no plans")
             )
-        if layout.radius is not None and layout.mask.any():
-            least = float(layout.radius[layout.mask].min())
-            most = scenario.smallest_radius or self._physics.body_radius
-            if least < most - 1e-6:
-                raise UserError(
-                    f"radius {least:.3g} m of an agent in {name}: expected at least {most:.3g}, or a smaller "
-                    f"{name}.smallest_radius"
-                )
-        if layout.top_speed is not None and layout.mask.any():
-            fastest = float(layout.top_speed[layout.mask].max())
-            if fastest > self._prepared.fastest_agent + 1e-6:
-                raise UserError(
-                    f"top_speed {fastest:.3g} m/s of an agent in {name}: expected at most "
-                    f"{self._prepared.fastest_agent:.3g}, or a larger {name}.fastest_agent"
-                )
+        smallest, fastest = (
+            scenario.smallest_radius or self._physics.body_radius,
+            self._prepared.fastest_agent,
+        )
+        if layout.radius is not None and (tiny := layout.radius[mask] < smallest - 1e-6).any():
+            raise UserError(
+                f"radius {float(layout.radius[mask][tiny].min()):.3g} m of an agent in {name}: expected at "
+                f"least {smallest:.3g}, or a smaller {name}.smallest_radius"
+            )
+        if layout.top_speed is not None and (hasty := layout.top_speed[mask] > fastest + 1e-6).any():
+            raise UserError(
+                f"top_speed {float(layout.top_speed[mask][hasty].max()):.3g} m/s of an agent in {name}: "
+                f"expected at most {fastest:.3g}, or a larger {name}.fastest_agent"
+            )
         wheels = (layout.drive, layout.acceleration, layout.turn_acceleration)
         if not scenario.wheels and any(value is not None for value in wheels):
             raise UserError(f"{name} has agents with wheels or limits: expected {name}.wheels = True")
@@ -224,61 +231,21 @@ class Episodes:
         )
 
 
-def _check_numbers(layout: Layout, name: str) -> None:
-    """Check that a scenario's layout is one, and that present agents have a place and a speed."""
-    if not isinstance(layout, Layout):
-        raise UserError(
-            f"{name}.layout returned {type(layout).__name__}: expected a pedzoo.sim.scenario.Layout"
-        )
-    for field in ("start", "pref_speed"):
-        if not getattr(layout, field)[layout.mask].isfinite().all():
-            raise UserError(f"{field} of an agent in the layout of {name} is not finite: expected a number")
-
-
-def _all_present(layout: Layout) -> SceneStarts:
-    """Return the opening of scenes without a script: all are there, seen before, and walk or stand."""
-    slot = torch.arange(layout.mask.shape[1], device=layout.mask.device)
-    walks = layout.mask if layout.stand is None else layout.mask & (layout.stand <= 0)
-    return SceneStarts(
-        scene=torch.zeros_like(layout.map_id),
-        person=torch.where(layout.mask, slot, -1),
-        controlled=walks,
-        observed_points=torch.full_like(layout.goal, PAST_LEN),
-        group=layout.group,
-    )
-
-
-def _later_goals(prepared: PreparedScenario, key: Tensor, first: Tensor) -> Tensor:
-    """Return the goals (B, A, G) that follow the ``first`` (B, A), drawn ahead; -1 where there are none.
-
-    Args:
-        prepared: Draws them; ``later`` of its scenario are used in turn.
-        key: Of the scenes (B,) long.
-        first: Their first goals; -1 for none.
-    """
-    scenes, agents = first.shape
-    scenario = prepared.scenario
-    if not scenario.later:
-        return torch.full((scenes, agents, 1), -1, device=first.device)
-    scene = torch.arange(scenes, device=first.device).repeat_interleave(agents)
-    slot = torch.arange(agents, device=first.device).repeat(scenes)
-    draws, goal, goals = Draws(key[scene]), first.flatten(), []
-    for number in range(1, scenario.later + 1):
-        goal = scenario.next_goal(prepared, draws, slot, torch.full_like(slot, number), goal)
-        goals.append(goal.view(scenes, agents))
-    return torch.where((first >= 0).unsqueeze(2), torch.stack(goals, 2), -1)
-
-
 class Scenes(NamedTuple):
     """B scenes, and the planner's answer for them."""
 
     state: State
     guidance: Guidance
 
+    @classmethod
+    def of(cls, fields: Iterable[Tensor]) -> Scenes:
+        """Return what has the fields of a state and a guidance, in their order."""
+        values, count = tuple(fields), len(State._fields)
+        return cls(State(*values[:count]), Guidance(*values[count:]))
+
     def select(self, index: Tensor) -> Scenes:
         """Return some of the scenes."""
-        guidance = Guidance(*(value.index_select(0, index) for value in self.guidance))
-        return Scenes(self.state.select(index), guidance)
+        return self.of(value.index_select(0, index) for value in (*self.state, *self.guidance))
 
 
 class EpisodeQueue:
@@ -318,7 +285,7 @@ class EpisodeQueue:
         self._depth = min(max(1, made // rows), _DEEPEST)
         self._taken = torch.full((rows,), self._depth)
         self._ahead: tuple[Tensor, ...] = ()
-        self._same: tuple[Tensor | None, ...] = ()
+        self._same: tuple[Tensor | None, ...] = ()  # fields that are the same in all episodes until now
 
     def choose(self, rows: Tensor, seed: Tensor, first: Tensor, stride: int) -> None:
         """Choose other episodes for some rows (N,) long: their seeds and first numbers (N,) long."""
@@ -331,8 +298,8 @@ class EpisodeQueue:
         if self._same:
             return self._exchanged(self._same, rows, self._next(rows))
         begun = self._made(rows, 1)
-        self._same = tuple(field if bool((field == field[:1]).all()) else None for field in begun)
-        return _scenes(begun)
+        self._same = tuple(_shared(field, field) for field in begun)
+        return Scenes.of(begun)
 
     def begin_some(self, scenes: Scenes, ended: Tensor) -> Scenes:
         """Return the scenes, with the next episode in the rows that have ended (B,) bool."""
@@ -348,7 +315,7 @@ class EpisodeQueue:
                 continue
             chosen = made.index_select(0, place)
             new.append(chosen if field is None or whole else field.index_copy(0, index, chosen))
-        return _scenes(new)
+        return Scenes.of(new)
 
     def _next(self, rows: Tensor) -> Tensor:
         """Return where the next episodes of rows are among those made ahead, which are made if need be."""
@@ -357,12 +324,10 @@ class EpisodeQueue:
             empty = (self._taken >= depth).nonzero().view(-1)
             made = self._made(empty, depth)
             places = (empty.unsqueeze(1) * depth + torch.arange(depth)).view(-1).to(made[0].device)
-            if self._ahead:
-                for old, new in zip(self._ahead, made, strict=True):
-                    old.index_copy_(0, places, new)
-            else:
-                self._ahead = made
-            self._same = tuple(map(_still_same, self._same, made))
+            for old, new in zip(self._ahead, made, strict=bool(self._ahead)):
+                old.index_copy_(0, places, new)
+            self._ahead = self._ahead or made
+            self._same = tuple(map(_shared, self._same, made))
             self._taken.index_fill_(0, empty, 0)
         place = rows * depth + self._taken[rows]
         self._taken.index_add_(0, rows, torch.ones_like(rows))
@@ -377,12 +342,6 @@ class EpisodeQueue:
         return (*self._opened(state), *self._rules.guidance(state))
 
 
-def _still_same(same: Tensor | None, made: Tensor) -> Tensor | None:
+def _shared(same: Tensor | None, made: Tensor) -> Tensor | None:
     """Return a field that is the same in all episodes, None where new ones differ."""
     return same if same is not None and bool((made == same[:1]).all()) else None
-
-
-def _scenes(fields: tuple[Tensor, ...] | list[Tensor]) -> Scenes:
-    """Return the fields of state and guidance as what they are."""
-    count = len(State._fields)
-    return Scenes(State(*fields[:count]), Guidance(*fields[count:]))

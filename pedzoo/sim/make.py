@@ -1,38 +1,37 @@
-"""Environments by name."""
+"""Environments and scenarios by name, and scenarios in files."""
 
 from __future__ import annotations
 
-import torch
+import os
+from typing import Any
 
-from pedzoo.core.errors import UserError, installed, known_arguments
+from pedzoo.core.errors import UserError, installed, known_arguments, unknown
+from pedzoo.core.paths import expanded
 from pedzoo.core.registry import PHYSICS, SCENARIOS
-from pedzoo.core.spec import Spec, build, parse
-from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
+from pedzoo.core.size_limits import load_yaml, read_mapping
+from pedzoo.core.spec import Spec, SpecText, build, parse, unquoted
+from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.bank import MapBank
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.physics._base import Physics
 from pedzoo.sim.scenario import PreparedScenario, Scenario
-from pedzoo.sim.scenarios._yaml import scenario_spec
-from pedzoo.sim.warm_start import WarmStart
 
 CLEARANCE = 0.25
 """Metres that planned ways keep from walls."""
 
+KEYS = ("people", "map", "speed", "speed_std")
+"""What a file of a scenario may have: the settings of `pedzoo.sim.scenarios.custom.Custom`."""
 
-@known_arguments()
+EXPECTED = "people: [{from: [-3, 0], to: [3, 0]}, ...], metres"
+
+
+@known_arguments(PedestrianEnv.__init__)
 def make_env(
     scenario: str | Spec | Scenario | PreparedScenario,
     num_envs: int = 1,
     physics: str = "compiled",
     clearance: float = CLEARANCE,
-    body_radius: float = BODY_RADIUS,
-    seed: int | None = None,
-    decision_dt: float = STEP_SECONDS,
-    warm_start: WarmStart = "orca",
-    first_episode: int = 0,
-    stride: int | None = None,
-    device: torch.device | str = "cpu",
-    deadline: float | None = None,
+    **settings: Any,
 ) -> PedestrianEnv:
     """Return the environment of a scenario.
 
@@ -44,34 +43,50 @@ def make_env(
         physics: ``compiled``, ``torch`` (differentiable alike, on any device), ``bullet`` (pybullet) or
             ``file.py:Class``, with settings.
         clearance: Metres that planned ways keep from walls.
-        body_radius: Of a person, metres.
-        seed: Of all scenes; scene i of a seed is the same however many are run at once. None: 0, and in
-            processes that Python has started, such as a collector's workers, the number of the process.
-        decision_dt: Seconds between two decisions, a multiple of 0.1.
-        warm_start: Where the first 8 observed steps come from.
-        first_episode: Number of the first scene.
-        stride: From a scene that ends to the next one, ``num_envs`` by default; see `PedestrianEnv`.
-        device: Where scenes are, and everything that they are looked up in.
-        deadline: Seconds that people have for every goal. By default four times as many as their way takes
-            freely, at least 20, and in `room_exit` what the crowd needs. Not for people of recordings.
+        settings: More of `PedestrianEnv`: ``seed``, ``decision_dt``, ``warm_start``, ``first_episode``,
+            ``stride``, ``body_radius``, ``device``, and ``deadline``, seconds that people have for every
+            goal. By default these are four times as many as their way takes freely, at least 20, and in
+            `room_exit` what the crowd needs; people of recordings have their own.
 
     Raises:
         UserError: An unknown name or setting, or a scene that cannot be.
     """
     prepared = prepare_scenario(scenario, clearance)
-    return PedestrianEnv(
-        prepared,
-        make_physics(physics, prepared.bank, body_radius),
-        num_envs=num_envs,
-        seed=seed,
-        decision_dt=decision_dt,
-        warm_start=warm_start,
-        first_episode=first_episode,
-        stride=stride,
-        body_radius=body_radius,
-        device=device,
-        deadline=deadline,
-    )
+    body_radius = settings.setdefault("body_radius", BODY_RADIUS)
+    return PedestrianEnv(prepared, make_physics(physics, prepared.bank, body_radius), num_envs, **settings)
+
+
+def scenario_spec(scenario: str | Spec) -> Spec | SpecText:
+    """Return the name and the settings of a scenario, those of a file where one is named.
+
+    Args:
+        scenario: As of `make_env`; ``mine.yaml`` is the scenario ``custom`` with the settings in it. Those
+            behind it replace the file's (``mine.yaml:speed=1.0``). Its map is looked for beside it, too.
+
+    Raises:
+        UserError: It is no name; the file is missing or no YAML, has an unknown key, or no people.
+    """
+    if not isinstance(scenario, str | Spec | SpecText):
+        raise UserError(f"scenario {scenario!r:.60}: expected its name with settings, such as door:people=4")
+    spec = parse(scenario) if isinstance(scenario, str) else scenario
+    if not spec.name.endswith((".yaml", ".yml")):
+        return spec
+    file = expanded(spec.name)
+    settings = read_mapping(file, "scenario", EXPECTED)
+    if settings.keys() >= {"image", "resolution", "origin"}:
+        raise UserError(f"{str(file)!r} is a floor plan, no scenario: write goals:map={file}")
+    for key, value in spec.settings.items():
+        settings[key] = load_yaml(unquoted(value)) if isinstance(spec, SpecText) else value
+    if wrong := [key for key in settings if key not in KEYS]:
+        raise unknown(f"key of scenario {spec.name}", str(wrong[0]), KEYS)
+    people = settings.get("people")
+    if not isinstance(people, list) or not people or not all(isinstance(one, dict) for one in people):
+        given = f"people: {people!r:.60}" if "people" in settings else "no people"
+        raise UserError(f"{spec.name}: {given}: expected {EXPECTED}")
+    plan = settings.get("map")
+    if isinstance(plan, str) and os.path.isfile(file.parent / plan):  # false, too, where a name is too long
+        settings["map"] = str(file.parent / plan)
+    return Spec("custom", settings)
 
 
 def make_scenario(scenario: str | Spec | Scenario) -> Scenario:
@@ -110,8 +125,7 @@ def make_physics(name: str, bank: MapBank, body_radius: float) -> Physics:
         UserError: There is no such backend, or what it needs is not installed.
     """
     physics_class(name).check()
-    given = {"bank": bank, "body_radius": body_radius}
-    return build(PHYSICS, name, Physics, **given)
+    return build(PHYSICS, name, Physics, bank=bank, body_radius=body_radius)
 
 
 def usual_physics() -> str:

@@ -14,8 +14,8 @@ from pedzoo.core.randomness import Draws
 from pedzoo.core.types import AHEAD_SECONDS
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim.arrival import at_places, check_deadline
-from pedzoo.sim.replay.script import Script
 from pedzoo.sim.scenario import PreparedScenario, Scenario
+from pedzoo.sim.script import Script
 from pedzoo.sim.state import State
 
 

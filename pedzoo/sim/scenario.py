@@ -19,7 +19,7 @@ from pedzoo.core.types import STEP_SECONDS, TOP_SPEED_RATIO
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.planning.planner import Planner
-from pedzoo.sim.replay.script import SceneStarts, Script
+from pedzoo.sim.script import Script
 from pedzoo.sim.state import SLOWEST
 
 MIN_INITIAL_PATH = 1.0
@@ -30,7 +30,7 @@ WARM_SECONDS = 7 * STEP_SECONDS
 
 
 class Layout(NamedTuple):
-    """How B scenes begin.
+    """How B scenes begin. All after the goal may be left out: None is what most scenarios mean.
 
     Attributes:
         map_id: Floor plan (B,) long, -1 for none.
@@ -41,12 +41,11 @@ class Layout(NamedTuple):
         pose: Scene poses (B, 4); None for scenes that lie as their map.
         history: Recorded positions (B, A, 8, 2) for the warm start ``recorded``; the last one is where
             the episode begins.
-        opening: People in scenes with a script, which always begin as they were recorded.
         stand: How long people stand where they start, after the warm start, before they set out (B, A),
-            seconds; 0 for agents that do not. No policy moves them so long. None: none stand.
+            seconds; 0 for agents that do not. No policy moves them so long.
         hold: How long people wait at their first goal, where they start, after the warm start (B, A),
             seconds; 0 for agents that do not, infinite until they are called or to the end. Their policy has
-            to hold them there. Heeded where `Scenario.waits` says so. None: none wait.
+            to hold them there. Heeded where `Scenario.waits` says so.
         radius: Radii of the bodies (B, A), metres; None for that of the environment. None may be smaller than
             `Scenario.smallest_radius`.
         kind: `pedzoo.core.batch.PERSON` or `ROBOT` (B, A) long; None for persons.
@@ -59,6 +58,14 @@ class Layout(NamedTuple):
         top_speed: Greatest speeds (B, A), m/s, at most `Scenario.fastest_agent`; None for 1.3 times the speed
             that agents like.
         heading: Where bodies face at first (B, A), radians; None for where they walk, or else their goal.
+        person: Person in each slot (B, A) long, -1 for none. Where it is given people are on their way as
+            ``history`` says: no warm start moves them.
+        scene: Which scenes of the script (B,) long.
+        controlled: Which people the policy moves (B, A) bool; None: all who do not stand.
+        observed_points: Trace points for which people have been seen (B, A) long; None: all.
+        velocity: Theirs (B, A, 2), m/s; None for that of the last 0.1 s.
+        deadline: Until when they have to arrive (B, A), seconds on the clock; None for the usual time limit.
+        later: Their goals after the first (B, A, G) long, -1 for none; None: the scenario draws them.
     """
 
     map_id: Tensor
@@ -68,7 +75,6 @@ class Layout(NamedTuple):
     goal: Tensor
     pose: Tensor | None = None
     history: Tensor | None = None
-    opening: SceneStarts | None = None
     stand: Tensor | None = None
     hold: Tensor | None = None
     radius: Tensor | None = None
@@ -80,6 +86,13 @@ class Layout(NamedTuple):
     track: Tensor | None = None
     top_speed: Tensor | None = None
     heading: Tensor | None = None
+    person: Tensor | None = None
+    scene: Tensor | None = None
+    controlled: Tensor | None = None
+    observed_points: Tensor | None = None
+    velocity: Tensor | None = None
+    deadline: Tensor | None = None
+    later: Tensor | None = None
 
 
 def filled(value: Tensor | None, usual: Tensor) -> Tensor:
@@ -96,7 +109,8 @@ def door_at_origin(width: Tensor) -> Tensor:
 class Scenario(ABC):
     """A family of scenes: its settings, and how scenes begin. It stays as ``__init__`` made it.
 
-    What takes time or files is in what `prepare` returns. All randomness comes from draws.
+    What takes time or files is in what `prepare` returns. All randomness comes from draws. Settings that give
+    no scene raise `UserError`, in ``__init__`` or, where files are needed, in `prepare`.
 
     Attributes:
         name: In messages and floor plans.
@@ -109,7 +123,7 @@ class Scenario(ABC):
         wheels: Some agents have wheels or a limited acceleration: see `Layout.drive`.
         smallest_radius: Of any body, metres; None where all have that of the environment. Sub-steps are so
             short that no agent moves more than half of it.
-        begun: People begin on their way, where layouts have an `SceneStarts`; no warm start moves them.
+        begun: People begin on their way, see `Layout.person`; no warm start moves them.
         waits: Some people wait at places: see `Layout.hold` and `pauses`.
         meet: Seconds after the warm start at which people meet who walk from the start on; None where they
             need not. A robot, which stands in the warm start, then starts as far ahead.
@@ -138,9 +152,6 @@ class Scenario(ABC):
             people: At most.
             speed: Mean of the preferred speeds, m/s.
             speed_std: Its standard deviation; speeds farther than three of it from the mean are cut off.
-
-        Raises:
-            UserError: No people or too many, or a speed that is too slow or not finite.
         """
         self.name = name_of_class(type(self).__name__)
         people = as_integer("people", people)
@@ -220,11 +231,7 @@ class Scenario(ABC):
         return None
 
     def prepare(self, clearance: float) -> PreparedScenario:
-        """Return the scenario with its floor plans, and with ways to all goals.
-
-        Args:
-            clearance: Metres that ways keep from walls.
-        """
+        """Return the scenario with floor plans, and with ways to all goals, ``clearance`` m from walls."""
         planner = Planner(MapBank(self.plans(), self.unknown), clearance)
         return PreparedScenario(scenario=self, planner=planner)
 

@@ -44,7 +44,7 @@ from pedzoo.metrics.realism.wosac import (
     contact_likelihood,
     measured_likelihood,
 )
-from pedzoo.sim.replay.people import without_goals
+from pedzoo.sim.recorded_people import without_goals
 from pedzoo.sim.scenarios.replay import PreparedReplay
 
 

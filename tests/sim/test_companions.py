@@ -12,7 +12,7 @@ from torchrl.envs.utils import step_mdp
 
 from pedzoo.core.batch import companions_of
 from pedzoo.sim.make import make_env
-from pedzoo.sim.replay.companions import companies
+from pedzoo.sim.recorded_people import companies
 from pedzoo.sim.scenarios.replay import Replay
 
 FRAMES = 20

@@ -16,8 +16,7 @@ from pedzoo.eval.comparison import Comparison
 from pedzoo.eval.rollout import rollout
 from pedzoo.maps.formats import write_ros
 from pedzoo.maps.plans import rectangles, room, wall
-from pedzoo.sim.make import make_env
-from pedzoo.sim.scenarios._yaml import KEYS
+from pedzoo.sim.make import KEYS, make_env
 from pedzoo.sim.scenarios.custom import SWAP, Custom
 
 ANNA = {"from": [1.0, 2.0], "to": [7.0, 2.0]}

@@ -115,7 +115,7 @@ def test_scenes_depend_on_seed_and_number_alone(name: str) -> None:
 def test_people_meet_after_the_warm_start(name: str) -> None:
     """During it those in front have not turned aside for others, nor slowed down."""
     scenario, state = made(f"{name}:jitter=0,speed_std=0"), begun(f"{name}:jitter=0,speed_std=0", 4).state
-    places = scenario.places.of_scenes(scenario.variants.draw(Draws.for_episodes(0, torch.arange(4))))
+    places = scenario.seats.of_scenes(scenario.variants.draw(Draws.for_episodes(0, torch.arange(4))))
     front = places.row == 0
     length = (state.position - state.past[:, :, 0]).norm(dim=-1)[front]
     assert torch.allclose(length, 2.8 * state.pref_speed[front], rtol=0.1)
@@ -186,7 +186,7 @@ def test_lanes_keep_their_distance_who_is_fast() -> None:
     start, variant = scenario.prepare(0.25).layout(draws).start, scenario.variants.draw(draws)
     for which, lanes in enumerate(scenario.lanes):
         for number in range(len(lanes)):
-            x = start[variant == which][:, scenario.places.lane[which] == number, 0]
+            x = start[variant == which][:, scenario.seats.lane[which] == number, 0]
             assert len(x) and (x.diff(dim=1) <= -SPACING + 1e-4).all()
 
 

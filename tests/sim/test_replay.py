@@ -27,10 +27,10 @@ from pedzoo.policies.rule_based.go_to_goal import GoToGoal
 from pedzoo.policies.walker import Walker
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
-from pedzoo.sim.replay.people import REASONS
-from pedzoo.sim.replay.slots import pieces, slots, table
+from pedzoo.sim.recorded_people import REASONS
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.scenarios.replay import PreparedReplay, Replay
+from pedzoo.sim.script import pieces, slots, table
 
 # a room of 12 m x 8 m with a wall from x = 8 to 10 that leaves a room of 2 m x 8 m behind it
 SIDE = 0.1
@@ -115,9 +115,7 @@ class Truth(GoToGoal):
         """Write the velocity to the next recorded place."""
         script, state = self.env.prepared.script, self.env.state
         assert script is not None
-        tick = (state.clock / 0.1).round().long()
-        points = round(self.decision_dt / 0.1)
-        there = script.path(state.scene, state.person, tick, points, 1)[:, :, -1, 0]
+        there = script.playback(state, state.failed, round(self.decision_dt / 0.1), 1)[:, :, -1, 0]
         tensordict["agents", "action"] = (there - state.position) / self.decision_dt
         return tensordict
 

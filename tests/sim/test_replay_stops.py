@@ -16,7 +16,7 @@ from pedzoo.eval.rollout import rollout
 from pedzoo.maps.formats import write_ros
 from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
 from pedzoo.policies.walker import stay_in_place
-from pedzoo.sim.replay.stops import Stops, stops_of
+from pedzoo.sim.recorded_people import Stops, stops_of
 from pedzoo.sim.robots.env import make_robot_env
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.scenarios.replay import PreparedReplay, Replay
@@ -88,11 +88,11 @@ def test_stops_that_are_left_out_leave_no_gap() -> None:
 def test_goals_and_ways_lead_over_the_stops(folder: Path) -> None:
     scenario = replay(folder)
     people, waiter = scenario.persons, person(scenario, WAITER)
-    assert people.stop_place[waiter].tolist() == [pytest.approx([4.6, 1.0])]
+    assert people.stops.place[waiter].tolist() == [pytest.approx([4.6, 1.0])]
     assert float(people.path_length[waiter]) == pytest.approx(4.6 - 3.1 + np.hypot(2.4, 3.6), abs=0.1)
     # no path leads to a stop in a wall: that person goes to the exit
     in_wall = person(scenario, IN_WALL)
-    assert float(people.stop_pause[in_wall].sum()) == 0
+    assert float(people.stops.pause[in_wall].sum()) == 0
     assert float(people.path_length[in_wall]) == pytest.approx(
         float(replay(folder, stops=False).persons.path_length[in_wall])
     )

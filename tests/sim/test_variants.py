@@ -117,7 +117,7 @@ def test_people_start_aside_and_late(name: str) -> None:
     assert isinstance(scenario, Encounter)
     draws = Draws.for_episodes(0, torch.arange(200))
     layout = scenario.prepare(0.25).layout(draws)
-    places = scenario.places.of_scenes(scenario.variants.draw(draws))
+    places = scenario.seats.of_scenes(scenario.variants.draw(draws))
     off = layout.start - places.middle
     along = (off * places.heading).sum(-1)
     across = off[..., 0] * places.heading[..., 1] - off[..., 1] * places.heading[..., 0]

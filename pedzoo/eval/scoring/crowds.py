@@ -32,7 +32,7 @@ from pedzoo.metrics.realism.features import (
 from pedzoo.metrics.realism.walks import ScoredSteps
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.walker import has_noise
-from pedzoo.sim.replay.people import CONTROLLED, SHORT, RecordedPeople, without_goals
+from pedzoo.sim.recorded_people import CONTROLLED, SHORT, RecordedPeople, without_goals
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.scenarios.replay import PreparedReplay, Replay
 

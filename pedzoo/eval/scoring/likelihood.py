@@ -34,11 +34,10 @@ from pedzoo.metrics.realism.wosac import (
 from pedzoo.metrics.statistics import drawn_people
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.walker import has_noise
-from pedzoo.sim.replay.people import CONTROLLED, SHORT, STAYED, RecordedPeople, without_goals
-from pedzoo.sim.replay.script import Script, ScriptScenes
-from pedzoo.sim.replay.slots import slots, table
+from pedzoo.sim.recorded_people import CONTROLLED, SHORT, STAYED, RecordedPeople, without_goals
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.scenarios.replay import PreparedReplay
+from pedzoo.sim.script import Script, ScriptScenes, slots, table
 
 STEPS = 20
 """Simulated steps of a window: 8 s."""

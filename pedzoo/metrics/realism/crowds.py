@@ -19,7 +19,7 @@ from pedzoo.metrics.realism.distances import Samples, counted, grid, resampled, 
 from pedzoo.metrics.realism.features import CLOSE, FEATURES, SampledRollout, Surroundings, features
 from pedzoo.metrics.smoothness import STANDS
 from pedzoo.metrics.statistics import Interval, quantiles, ratio_interval
-from pedzoo.sim.replay.companions import DRIFT, NEAR, TOGETHER
+from pedzoo.sim.recorded_people import DRIFT, NEAR, TOGETHER
 from pedzoo.sim.rollout import Rollout
 
 MOST_CLOSE = 20

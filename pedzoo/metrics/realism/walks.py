@@ -17,7 +17,7 @@ from pedzoo.metrics.arrival import stuck
 from pedzoo.metrics.door import flow
 from pedzoo.metrics.realism.distances import closed_loop_error, dtw, padded, sums, wasserstein
 from pedzoo.metrics.realism.features import SampledRollout, every_step
-from pedzoo.sim.replay.companions import NEAR, TOGETHER
+from pedzoo.sim.recorded_people import NEAR, TOGETHER
 from pedzoo.sim.rollout import Rollout
 
 QUADRATS = 10

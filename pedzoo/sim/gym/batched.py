@@ -12,8 +12,6 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import Composite
-from torchrl.data.tensor_specs import TensorSpec
 
 from pedzoo.core.batch import ROBOT, agents_of
 from pedzoo.core.errors import UserError, installed
@@ -78,21 +76,21 @@ class Observations:
         columns: Where each reading is in ``robot``.
     """
 
-    def __init__(self, spec: Composite) -> None:
+    def __init__(self, spec: Any) -> None:
         """Take what ``robots/observation`` is like, (B, R, ...)."""
-        readings = {str(name): cast("TensorSpec", spec[name]) for name in spec.keys()}
-        self.columns: dict[str, slice] = {}
-        self._others = {name: NAMES.get(name, name) for name in readings if name not in OWN}
-        bounds, entries, width = [_bounds(readings[name]) for name in OWN if name in readings], {}, 0
-        for name, (low, _) in zip((name for name in OWN if name in readings), bounds, strict=True):
-            self.columns[name] = slice(width, width + low.size)
-            width += low.size
-        if bounds:
-            low, high = (np.concatenate(side) for side in zip(*bounds, strict=True))
-            entries["robot"] = spaces.Box(low, high, dtype=np.float32)
-        self.space = spaces.Dict(
-            entries | {called: _space(readings[name]) for name, called in self._others.items()}
-        )
+        readings: dict[str, Any] = {name: _space(spec[name]) for name in spec.keys()}
+        own = {name: readings.pop(name) for name in OWN if name in readings}
+        ends = np.cumsum([0, *(box.low.size for box in own.values())]).tolist()
+        self.columns = {name: slice(*ends[place : place + 2]) for place, name in enumerate(own)}
+        self._others = {name: NAMES.get(name, name) for name in readings}
+        entries = {self._others[name]: space for name, space in readings.items()}
+        if own:
+            low, high = (
+                np.concatenate([getattr(box, end).reshape(-1) for box in own.values()])
+                for end in ("low", "high")
+            )
+            entries = {"robot": spaces.Box(low, high, dtype=np.float32), **entries}
+        self.space = spaces.Dict(entries)
 
     def __call__(self, seen: TensorDictBase) -> Observation:
         """Return the observations (B, R, ...) of a batch; the arrays are the caller's own."""
@@ -106,16 +104,12 @@ class Observations:
         return result
 
 
-def _bounds(spec: TensorSpec) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    space = cast("Any", spec).space
-    return space.low[0, 0].cpu().numpy().reshape(-1), space.high[0, 0].cpu().numpy().reshape(-1)
-
-
-def _space(spec: TensorSpec) -> spaces.Space[Any]:
-    shape = tuple(spec.shape[2:])
+def _space(spec: Any) -> spaces.Space[Any]:
+    """Return the space of an entry (B, R, ...) of one robot."""
     if spec.dtype == torch.bool:
+        shape = spec.shape[2:]
         return spaces.MultiBinary(shape[0] if len(shape) == 1 else list(shape))
-    low, high = (side.reshape(shape) for side in _bounds(spec))
+    low, high = (side[0, 0].cpu().numpy() for side in (spec.space.low, spec.space.high))
     return spaces.Box(low, high, dtype=low.dtype.type)
 
 
@@ -124,31 +118,29 @@ class Totals:
 
     def __init__(self, env: RobotEnv) -> None:
         """Take the environment, whose next observation is that of a reset."""
-        self._env = env
+        self._env, self._last = env, slice(-env.robots, None)
         self._zero = torch.zeros(env.batch_size[0], env.robots, device=env.device)
-        self._sums: dict[str, Tensor] = dict.fromkeys(
-            ("shortest", "gap", "seconds", "length", "personal"), self._zero
-        )
+        names = ("shortest", "gap", "seconds", "length", "personal")
+        self._sums: dict[str, Tensor] = dict.fromkeys(names, self._zero)
         self._place = self._zero.unsqueeze(-1).expand(-1, -1, 2)
 
     def begin(self, seen: TensorDictBase, scenes: Tensor) -> None:
         """Begin anew in some ``scenes`` (B,) bool of which ``seen`` is the first observation."""
-        agents, last, row = agents_of(seen), slice(-self._env.robots, None), scenes.view(-1, 1)
-        here = cast("Tensor", agents["history"])[:, last, -1]
-        new = dict.fromkeys(self._sums, self._zero)
-        new["shortest"] = cast("Tensor", agents["info", "remaining_path"])[:, last]
-        new["gap"] = self._gap(seen, here.unsqueeze(2))
-        self._sums = {name: torch.where(row, new[name], total) for name, total in self._sums.items()}
+        agents, row = agents_of(seen), scenes.view(-1, 1)
+        here = cast("Tensor", agents["history"])[:, self._last, -1]
+        shortest = cast("Tensor", agents["info", "remaining_path"])[:, self._last]
+        new = {"shortest": shortest, "gap": self._gap(seen, here.unsqueeze(2))}
+        for name, total in self._sums.items():
+            self._sums[name] = torch.where(row, new.get(name, self._zero), total)
         self._place = torch.where(row.unsqueeze(-1), here, self._place)
 
     def add(self, seen: TensorDictBase) -> None:
         """Add the decision of which ``seen`` is the observation; robots that had ended do not move."""
         active = cast("Tensor", seen["robots", "info", "active"])
-        trace = cast("Tensor", agents_of(seen)["info", "trace"])[:, -self._env.robots :]
-        way = torch.cat((self._place.unsqueeze(2), trace), 2)
-        length = torch.linalg.vector_norm(way[:, :, 1:] - way[:, :, :-1], dim=-1).sum(-1)
+        trace = cast("Tensor", agents_of(seen)["info", "trace"])[:, self._last]
+        way = torch.cat((self._place.unsqueeze(2), trace), 2).diff(dim=2)
         seconds, gap = TRACE_SECONDS * trace.shape[2], self._gap(seen, trace)
-        personal = seconds * (gap < PERSONAL_SPACE)
+        length, personal = torch.linalg.vector_norm(way, dim=-1).sum(-1), seconds * (gap < PERSONAL_SPACE)
         for name, value in {"seconds": seconds, "length": length, "personal": personal}.items():
             self._sums[name] = self._sums[name] + torch.where(active, value, 0.0)
         self._sums["gap"] = torch.where(active, gap, self._sums["gap"])
@@ -179,8 +171,7 @@ class Totals:
         person = agents["mask"] & (agents["kind"] != ROBOT)
         theirs = cast("Tensor", agents["info", "trace"])[:, :, -mine.shape[2] :]
         apart = torch.linalg.vector_norm(mine.unsqueeze(2) - theirs.unsqueeze(1), dim=-1)
-        bodies = radius[:, -self._env.robots :].unsqueeze(2) + radius.unsqueeze(1)
-        gap = apart - bodies.unsqueeze(-1)
+        gap = apart - (radius[:, self._last].unsqueeze(2) + radius.unsqueeze(1)).unsqueeze(-1)
         return gap.masked_fill(~person[:, None, :, None], torch.inf).amin((2, 3))
 
 
@@ -191,6 +182,7 @@ class Batched:
         env: The environment of TorchRL.
         observations: What robots observe, and its space.
         actions: The space of every robot's actions; the bounds are its limits.
+        modes: What ``render_mode`` may be on this machine: a window needs a display.
     """
 
     def __init__(
@@ -200,25 +192,34 @@ class Batched:
         seed: int | None,
         size: tuple[int, int],
         settings: dict[str, Any],
+        several_robots: bool = False,
     ) -> None:
-        """Make the environment; ``settings`` are those of `pedzoo.make_robot_env`.
+        """Make the environment.
+
+        Args:
+            scenario: As in `pedzoo.make_robot_env`.
+            render_mode: One of `MODES`, or None.
+            seed: Of the first scenes; None: by chance.
+            size: Width and height of pictures in pixels.
+            settings: As of `pedzoo.make_robot_env`.
+            several_robots: There may be more than one in a scene.
 
         Raises:
-            UserError: An unknown name or setting, or a scene that cannot be.
+            UserError: An unknown name or setting, a scene that cannot be, several robots, a picture without
+                size, or no display for a window.
         """
         if render_mode is not None and render_mode not in MODES:
             raise UserError(f"render_mode {render_mode!r}: expected one of {', '.join(MODES)}, or None")
         self.env: RobotEnv = make_robot_env(scenario, **settings)
-        self.observations = Observations(cast("Any", self.env.observation_spec["robots", "observation"]))
+        self.observations = Observations(self.env.observation_spec["robots", "observation"])
         limits = [np.array(body.limits, dtype=np.float32).T for body in self.env.scenes.bodies]
         self.actions = [spaces.Box(low, high, dtype=np.float32) for low, high in limits]
-        self._seed, self._begun = seed, False
-        self._totals = Totals(self.env)
-        self._pictures = Pictures(self.env, render_mode, size)
-
-    def check_one_robot(self) -> None:
-        """Check that there is one robot in a scene. Raises UserError: there are several."""
-        if self.env.robots > 1:
+        self.modes = _modes()
+        self._seed, self._begun, self._totals = seed, False, Totals(self.env)
+        check_size(size)
+        self._mode, self._size, self._cameras = render_mode, size, dict[int, Camera]()
+        self._window: Any = _window() if render_mode == "human" else None
+        if self.env.robots > 1 and not several_robots:
             raise UserError(
                 f"{self.env.robots} robots: Gymnasium's environments have one; several of them have "
                 "pedzoo.sim.gym.parallel.parallel_env(...)"
@@ -261,91 +262,59 @@ class Batched:
         """
         given = torch.as_tensor(np.asarray(action, dtype=np.float32), device=self.env.device)
         scenes, robots = self.env.batch_size[0], self.env.robots
+        shapes = {(scenes, robots, 2)}
         # one scene, or one robot, needs no dimension of its own
-        shapes = {(scenes, robots, 2), *([(robots, 2)] if scenes == 1 else [])}
-        shapes |= {(scenes, 2), *([(2,)] if scenes == 1 else [])} if robots == 1 else set()
+        shapes |= {(scenes, 2)} if robots == 1 else set()
+        shapes |= {shape[1:] for shape in shapes} if scenes == 1 else set()
         if tuple(given.shape) not in shapes:
             raise UserError(f"action of shape {tuple(given.shape)}: expected {(robots, 2)} per scene")
         group = TensorDict({"action": given.view(scenes, robots, 2)}, (scenes, robots))
         actions = TensorDict({"robots": group}, self.env.batch_size, device=self.env.device)
         seen = cast("TensorDictBase", self.env.step(actions)["next"])
         self._totals.add(seen)
-        self._pictures.show()
         return self._step_of(seen)
-
-    def picture(self) -> list[NDArray[np.uint8]] | None:
-        """Return a picture (H, W, 3) of every scene; None where they are shown in a window, or not at all."""
-        return self._pictures.taken()
-
-    def close(self) -> None:
-        """Close the window and what the physics holds outside of Python."""
-        self._pictures.close()
-        self.env.physics.close()
 
     def _first(self, seen: TensorDictBase, which: Tensor) -> Step:
         self._totals.begin(seen, which.to(self.env.device))
-        self._pictures.begin()
+        self._cameras.clear()  # they stand still until scenes end
         return self._step_of(seen)
 
     def _step_of(self, seen: TensorDictBase) -> Step:
-        robots = cast("TensorDictBase", seen["robots"])
-        reward, shape = robots.get("reward", None), (self.env.batch_size[0], self.env.robots)
-        ends = (cast("Tensor", robots[name])[..., 0] for name in ("terminated", "truncated"))
-        terminated, truncated = (flags.cpu().numpy().copy() for flags in ends)
-        return Step(
-            self.observations(cast("TensorDictBase", robots["observation"])),
-            np.zeros(shape) if reward is None else reward[..., 0].double().cpu().numpy(),
-            terminated,
-            truncated,
-            self._totals.info(seen),
-        )
-
-
-class Pictures:
-    """Pictures of the scenes from the top with robots' headings and goals, or the first one in a window."""
-
-    def __init__(self, env: RobotEnv, mode: str | None, size: tuple[int, int]) -> None:
-        """Take the environment; ``size`` is width and height in pixels.
-
-        Raises:
-            UserError: There is no such size, or no display to show a window on.
-        """
-        check_size(size)
-        self._env, self._mode, self._size = env, mode, size
-        self._cameras: dict[int, Camera] = {}
-        self._window: Any = _window() if mode == "human" else None
-
-    def begin(self) -> None:
-        """Look anew where scenes begin: the camera then stands still until their end."""
-        self._cameras.clear()
-        self.show()
-
-    def show(self) -> None:
-        """Draw into the window, if there is one."""
         if self._window is not None:
             self._window.clear()
             self._window.set_axis_off()
-            self._window.imshow(self._of(0))
+            self._window.imshow(self._picture(0))
             self._window.figure.canvas.draw_idle()
             self._window.figure.canvas.flush_events()
+        robots = cast("TensorDictBase", seen["robots"])
+        reward, shape = robots.get("reward", None), (self.env.batch_size[0], self.env.robots)
+        ends = (cast("Tensor", robots[name])[..., 0] for name in ("terminated", "truncated"))
+        return Step(
+            self.observations(cast("TensorDictBase", robots["observation"])),
+            np.zeros(shape) if reward is None else reward[..., 0].double().cpu().numpy(),
+            *(flags.cpu().numpy().copy() for flags in ends),
+            self._totals.info(seen),
+        )
 
-    def taken(self) -> list[NDArray[np.uint8]] | None:
-        """Return a picture (H, W, 3) RGB of every scene, in the mode ``rgb_array``."""
-        scenes = self._env.batch_size[0]
-        return [self._of(scene) for scene in range(scenes)] if self._mode == "rgb_array" else None
+    def pictures(self) -> list[NDArray[np.uint8]] | None:
+        """Return a picture (H, W, 3) of every scene; None where they are shown in a window, or not at all."""
+        scenes = self.env.batch_size[0]
+        return [self._picture(scene) for scene in range(scenes)] if self._mode == "rgb_array" else None
 
     def close(self) -> None:
-        """Close the window."""
+        """Close the window and what the physics holds outside of Python."""
         if self._window is not None:
             import matplotlib.pyplot as plt
 
             plt.close(self._window.figure)
             self._window = None
+        self.env.physics.close()
 
-    def _of(self, scene: int) -> NDArray[np.uint8]:
+    def _picture(self, scene: int) -> NDArray[np.uint8]:
+        """Return a scene from the top (H, W, 3), with robots' headings and goals."""
         import cv2
 
-        env, state, size = self._env, self._env.state, self._size
+        env, state, size = self.env, self.env.state, self._size
         bodies = Bodies.of(state)
         if scene not in self._cameras:
             there = state.mask[scene]
@@ -367,8 +336,7 @@ class Pictures:
         return image
 
 
-def modes_here() -> list[str]:
-    """Return the modes of this machine: a window needs a display."""
+def _modes() -> list[str]:
     shown = sys.platform in ("darwin", "win32") or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
     backend = os.environ.get("MPLBACKEND", "").lower()
     drawn = backend not in ("agg", "cairo", "pdf", "pgf", "ps", "svg", "template")

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pedzoo.core.errors import UserError, as_integer
 from pedzoo.core.spec import Spec
-from pedzoo.sim.gym.batched import FPS, MODES, Batched, Observation, Step, modes_here
+from pedzoo.sim.gym.batched import FPS, MODES, Batched, Observation, Step
 
 
 class OneScene:
@@ -17,11 +17,13 @@ class OneScene:
 
     Attributes:
         batched: The environment of TorchRL (``batched.env``) behind it.
+        several: What there is for several scenes.
+        several_robots: There may be more than one robot.
     """
 
     metadata: dict[str, Any] = {}  # noqa: RUF012
-    several: ClassVar[str]
-    """What there is for several scenes."""
+    several: ClassVar[str] = "gymnasium.make_vec(..., num_envs=8)"
+    several_robots: ClassVar[bool] = False
 
     def __init__(
         self,
@@ -45,18 +47,12 @@ class OneScene:
         """
         if "num_envs" in settings:
             raise UserError(f"num_envs {settings['num_envs']}: this environment has one; use {self.several}")
-        self.batched = Batched(scenario, render_mode, seed, render_size, settings)
-        self.render_mode = render_mode
-        self.metadata = self.metadata | {"render_modes": modes_here()}
-        self.set_spaces()
-
-    def set_spaces(self) -> None:
-        """Say what robots observe and do. Raises UserError: there are too many robots."""
-        raise NotImplementedError
+        self.batched = Batched(scenario, render_mode, seed, render_size, settings, self.several_robots)
+        self.render_mode, self.metadata = render_mode, self.metadata | {"render_modes": self.batched.modes}
 
     def render(self) -> NDArray[Any] | None:
         """Return a picture (H, W, 3) uint8 from the top in the mode ``rgb_array``; else None."""
-        pictures = self.batched.picture()
+        pictures = self.batched.pictures()
         return pictures[0] if pictures else None
 
     def close(self) -> None:
@@ -73,11 +69,10 @@ class RobotGymEnv(OneScene, gymnasium.Env[Any, Any]):
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": list(MODES), "render_fps": FPS}
-    several = "gymnasium.make_vec(..., num_envs=8)"
 
-    def set_spaces(self) -> None:
-        """See `OneScene.set_spaces`."""
-        self.batched.check_one_robot()
+    def __init__(self, scenario: str | Spec, render_mode: str | None = None, **settings: Any) -> None:
+        """Make the scene; arguments as of `OneScene`."""
+        super().__init__(scenario, render_mode, **settings)
         self.observation_space = self.batched.observations.space
         self.action_space = self.batched.actions[0]
 

@@ -15,9 +15,6 @@ from pedzoo.sim.gym.env import OneScene, robot_of
 
 Dicts = dict[str, Any]
 
-CROWD = "goals:map=apartment.7,people=4"
-"""The default scenario."""
-
 
 class RobotParallelEnv(OneScene, ParallelEnv[str, Any, Any]):
     """One scene with R robots, ``robot_0`` and so on; observations are those of `RobotGymEnv`.
@@ -34,9 +31,11 @@ class RobotParallelEnv(OneScene, ParallelEnv[str, Any, Any]):
     }
 
     several = "one parallel_env for each scene, or pedzoo.make_robot_env"
+    several_robots = True
 
-    def set_spaces(self) -> None:
-        """See `OneScene.set_spaces`; ``robot`` is a list of names here."""
+    def __init__(self, scenario: str | Spec, **settings: Any) -> None:
+        """Make the scene; arguments as of `OneScene`. ``robot`` is a list of names here."""
+        super().__init__(scenario, **settings)
         self.possible_agents = [f"robot_{number}" for number in range(self.batched.env.robots)]
         self.agents = []
         self.action_spaces = dict(zip(self.possible_agents, self.batched.actions, strict=True))
@@ -74,11 +73,12 @@ class RobotParallelEnv(OneScene, ParallelEnv[str, Any, Any]):
         return one, two, three, four, five
 
 
-def parallel_env(scenario: str | Spec = CROWD, **settings: Any) -> RobotParallelEnv:
+def parallel_env(
+    scenario: str | Spec = "goals:map=apartment.7,people=4", **settings: Any
+) -> RobotParallelEnv:
     """Return a PettingZoo environment; ``settings`` as of `RobotParallelEnv`, two discs by default.
 
     Raises:
         UserError: An unknown name or setting.
     """
-    settings.setdefault("robot", ["disc", "disc"])
-    return RobotParallelEnv(scenario, **settings)
+    return RobotParallelEnv(scenario, **{"robot": ["disc", "disc"], **settings})

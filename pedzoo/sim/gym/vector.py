@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pedzoo.core.errors import UserError, as_integer, at_least_one, unknown
 from pedzoo.core.spec import Spec
-from pedzoo.sim.gym.batched import FPS, MODES, Batched, Observation, Step, modes_here
+from pedzoo.sim.gym.batched import FPS, MODES, Batched, Observation, Step
 
 Infos = dict[str, Any]
 
@@ -45,19 +45,16 @@ class RobotVectorEnv(VectorEnv[Observation, ArrayLike, NDArray[Any]]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         **settings: Any,
     ) -> None:
-        """Make the scenes.
+        """Make the scenes; arguments as of `pedzoo.sim.gym.env.OneScene`, and these.
 
         Args:
-            scenario: As in `pedzoo.make_robot_env`.
+            scenario: See there.
             num_envs: B.
             render_mode: ``rgb_array`` for pictures of all scenes, ``human`` for a window of one, or None.
-            seed: Of the scenes; `reset` takes it, too. None: by chance.
-            render_size: Width and height of pictures in pixels.
+            seed: See there.
+            render_size: See there.
             autoreset_mode: When scenes begin anew that have ended: ``SameStep``, ``NextStep``, ``Disabled``.
-            settings: As of `pedzoo.make_robot_env`.
-
-        Raises:
-            UserError: An unknown name or setting, several robots, or no display for a window.
+            settings: See there.
         """
         modes = {mode.value: mode for mode in AutoresetMode}
         mode = autoreset_mode if isinstance(autoreset_mode, AutoresetMode) else modes.get(autoreset_mode)
@@ -65,9 +62,8 @@ class RobotVectorEnv(VectorEnv[Observation, ArrayLike, NDArray[Any]]):
             raise unknown("autoreset_mode", str(autoreset_mode), modes)
         num_envs = at_least_one("num_envs", num_envs)
         self.batched = Batched(scenario, render_mode, seed, render_size, settings | {"num_envs": num_envs})
-        self.batched.check_one_robot()
         self.num_envs, self.render_mode, self.autoreset_mode = num_envs, render_mode, mode
-        self.metadata = self.metadata | {"autoreset_mode": mode, "render_modes": modes_here()}
+        self.metadata = self.metadata | {"autoreset_mode": mode, "render_modes": self.batched.modes}
         self._over: NDArray[np.bool_] = np.zeros(num_envs, dtype=bool)
         self._seen: Observation = {}
         self.single_observation_space = self.batched.observations.space
@@ -96,22 +92,17 @@ class RobotVectorEnv(VectorEnv[Observation, ArrayLike, NDArray[Any]]):
         super().reset(seed=one)
         chance = self.np_random
         seeds = [int(chance.integers(2**31)) if it is None else as_integer("seed", it) for it in given]
-        which = self._mask(options)
+        which = (options or {}).get("reset_mask", np.ones(self.num_envs, dtype=bool))
+        shaped = isinstance(which, np.ndarray) and which.dtype == bool and which.shape == (self.num_envs,)
+        if not shaped or not which.any():
+            raise UserError(
+                f"reset_mask {which!r:.100}: expected an array ({self.num_envs},) bool, not all false"
+            )
+        which = which if self._seen else np.ones_like(which)
         step = self.batched.reset(seeds or one, chance, which)
-        new = _observation(step)
-        self._seen = _merged(new, self._seen, which) if self._seen else new
+        self._seen = _merged(_observation(step), self._seen, which)
         self._over = self._over & ~which
         return self._seen, _infos(step, which)
-
-    def _mask(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
-        """Return which scenes (B,) begin; see `reset`."""
-        mask = (options or {}).get("reset_mask", np.ones(self.num_envs, dtype=bool))
-        shaped = isinstance(mask, np.ndarray) and mask.dtype == bool and mask.shape == (self.num_envs,)
-        if not shaped or not mask.any():
-            raise UserError(
-                f"reset_mask {mask!r:.100}: expected an array ({self.num_envs},) bool, not all false"
-            )
-        return mask if self._seen else np.ones_like(mask)
 
     def step(
         self, actions: ArrayLike
@@ -157,7 +148,7 @@ class RobotVectorEnv(VectorEnv[Observation, ArrayLike, NDArray[Any]]):
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Return a picture (H, W, 3) of every scene in the mode ``rgb_array``."""
-        pictures = self.batched.picture()
+        pictures = self.batched.pictures()
         return tuple(pictures) if pictures else None
 
     def close_extras(self, **kwargs: Any) -> None:
@@ -181,6 +172,6 @@ def _infos(step: Step, which: NDArray[np.bool_] | None = None) -> Infos:
 def _merged(new: Infos, old: Infos, where: NDArray[np.bool_]) -> Infos:
     """Return values (B, ...) by name: the new ones of scenes ``where`` (B,), and the old ones of others."""
     return {
-        name: np.where(where.reshape(-1, *[1] * (value.ndim - 1)), value, old[name])
+        name: np.where(where.reshape(-1, *[1] * (value.ndim - 1)), value, old.get(name, value))
         for name, value in new.items()
     }

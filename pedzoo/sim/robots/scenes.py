@@ -22,8 +22,8 @@ from pedzoo.core.size_limits import load_yaml
 from pedzoo.core.spec import Spec, build, groups_by_setting, setting_groups, setting_types
 from pedzoo.core.types import BODY_RADIUS, TOP_SPEED_RATIO
 from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.sim.make import scenario_spec
 from pedzoo.sim.scenario import WARM_SECONDS, Layout, PreparedScenario, Scenario, filled
-from pedzoo.sim.scenarios._yaml import scenario_spec
 
 
 class RobotScenes(Scenario):
@@ -51,7 +51,7 @@ class RobotScenes(Scenario):
         """Take the scenario of N + R people; `with_robots` makes it.
 
         Raises:
-            UserError: There is no robot, no goal for it, or the scenario plays people back.
+            UserError: There is no robot, or no goal for it.
         """
         robot_goals = as_integer("robot_goals", robot_goals)
         if not bodies or robot_goals < 1:
@@ -61,12 +61,9 @@ class RobotScenes(Scenario):
         self.body_radius = body_radius
         for name in ("people", "speed", "speed_std", "goals", "later", "finished", "unknown", "waits"):
             setattr(self, name, getattr(inner, name))
-        self.wheels = inner.wheels or any(
-            body.drive != "holonomic" or math.isfinite(body.acceleration) for body in self.bodies
-        )
-        self.smallest_radius = min(
-            inner.smallest_radius or body_radius, *(body.radius for body in self.bodies)
-        )
+        limited = (body.drive != "holonomic" or math.isfinite(body.acceleration) for body in bodies)
+        self.wheels = inner.wheels or any(limited)
+        self.smallest_radius = min(inner.smallest_radius or body_radius, *(body.radius for body in bodies))
 
     def without_robots(self, prepared: PreparedScenario) -> PreparedScenario:
         """Return the same ``prepared`` scenes, in which the robots are missing."""
@@ -113,22 +110,27 @@ class RobotScenes(Scenario):
         """Return people as the scenario has them, and robots in the last places."""
         layout, fleet = prepared.tables.layout(draws), self.fleet.to(draws.key.device)
         people, scenes = prepared.people - self.robots, len(draws.key)
-        # a scene of fewer people leaves out the last ones, which are robots here
-        mask = layout.mask if people == 0 or prepared.script else layout.mask.roll(-self.robots, 1)
-        top_speed = filled(layout.top_speed, TOP_SPEED_RATIO * layout.pref_speed)
         start = self._in_time(prepared, layout)
-        layout = layout._replace(start=start, mask=mask, top_speed=top_speed)
-        usual: dict[str, float] = {"radius": self.body_radius, "kind": 0, "group": -1}  # of people
-        robots = {"mask": True, "pref_speed": fleet.top_speed, "top_speed": fleet.top_speed}
-        robots |= {"radius": fleet.radius, "kind": ROBOT, "group": -1}
+        layout = layout._replace(
+            start=start,
+            # a scene of fewer people leaves out the last ones, which are robots here
+            mask=layout.mask if people == 0 or prepared.script else layout.mask.roll(-self.robots, 1),
+            top_speed=filled(layout.top_speed, TOP_SPEED_RATIO * layout.pref_speed),
+        )
+        usual = {"radius": self.body_radius, "kind": 0, "drive": HOLONOMIC, "track": 1}  # of people
+        usual |= dict.fromkeys(("acceleration", "turn_acceleration"), math.inf)
+        robots = {"mask": True, "kind": ROBOT, "radius": fleet.radius}
+        robots |= dict.fromkeys(("pref_speed", "top_speed"), fleet.top_speed)
         if self.wheels:
-            usual |= {"drive": HOLONOMIC, "acceleration": math.inf, "turn_acceleration": math.inf, "track": 1}
             wheels = ("drive", "acceleration", "turn_acceleration", "track")
             robots |= {name: getattr(fleet, name) for name in wheels}
+        if layout.group is not None and prepared.script is None:
+            robots |= {"group": -1}
         for name, theirs in robots.items():
-            like = layout.goal if name in ("kind", "group", "drive") else layout.pref_speed
             values = getattr(layout, name)
-            values = torch.full_like(like, usual[name]) if values is None else values
+            if values is None:
+                like = layout.goal if name in ("kind", "drive") else layout.pref_speed
+                values = torch.full_like(like, usual[name])
             theirs = torch.as_tensor(theirs, device=values.device).to(values).expand(scenes, self.robots)
             layout = layout._replace(**{name: torch.cat((values[:, :people], theirs), 1)})
         if layout.history is not None and prepared.script is None:  # robots stand in the warm start
@@ -195,9 +197,8 @@ def with_robots(
         )
     else:
         home = groups_by_setting(cls).get("people")
-        usual = (
-            setting_groups(cls)[home].people if home else inspect.signature(cls).parameters["people"].default
-        )
+        group = setting_groups(cls)[home] if home else None
+        usual = group.people if group else inspect.signature(cls).parameters["people"].default
         usual = usual if isinstance(spec, Spec) else str(usual)
         settings["people"] = _more(settings.get("people", usual), len(bodies))
     inner = build(SCENARIOS, spec._replace(settings=settings), Scenario)
@@ -210,15 +211,14 @@ def with_robots(
 
 
 def _more(people: Any, robots: int) -> Any:
-    """Return a number of people, or the least and largest one, with robots; texts stay texts."""
-    if isinstance(people, str):
-        value = load_yaml(people)
-        return people if not _counts(value) else str(_more(value, robots))
-    if not _counts(people):  # written one by one: robots take the places of the last
+    """Return a number of people, or the least and largest one, with robots; texts stay texts.
+
+    People who are written one by one stay as many: robots take the places of the last.
+    """
+    value = load_yaml(people) if isinstance(people, str) else people
+    numbers = value if isinstance(value, list) else [value]
+    if not all(isinstance(one, int) for one in numbers):
         return people
-    return people + robots if isinstance(people, int) else [one + robots for one in people]
-
-
-def _counts(value: object) -> bool:
-    values = value if isinstance(value, list) else [value]
-    return all(isinstance(one, int) for one in values)
+    more = [one + robots for one in numbers]
+    more = more if isinstance(value, list) else more[0]
+    return str(more) if isinstance(people, str) else more

@@ -15,6 +15,7 @@ from torchrl.data.tensor_specs import TensorSpec
 from pedzoo.core import randomness
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import direction_of, rotate, unrotate
+from pedzoo.core.registry import name_of_class
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim.physics._base import Bodies, Physics
@@ -50,18 +51,13 @@ class RobotView(NamedTuple):
         """Headings of robots (B, R), radians."""
         return self.robot(self.state.heading)
 
-    @property
-    def ahead(self) -> Tensor:
-        """Unit vectors (B, R, 2) of the headings."""
-        return direction_of(self.heading)
-
     def own(self, vectors: Tensor) -> Tensor:
         """Return vectors (B, R, ..., 2) of the world in the robots' frames: x ahead, y to the left."""
-        return unrotate(vectors, _aligned(self.ahead, vectors))
+        return unrotate(vectors, _aligned(direction_of(self.heading), vectors))
 
     def world(self, vectors: Tensor) -> Tensor:
         """Return vectors (B, R, ..., 2) of the robots' frames in the world's: the inverse of `own`."""
-        return rotate(vectors, _aligned(self.ahead, vectors))
+        return rotate(vectors, _aligned(direction_of(self.heading), vectors))
 
     def own_places(self, points: Tensor) -> Tensor:
         """Return points (B, R, ..., 2) of the world in the robots' frames, from their positions, metres."""
@@ -122,16 +118,15 @@ class Sensor(ABC):
     delay: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the values; a sensor with more settings is a dataclass, and checks its own as well.
+        """Check the values; a sensor with more settings is a dataclass, and checks its own as well."""
+        given = f"noise {self.noise}, dropout {self.dropout}, delay {self.delay}"
+        valid = self.noise >= 0 and 0 <= self.dropout < 1 and self.delay >= 0
+        self.check(valid, given, "at least 0, a share below 1, and seconds from 0 on")
 
-        Raises:
-            UserError: A value is out of range.
-        """
-        if self.noise < 0 or not 0 <= self.dropout < 1 or self.delay < 0:
-            raise UserError(
-                f"sensor {type(self).__name__}: noise {self.noise}, dropout {self.dropout}, delay "
-                f"{self.delay}: expected at least 0, a share below 1, and seconds from 0 on"
-            )
+    def check(self, valid: bool, given: str, expected: str) -> None:
+        """Raise the error of settings ``given`` that are not as ``expected``, unless they are valid."""
+        if not valid:
+            raise UserError(f"sensor {name_of_class(type(self).__name__)}: {given}: expected {expected}")
 
     @property
     @abstractmethod
@@ -151,11 +146,10 @@ class Sensor(ABC):
         Raises:
             UserError: `read` returned other entries than `readings` says, or other shapes.
         """
-        exact = self.read(view)
-        self._check_shapes(exact, (len(view.state.mask), view.robots))
+        exact, state = self.read(view), view.state
+        self._check_shapes(exact, (len(state.mask), view.robots))
         if not self.noise and not self.dropout:
             return exact
-        state = view.state
         tick = (state.clock / TRACE_SECONDS).round().long()
         robots = torch.arange(view.robots, device=tick.device)
         key = randomness.join(state.key, type(self).__name__, tick).unsqueeze(1)
@@ -185,8 +179,7 @@ class Sensor(ABC):
         if not value.is_floating_point():
             return value.masked_fill(missing, 0)
         numbers = torch.arange(value[0, 0].numel(), device=value.device).view(value.shape[2:])
-        own = randomness.join(key, name).view(*key.shape, *ones)
-        reading = self.readings[name]
+        own, reading = randomness.join(key, name).view(*key.shape, *ones), self.readings[name]
         noisy = value + self.noise * randomness.normal(randomness.join(own, numbers))
         # what is not seen is 0, and stays so
         noisy = torch.where(value == 0, value, noisy.clamp(reading.low, reading.high))
@@ -206,16 +199,15 @@ class Readings:
         self._late: list[tuple[Sensor, int]] = []
         self._last: dict[str, Tensor] = {}
         for sensor in sensors:
-            name = type(sensor).__name__
+            name, late = type(sensor).__name__, round(sensor.delay / decision_dt)
             if twice := self.entries.keys() & sensor.readings.keys():
                 raise UserError(f"sensor {name}: {', '.join(sorted(twice))} is an entry of two sensors")
-            self.entries |= sensor.readings
-            late = round(sensor.delay / decision_dt)
             if abs(late * decision_dt - sensor.delay) > 1e-6:
                 raise UserError(
                     f"sensor {name}: delay {sensor.delay:g} s: expected a multiple of the {decision_dt:g} s "
                     "between two decisions"
                 )
+            self.entries |= sensor.readings
             self._late.append((sensor, late))
 
     def __call__(self, view: RobotView, begun: Tensor | None = None) -> dict[str, Tensor]:
@@ -225,36 +217,16 @@ class Readings:
             view: The scenes now; where there was no decision, those that begin alone.
             begun: Which scenes these are (N,) long; None after a decision.
         """
-        if begun is None or len(begun):
-            for sensor, late in self._late:
-                for name, now in sensor.observe(view).items():
-                    self._last[name] = self._with(name, now.expand(late + 1, *now.shape), begun)
+        for sensor, late in self._late if begun is None or len(begun) else ():
+            for name, now in sensor.observe(view).items():
+                now = now.expand(late + 1, *now.shape)
+                last = self._last.get(name, now)  # of the last decisions, the oldest first
+                if begun is None:
+                    self._last[name] = torch.cat((last[1:], now[:1]))
+                else:
+                    self._last[name] = last.index_copy(1, begun, now)
         # a caller may write into what it gets
         return {name: last[0].clone() for name, last in self._last.items()}
-
-    def _with(self, name: str, now: Tensor, begun: Tensor | None) -> Tensor:
-        """Return an entry of the last decisions (1 + late, B, R, ...), the oldest first."""
-        last = self._last.get(name, now)
-        return torch.cat((last[1:], now[:1])) if begun is None else last.index_copy(1, begun, now)
-
-
-def check_view(number: str, count: int, reach: float, field_of_view: float) -> None:
-    """Check how many things a sensor sees, how far in metres, and how wide in degrees.
-
-    Args:
-        number: The sensor's name and that of its ``count``.
-        count: Of beams, people, ...
-        reach: Metres.
-        field_of_view: Degrees.
-
-    Raises:
-        UserError: A value is out of range.
-    """
-    if count < 1 or not reach > 0 or not 0 < field_of_view <= 360:
-        raise UserError(
-            f"sensor {number} {count}, reach {reach}, field_of_view {field_of_view}: expected at least 1, "
-            "metres above 0, and degrees up to 360"
-        )
 
 
 def shape_of(value: object) -> tuple[int, ...] | str:

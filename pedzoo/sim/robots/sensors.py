@@ -5,19 +5,27 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from pedzoo.core.batch import other_agents
-from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import direction_of
 from pedzoo.sim.camera import Lens
 from pedzoo.sim.physics._base import Bodies
-from pedzoo.sim.robots.sensor import Reading, RobotView, Sensor, check_view
+from pedzoo.sim.robots.sensor import Reading, RobotView, Sensor
 
 NOT_SEEN = 15.0
 """Metres: position of masked people in the observation of CrowdNav++."""
+
+
+def _check_view(sensor: Any, number: str, count: int) -> None:
+    """Check how many things a sensor sees, how far in metres, and how wide in degrees."""
+    reach, angle = sensor.reach, sensor.field_of_view
+    valid, given = count >= 1 and reach > 0 and 0 < angle <= 360, f"{number} {count}, reach {reach}"
+    expected = "at least 1, metres above 0, and degrees up to 360"
+    sensor.check(valid, f"{given}, field_of_view {angle}", expected)
 
 
 class Goal(Sensor):
@@ -87,12 +95,11 @@ class Lidar(Sensor):
     def __post_init__(self) -> None:
         """See `Sensor.__post_init__`."""
         super().__post_init__()
-        check_view("lidar: beams", self.beams, self.reach, self.field_of_view)
+        _check_view(self, "beams", self.beams)
         angle = math.radians(self.field_of_view)
-        if self.field_of_view == 360:
-            self._angles = torch.arange(self.beams) * (angle / self.beams)
-        else:
-            self._angles = torch.linspace(-angle / 2, angle / 2, self.beams)
+        around = torch.arange(self.beams) * (angle / self.beams)
+        ahead = torch.linspace(-angle / 2, angle / 2, self.beams)
+        self._angles = around if self.field_of_view == 360 else ahead
 
     @property
     def readings(self) -> Mapping[str, Reading]:
@@ -131,13 +138,12 @@ class Camera(Sensor):
     def __post_init__(self) -> None:
         """See `Sensor.__post_init__`."""
         super().__post_init__()
-        width, height, angle, reach = self.width, self.height, self.field_of_view, self.reach
-        if min(width, height) < 1 or not 0 < angle < 180 or not (self.eye_height > 0 and reach > 0):
-            raise UserError(
-                f"sensor camera: width {width}, height {height}, field_of_view {angle}, eye_height "
-                f"{self.eye_height}, reach {reach}: expected pixels, degrees below 180, and metres above 0"
-            )
-        self.lens = Lens(width, height, math.radians(angle), self.eye_height, reach)
+        width, height, angle = self.width, self.height, self.field_of_view
+        eyes, reach = self.eye_height, self.reach
+        valid = min(width, height) >= 1 and 0 < angle < 180 and eyes > 0 and reach > 0
+        given = f"width {width}, height {height}, field_of_view {angle}, eye_height {eyes}, reach {reach}"
+        self.check(valid, given, "pixels, degrees below 180, and metres above 0")
+        self.lens = Lens(width, height, math.radians(angle), eyes, reach)
 
     @property
     def readings(self) -> Mapping[str, Reading]:
@@ -175,10 +181,7 @@ class Patch(Sensor):
         """See `Sensor.__post_init__`."""
         super().__post_init__()
         cells, side = self.cells, self.side
-        if cells < 1 or not side > 0:
-            raise UserError(
-                f"sensor patch: cells {cells}, side {side}: expected at least 1, and metres above 0"
-            )
+        self.check(cells >= 1 and side > 0, f"cells {cells}, side {side}", "at least 1, and metres above 0")
         across = (torch.arange(cells) + 0.5) * (side / cells) - side / 2
         self._centres = torch.stack(torch.meshgrid(-across, -across, indexing="ij"), dim=-1)
 
@@ -223,7 +226,7 @@ class People(Sensor):
     def __post_init__(self) -> None:
         """See `Sensor.__post_init__`."""
         super().__post_init__()
-        check_view("people: most", self.most, self.reach, self.field_of_view)
+        _check_view(self, "most", self.most)
         self.half_angle = math.radians(self.field_of_view / 2)
 
     @property
@@ -284,15 +287,10 @@ class AttnGraph(People):
             field_of_view: See `People`.
             predicted: P, steps ahead; 0 for where people are alone, as in DS-RNN.
             seconds: Of one of them.
-
-        Raises:
-            UserError: A value is out of range.
         """
         super().__init__(most, reach, field_of_view)
-        if predicted < 0 or not seconds > 0:
-            raise UserError(
-                f"sensor attn_graph: predicted {predicted}, seconds {seconds}: expected at least 0, above 0"
-            )
+        given = f"predicted {predicted}, seconds {seconds}"
+        self.check(predicted >= 0 and seconds > 0, given, "at least 0, above 0")
         self.predicted, self.seconds = predicted, seconds
 
     @property

@@ -1,4 +1,4 @@
-"""Parts of scenarios: settings of which every scene draws a value, and halls with fixed places."""
+"""Parts of scenarios: settings of which every scene draws a value, and floor plans that follow from them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.randomness import Draws
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.plans import Point, Rectangle, check_lengths, rectangles
-from pedzoo.sim.scenario import PreparedScenario, Scenario
+from pedzoo.sim.scenario import PreparedScenario, Scenario, door_at_origin
 
 CELL = 0.05
 """Side of the floor plans' cells, metres."""
@@ -123,16 +123,10 @@ class Uniform:
     """
 
     def __init__(self, scenario: str, name: str, given: Range, least: float = -math.inf) -> None:
-        """Take a setting's value.
-
-        Args:
-            scenario: The scenario's name in messages.
-            name: Of the setting.
-            given: A number, or the smallest and the largest.
-            least: No number may be below it.
+        """Take the value of a scenario's setting: a number, or the smallest and the largest.
 
         Raises:
-            UserError: A number is not finite or too small, or the first is larger than the second.
+            UserError: A number is not finite or below ``least``, or the first is larger than the second.
         """
         self.name = name
         self.least, self.most = given if isinstance(given, tuple) else (given, given)
@@ -146,26 +140,53 @@ class Uniform:
         return self.least + (self.most - self.least) * draws.uniform(self.name, count)
 
 
-class Hall(Scenario):
-    """People on a few floor plans with the same places; subclasses say which, and how people begin."""
+class Varied(Scenario):
+    """People on floor plans that follow from settings; subclasses say which, and how people begin.
+
+    Attributes:
+        variants: Settings of which every scene draws a value.
+        resolution: Side of the floor plans' cells, metres.
+        door: The setting that is the width of a door at the origin, if there is one; 0 for no door.
+    """
+
+    variants: Variants
+    resolution: float = CELL
+    door: str | None = None
 
     @abstractmethod
-    def walls(self) -> Sequence[list[Rectangle]]:
-        """Return the walls of every floor plan, whose edges are between cells of `CELL`."""
+    def walls(self, variant: Variant) -> list[Rectangle]:
+        """Return the walls, whose edges are between cells; none for an open space."""
 
     @abstractmethod
-    def places(self) -> list[Point]:
+    def places(self, variant: Variant) -> list[Point]:
         """Return all goals, metres."""
 
     def plans(self) -> list[OccupancyGrid]:
-        """Return the floor plans."""
-        plans = enumerate(self.walls())
-        return [rectangles(walls, CELL, name=f"{self.name}.{number}") for number, walls in plans]
+        """Return the floor plans of all variants that have walls."""
+        named = ((self.walls(one), self.variants.name(one)) for one in self.variants)
+        return [rectangles(walls, self.resolution, name=name) for walls, name in named if walls]
 
     def prepare(self, clearance: float) -> PreparedScenario:
-        """Find the ways to all places; tables: the floor plans (V,) and their goals (V, G)."""
+        """Find the ways to all places; tables: floor plans (V,) and goals (V, G) of variants, -1 for none."""
         prepared = super().prepare(clearance)
-        map_id = torch.tensor([grid.map_id for grid in prepared.bank.grids])
-        points = torch.tensor(self.places(), dtype=torch.float64)
-        goals = [prepared.planner.add_goals(row, points) for row in range(len(map_id))]
-        return replace(prepared, tables=(map_id, torch.stack(goals)))
+        bank, names = prepared.bank, map(self.variants.name, self.variants)
+        # variants may share a floor plan
+        map_id = torch.tensor([bank.id_of(name) if bank.grids else -1 for name in names])
+        goals = [
+            prepared.planner.add_goals(row, torch.tensor(self.places(variant), dtype=torch.float64))
+            for variant, row in zip(self.variants, bank.index(map_id).tolist(), strict=True)
+        ]
+        table = torch.nn.utils.rnn.pad_sequence(goals, batch_first=True, padding_value=-1)
+        return replace(prepared, tables=(map_id, table))
+
+    def drawn(self, prepared: PreparedScenario, draws: Draws) -> tuple[Tensor, Tensor]:
+        """Return the floor plan (B,) long and the goals (B, G) long of every scene."""
+        variant = self.variants.draw(draws)
+        map_id, goals = (table.to(variant.device)[variant] for table in prepared.tables)
+        return map_id, goals
+
+    def gate(self, draws: Draws) -> Tensor | None:
+        """Return the door (B, 5), where all scenes have one."""
+        if self.door is None or min(self.variants.values[self.door]) <= 0:
+            return None
+        return door_at_origin(self.variants.value(self.door, draws))

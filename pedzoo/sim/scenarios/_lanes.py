@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, NamedTuple
 
@@ -17,10 +17,9 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.randomness import Draws
-from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.plans import Point, Rectangle, rectangles
-from pedzoo.sim.scenario import SLOWEST, WARM_SECONDS, Layout, PreparedScenario, Scenario
-from pedzoo.sim.scenarios._base import CELL, Numbers, Variant, Variants, fastest_ahead
+from pedzoo.maps.plans import Point, Rectangle
+from pedzoo.sim.scenario import SLOWEST, WARM_SECONDS, Layout, PreparedScenario
+from pedzoo.sim.scenarios._base import CELL, Numbers, Variant, Variants, Varied, fastest_ahead
 
 MEET = 2.5
 """Seconds after the warm start at which those in front meet if they are in time and nothing holds them up."""
@@ -42,9 +41,6 @@ FREE = 0.3
 
 ASIDE = 0.45
 """Distance of the outermost lanes to walls, metres."""
-
-MAX_JITTER = (ABREAST - APART) / 2
-"""Metres: with more of it people of neighbouring lanes could be nearer than `APART` at the start."""
 
 MAX_DELAY = 10.0
 """Seconds."""
@@ -75,23 +71,22 @@ class Lane(NamedTuple):
 
 
 class Places(NamedTuple):
-    """The place of each person in a lane, on each of V variants of a scene; (V, A) each.
+    """The place of each person in a lane (V, A), on each of V variants of a scene; the rest as of `Lane`.
 
     Attributes:
         row: How many are ahead in the lane, long.
         lane: Number of the lane, long.
         leader: The person beside them: the first of their side and row, long.
-        side: See `Lane`; like the others here, long or float.
-        heading: See `Lane` (V, A, 2).
-        middle: See `Lane` (V, A, 2).
+        goal: Place of the lane's first goal among all, long.
+        goals: How many the lane has, long.
         before: Metres that they start farther back, with those of their row.
-        aside: See `Lane`.
-        delay: See `Lane`.
     """
 
     row: Tensor
     lane: Tensor
     leader: Tensor
+    goal: Tensor
+    goals: Tensor
     side: Tensor
     heading: Tensor
     middle: Tensor
@@ -107,12 +102,13 @@ class Places(NamedTuple):
             slots = sorted((row, number) for number, lane in enumerate(lanes) for row in range(lane.people))
             row, lane = torch.tensor(slots).unbind(1)
             table = {
-                name: torch.tensor([getattr(one, name) for one in lanes])[lane] for name in cls._fields[3:]
+                name: torch.tensor([getattr(one, name) for one in lanes])[lane] for name in cls._fields[5:]
             }
-            side = table["side"]
-            beside = (row == row.unsqueeze(1)) & (side == side.unsqueeze(1))
+            goals = torch.tensor([len(one.goals) for one in lanes])
+            beside = (row == row.unsqueeze(1)) & (table["side"] == table["side"].unsqueeze(1))
             table["before"] = table["before"] + SPACING * row
-            tables.append(cls(row, lane, beside.int().argmax(1), **table))
+            first = (goals.cumsum(0) - goals)[lane]
+            tables.append(cls(row, lane, beside.int().argmax(1), first, goals[lane], **table))
         return cls(*(torch.stack(table) for table in zip(*tables, strict=True)))
 
     def of_scenes(self, variant: Tensor) -> Places:
@@ -185,7 +181,7 @@ class EncounterSettings:
     delay: float = 0.5
 
 
-class Encounter(Scenario):
+class Encounter(Varied):
     """People in lanes who meet; subclasses say which lanes, and on what floor plans.
 
     People start as far from the meeting point as they walk until then, so that slow and fast ones meet.
@@ -195,7 +191,6 @@ class Encounter(Scenario):
     Attributes:
         fewest: People, at least.
         most: People, at most, and in ``more_would`` why not more.
-        variants: Settings of which every scene draws a value.
         stray: Share of people with another goal of their lane than the first.
         together: People side by side walk together: equally fast, and equally late.
     """
@@ -213,25 +208,17 @@ class Encounter(Scenario):
         Args:
             common: Their settings.
             meet: Seconds after the warm start at which those in front meet.
-            variants: Settings of which every scene draws a value.
-
-        Raises:
-            UserError: A setting that gives no scene.
+            variants: Settings of which every scene draws a value; widths are whole cells.
         """
         people, jitter, aside, delay = common.people, common.jitter, common.aside, common.delay
         super().__init__(people, common.speed, common.speed_std)
         why = f", as {self.more_would}" if people > self.most else ""
-        self.check(
-            self.fewest <= people <= self.most,
-            f"people {people}",
-            f"{self.fewest} to {self.most}{why}; goals:people=N takes any number",
-        )
+        enough = f"{self.fewest} to {self.most}{why}; goals:people=N takes any number"
+        self.check(self.fewest <= people <= self.most, f"people {people}", enough)
         self.variants = Variants(self.name, **variants)
-        self.check(
-            aside >= 0 and 0 <= delay <= MAX_DELAY,
-            f"aside {aside}, delay {delay}",
-            f"at least 0 m, and 0 to {MAX_DELAY:g} s",
-        )
+        self.variants.check_lengths(CELL, *(name for name in ("width", "corridor") if name in variants))
+        in_time = f"at least 0 m, and 0 to {MAX_DELAY:g} s"
+        self.check(aside >= 0 and 0 <= delay <= MAX_DELAY, f"aside {aside}, delay {delay}", in_time)
         self.check(0 <= jitter <= self.max_jitter, f"jitter {jitter}", f"0 to {self.max_jitter:.2f} m")
         self.jitter, self.aside, self.delay, self.meet = jitter, aside, delay, meet
 
@@ -253,8 +240,8 @@ class Encounter(Scenario):
 
     @property
     def max_jitter(self) -> float:
-        """Greatest jitter with which no people touch at the start, metres."""
-        return MAX_JITTER
+        """Greatest jitter with which people of different lanes keep `APART` at the start, metres."""
+        return (ABREAST - APART) / 2
 
     @property
     def slowest(self) -> float:
@@ -267,7 +254,7 @@ class Encounter(Scenario):
         return [self.lanes_on(variant) for variant in self.variants]
 
     @cached_property
-    def places(self) -> Places:
+    def seats(self) -> Places:
         """Each person's place in a lane, for every variant."""
         return Places.of(self.lanes)
 
@@ -282,58 +269,33 @@ class Encounter(Scenario):
         aside = min(self.aside, max(0.0, room - self.jitter))
         return [lane._replace(side=side, aside=aside, delay=self.delay) for lane in lanes]
 
-    def plans(self) -> list[OccupancyGrid]:
-        """Return the floor plans, one for every variant; none where these are open spaces."""
-        result = []
-        for variant, lanes in zip(self.variants, self.lanes, strict=True):
-            if walls := self.walls_on(variant, self._reach(lanes)):
-                result.append(rectangles(walls, CELL, name=self.variants.name(variant)))
-        return result
-
-    def _reach(self, lanes: list[Lane]) -> float:
+    def walls(self, variant: Variant) -> list[Rectangle]:
+        """See `Varied.walls`; the last of a lane have room, too."""
+        lanes = self.lanes_on(variant)
         longest = max(lane.before + (lane.people - 1) * SPACING + lane.delay * self.fastest for lane in lanes)
-        return longest + (WARM_SECONDS + self.meet) * self.fastest + self.jitter
+        return self.walls_on(variant, longest + (WARM_SECONDS + self.meet) * self.fastest + self.jitter)
 
-    def prepare(self, clearance: float) -> PreparedScenario:
-        """Find the ways to the goals; tables: floor plans (V,) and goals (V, lanes, goals) of variants."""
-        prepared = super().prepare(clearance)
-        bank, names = prepared.bank, map(self.variants.name, self.variants)
-        # variants may share a floor plan
-        map_id = torch.tensor([bank.id_of(name) if bank.grids else -1 for name in names])
-        most = max(len(lane.goals) for lanes in self.lanes for lane in lanes)
-        goals = torch.full((len(self.lanes), max(map(len, self.lanes)), most), -1)
-        for number, row in enumerate(bank.index(map_id).tolist()):
-            lanes = self.lanes[number]
-            points = torch.tensor([point for lane in lanes for point in lane.goals], dtype=torch.float64)
-            ids = prepared.planner.add_goals(row, points).split([len(lane.goals) for lane in lanes])
-            for place, mine in enumerate(ids):
-                goals[number, place, : len(mine)] = mine
-        return replace(prepared, tables=(map_id, goals))
+    def places(self, variant: Variant) -> list[Point]:
+        """Return the goals of all lanes."""
+        return [point for lane in self.lanes_on(variant) for point in lane.goals]
 
     def layout(self, prepared: PreparedScenario, draws: Draws) -> Layout:
         """Return all people as far from the middle of their lane as they walk until they meet."""
-        agents, device = self.people, draws.key.device
-        variant = self.variants.draw(draws)
-        mine = self.places.of_scenes(variant)
+        mine = self.seats.of_scenes(self.variants.draw(draws))
+        map_id, goals = self.drawn(prepared, draws)
         speed = self.speeds(draws)
         if self.together:
             speed = speed.gather(1, mine.leader)
-        late = draws.uniform("delay", int(self.places.lane.max()) + 1)
+        late = draws.uniform("delay", int(self.seats.lane.max()) + 1)
         late = mine.delay * late.gather(1, mine.side if self.together else mine.lane)
         away = mine.before + (WARM_SECONDS + self.meet + late) * fastest_ahead(speed, mine.row, mine.lane)
-        sides = draws.uniform("aside", int(self.places.side.max()) + 1)
+        sides = draws.uniform("aside", int(self.seats.side.max()) + 1)
         right = mine.aside * (2 * sides.gather(1, mine.side) - 1)
-        off = self.jitter * (2 * draws.uniform("jitter", agents, 2) - 1)
+        off = self.jitter * (2 * draws.uniform("jitter", self.people, 2) - 1)
         along, across = mine.heading, torch.stack((mine.heading[..., 1], -mine.heading[..., 0]), dim=-1)
         start = mine.middle - away.unsqueeze(-1) * along + right.unsqueeze(-1) * across + off
-        map_id, goals = (table.to(device) for table in prepared.tables)
-        goal = self._goal(draws, goals[variant.unsqueeze(1), mine.lane])
-        return Layout(map_id[variant], start, torch.ones_like(goal, dtype=torch.bool), speed, goal)
-
-    def _goal(self, draws: Draws, goals: Tensor) -> Tensor:
-        """Return people's goals (B, A) long, of those of their lane (B, A, G), -1 where there are fewer."""
-        others = (goals >= 0).sum(2) - 1
         strays, which = draws.uniform("goal", self.people, 2).unbind(-1)
+        others = mine.goals - 1
         other = 1 + (which * others).long().minimum(others - 1)
-        choice = torch.where((strays < self.stray) & (others > 0), other, 0)
-        return goals.gather(2, choice.unsqueeze(2)).squeeze(2)
+        goal = goals.gather(1, mine.goal + other * ((strays < self.stray) & (others > 0)))
+        return Layout(map_id, start, torch.ones_like(goal, dtype=torch.bool), speed, goal)

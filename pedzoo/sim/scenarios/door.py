@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from pedzoo.core.randomness import Draws
-from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.plans import rectangles, room, wall
-from pedzoo.sim.scenario import SLOWEST, WARM_SECONDS, Layout, PreparedScenario, Scenario, door_at_origin
-from pedzoo.sim.scenarios._base import Numbers, Range, Uniform, Variant, Variants, fastest_ahead
+from pedzoo.maps.plans import Point, Rectangle, room, wall
+from pedzoo.sim.scenario import SLOWEST, WARM_SECONDS, Layout, PreparedScenario
+from pedzoo.sim.scenarios._base import Numbers, Range, Uniform, Variant, Variants, Varied, fastest_ahead
 
 BEFORE = 2.5
 """Metres from the wall at which the first ones are when the warm start ends, unless ``away`` is given."""
@@ -72,7 +71,7 @@ class DoorSettings:
     abreast: int = 1
 
 
-class Door(Scenario):
+class Door(Varied):
     """Two rooms and a door between them; people come in turn from the left and from the right.
 
     The wall stands at x = 0 and the door in it is centred at y = 0. Without jitter two people of equal
@@ -81,6 +80,7 @@ class Door(Scenario):
     """
 
     meet = 0.0
+    door = "width"
 
     def __init__(
         self,
@@ -97,9 +97,6 @@ class Door(Scenario):
             offset: Lateral distance of starts and goals from the door's axis, metres; 0 is head-on; a list:
                 one per scene.
             common: Of those who come to the door.
-
-        Raises:
-            UserError: A setting that gives no scene.
         """
         people, jitter, ratio, sync = common.people, common.jitter, common.speed_ratio, common.sync
         super().__init__(people, common.speed, common.speed_std)
@@ -109,8 +106,7 @@ class Door(Scenario):
         self.variants.check_lengths(common.resolution, "width", "thickness", instead=fine)
         self.jitter, self.speed_ratio, self.resolution, self.sync = jitter, ratio, common.resolution, sync
         self.away = Uniform(self.name, "away", common.away, least=NEAREST)
-        abreast, right = common.abreast, self.people // 2 if common.from_right is None else common.from_right
-        self._seat(self.people, right, abreast)
+        self._seat(self.people, self.people // 2 if common.from_right is None else common.from_right, common)
         queue = (int(self._row.max()) + 1) * SPACING
         aside = max(map(abs, self.variants.values["offset"])) + 3 * jitter
         self.half_length = self.away.most + queue + WARM_SECONDS * self.fastest + 1.5
@@ -120,10 +116,11 @@ class Door(Scenario):
             # faster people wait for slower ones
             alone = math.hypot(self.away.most + PUSH, aside) / self.slowest + sync
             self.half_length = self.fastest * (WARM_SECONDS + alone) + queue + 1.5
-        self.half_width = aside + 2.0 + ABREAST * (abreast - 1) / 2
+        self.half_width = aside + 2.0 + ABREAST * (common.abreast - 1) / 2
 
-    def _seat(self, people: int, from_right: int, abreast: int) -> None:
+    def _seat(self, people: int, from_right: int, common: DoorSettings) -> None:
         """Give each person a side, a row, and the people beside them."""
+        abreast = common.abreast
         self.check(0 <= from_right <= people, f"from_right {from_right} of {people} people", f"0 to {people}")
         self.check(1 <= abreast <= MAX_ABREAST, f"abreast {abreast}", f"1 to {MAX_ABREAST}")
         sides = (people - from_right, from_right)
@@ -132,8 +129,7 @@ class Door(Scenario):
         self._row = number // abreast
         in_row = (torch.tensor(sides)[self._right] - self._row * abreast).clamp_max(abreast)
         self._left_of_row = ABREAST * (number % abreast - (in_row - 1) / 2)
-        place = {seat: number for number, seat in enumerate(seats)}
-        leaders = [place[number - number % abreast, side] for number, side in seats]
+        leaders = [seats.index((number - number % abreast, side)) for number, side in seats]
         self._leader = torch.tensor(leaders)
 
     @property
@@ -146,11 +142,9 @@ class Door(Scenario):
         """The smallest preferred speed that can be drawn, m/s."""
         return max(SLOWEST, self.speed - 3 * self.speed_std) * min(1.0, self.speed_ratio)
 
-    def plans(self) -> list[OccupancyGrid]:
-        """Return the two rooms, for every variant."""
-        return [self._plan(variant) for variant in self.variants]
+    def walls(self, variant: Variant) -> list[Rectangle]:
+        """Return the two rooms and the wall between them."""
 
-    def _plan(self, variant: Variant) -> OccupancyGrid:
         def cells(length: float) -> float:  # whole ones
             return math.ceil(length / self.resolution) * self.resolution
 
@@ -159,56 +153,35 @@ class Door(Scenario):
         x = thickness / 2 + cells(self.half_length - thickness / 2)
         y = width / 2 + cells(self.half_width - width / 2)
         walls = room((-x, -y), (x, y), BORDER * self.resolution)
-        walls += wall((0.0, -y), (0.0, y), thickness, doors=[(y, width)])
-        return rectangles(walls, self.resolution, name=self.variants.name(variant))
+        return walls + wall((0.0, -y), (0.0, y), thickness, doors=[(y, width)])
 
-    def prepare(self, clearance: float) -> PreparedScenario:
-        """Find the ways through the door; tables: the floor plans (V,) and goals (V, 2) of variants."""
-        prepared = super().prepare(clearance)
-        # variants that differ in the offset alone share a floor plan
-        map_id = torch.tensor([prepared.bank.id_of(self.variants.name(one)) for one in self.variants])
-        goals = []
-        for variant, row in zip(self.variants, prepared.bank.index(map_id).tolist(), strict=True):
-            # people keep to their side of the axis: from the left, y = -offset to y = -offset
-            points = [(BEHIND, -variant["offset"]), (-BEHIND, variant["offset"])]
-            goals.append(prepared.planner.add_goals(row, torch.tensor(points, dtype=torch.float64)))
-        return replace(prepared, tables=(map_id, torch.stack(goals)))
-
-    def gate(self, draws: Draws) -> Tensor:
-        """Return the door in the middle, (B, 5)."""
-        return door_at_origin(self.variants.value("width", draws))
+    def places(self, variant: Variant) -> list[Point]:
+        """Return the goals of both sides: people keep to their side of the axis."""
+        return [(BEHIND, -variant["offset"]), (-BEHIND, variant["offset"])]
 
     def layout(self, prepared: PreparedScenario, draws: Draws) -> Layout:
         """Return people on both sides, as far away as they walk before the episode begins."""
         device, agents = draws.key.device, len(self._row)
         right, row, leader = (table.to(device) for table in (self._right, self._row, self._leader))
-        variant = self.variants.draw(draws)
         side = 2 * right - 1  # -1 comes from the left, 1 from the right
         speed = self.speeds(draws)[:, leader]
         speed = torch.where(side > 0, speed * self.speed_ratio, speed)
         pace = fastest_ahead(speed, row, right)
-        away = (
-            self.away.draw(draws, 2)[:, right] + WARM_SECONDS * pace + SPACING * row + PUSH * (row.max() > 0)
-        )
+        away = self.away.draw(draws, 2)[:, right] + WARM_SECONDS * pace
+        away = away + SPACING * row + PUSH * (row.max() > 0)
         offset = self.variants.value("offset", draws).unsqueeze(1)
         lateral = side * (offset + self._left_of_row.to(device))
         lateral = lateral + self.jitter * draws.normal("jitter", agents)[:, leader].clamp(-3, 3)
         if self.sync is not None:
             away = away + self._later(draws, away, lateral, speed, self.sync)[:, right]
-        start = torch.stack((side * away, lateral), dim=-1)
-        map_id, goals = (table.to(device)[variant] for table in prepared.tables)
+        map_id, goals = self.drawn(prepared, draws)
         mask = torch.ones_like(away, dtype=torch.bool)
-        return Layout(map_id, start, mask, speed, goals[:, right])
+        return Layout(map_id, torch.stack((side * away, lateral), -1), mask, speed, goals[:, right])
 
     def _later(self, draws: Draws, away: Tensor, lateral: Tensor, speed: Tensor, sync: float) -> Tensor:
         """Return how many metres farther back each side starts (B, 2), so that both come to the door in time.
 
-        Args:
-            draws: Of the scenes.
-            away: Distances of starts from the wall (B, A), metres.
-            lateral: Their distances from the door's axis (B, A), metres.
-            speed: Preferred speeds (B, A), m/s.
-            sync: Most seconds between the two sides.
+        Distances of starts from the wall and the door's axis, and speeds are (B, A); ``sync`` as in settings.
         """
         first = [int((self._right == side).nonzero()[0]) for side in (0, 1)]
         away, lateral, speed = away[:, first], lateral[:, first], speed[:, first]

@@ -12,8 +12,7 @@ from torch import Tensor
 
 from pedzoo.core.randomness import Draws
 from pedzoo.maps.plans import Point, Rectangle, room, wall
-from pedzoo.sim.scenario import door_at_origin
-from pedzoo.sim.scenarios._base import BEHIND, CELL, WALL, Numbers, Variant, whole_cells
+from pedzoo.sim.scenarios._base import BEHIND, WALL, Numbers, Variant, whole_cells
 from pedzoo.sim.scenarios._lanes import (
     ABREAST,
     APART,
@@ -35,9 +34,6 @@ HEADINGS: tuple[Point, ...] = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
 
 OVERTAKING_BEYOND = 8.0
 """Metres of the goals behind the place at which the slow are caught up with."""
-
-SLOW, FAST = 0, 1
-"""Numbers of the two sides of `Overtaking`."""
 
 PARALLEL_BEYOND = 6.0
 """Metres of the goals behind the line on which those in front are at the same time."""
@@ -81,28 +77,24 @@ class BlindCorner(Encounter):
         Args:
             width: Of the corridor, metres; or a list.
             common: Half of them from the left, the others from below.
-
-        Raises:
-            UserError: A setting that gives no scene.
         """
         super().__init__(common, meet=3.0, width=width)
-        self.variants.check_lengths(CELL, "width")
 
     def lanes_on(self, variant: Variant) -> list[Lane]:
         """Return lanes from the left and from below."""
-        width = variant["width"]
-        fit, beyond = lanes_in(width), BEYOND + width / 2
-        lanes = []
-        for side, people in enumerate((self.people - self.people // 2, self.people // 2)):
-            straight = abreast(people, (1.0, 0.0), fit)
+        width, lanes = variant["width"], []
+        for side, people in enumerate(shares(self.people, 2)):
+            straight = abreast(people, HEADINGS[0], lanes_in(width))
             mine = self.varied(side, straight, beside(straight, width))
             # two people this far from the corner do not see each other
             unseen = width + max(lane.middle[1] + lane.aside for lane in mine) + self.jitter + 0.1
             before = max(0.0, unseen - self.meet * self.slowest)
             for lane in mine:
                 # people at the outer wall before the corner are there behind it, too
-                bent = lane._replace(before=before, goals=((lane.middle[1], -beyond),))
-                lanes.append(_mirrored(bent) if side else bent)
+                goal = lane.middle[1], -(BEYOND + width / 2)
+                if side:  # in the mirror of the diagonal
+                    lane = lane._replace(heading=lane.heading[::-1], middle=lane.middle[::-1])
+                lanes.append(lane._replace(before=before, goals=(goal[::-1] if side else goal,)))
         return lanes
 
     def walls_on(self, variant: Variant, reach: float) -> list[Rectangle]:
@@ -110,12 +102,6 @@ class BlindCorner(Encounter):
         side = variant["width"] / 2
         far = whole_cells(max(reach, BEYOND + side) + BEHIND)
         return [*room((-far, -far), (side, side), WALL), (-far, -far, -side, -side)]
-
-
-def _mirrored(lane: Lane) -> Lane:
-    """Return a lane on the other side of the diagonal."""
-    swapped = tuple((y, x) for x, y in lane.goals)
-    return lane._replace(heading=lane.heading[::-1], middle=lane.middle[::-1], goals=swapped)
 
 
 class Circle(Encounter):
@@ -137,9 +123,6 @@ class Circle(Encounter):
             radius: Of the circle, metres; or a list. None: 3, 4 and 5, without those at which neighbours
                 would be closer than 1 m, or the least at which they are not.
             common: People are late and start aside each on their own.
-
-        Raises:
-            UserError: A setting that gives no scene.
         """
         people = common.people
         self.half_chord = math.sin(math.pi / max(people, 2))  # between neighbours, for a radius of 1
@@ -155,11 +138,7 @@ class Circle(Encounter):
     @property
     def max_jitter(self) -> float:
         """Greatest jitter with which no people touch at the start, metres."""
-        return min(1.0, max(0.0, self._room(min(self.variants.values["radius"]))))
-
-    def _room(self, radius: float) -> float:
-        """Return the metres beside each person on the circle that are theirs."""
-        return radius * self.half_chord - APART / 2
+        return min(1.0, max(0.0, min(self.variants.values["radius"]) * self.half_chord - APART / 2))
 
     def lanes_on(self, variant: Variant) -> list[Lane]:
         """Return a lane for each person, from their place on the circle through its middle."""
@@ -168,7 +147,7 @@ class Circle(Encounter):
             angle = 2 * math.pi * number / self.people
             x, y = math.cos(angle), math.sin(angle)
             lane = Lane(1, (-x, -y), (0.0, 0.0), ((-radius * x, -radius * y),), radius)
-            lanes += self.varied(number, [lane], self._room(radius))
+            lanes += self.varied(number, [lane], radius * self.half_chord - APART / 2)
         return lanes
 
 
@@ -197,12 +176,8 @@ class Hallway(Encounter):
             against: How many of the people come from the right; None: half of them.
             common: People are side by side where the corridor has room, and one behind the other.
             together: People side by side walk together: equally fast, and equally late.
-
-        Raises:
-            UserError: A setting that gives no scene.
         """
         super().__init__(common, width=width, offset=offset)
-        self.variants.check_lengths(CELL, "width")
         people = self.people
         against = people // 2 if against is None else against
         self.check(1 <= against < people, f"against {against} of {people} people", f"1 to {people - 1}")
@@ -214,10 +189,9 @@ class Hallway(Encounter):
 
     def lanes_on(self, variant: Variant) -> list[Lane]:
         """Return lanes from the left and from the right."""
-        width, offset = variant["width"], variant["offset"]
-        lanes = []
+        width, offset, lanes = variant["width"], variant["offset"], []
         for side, people in enumerate((self.people - self.against, self.against)):
-            mine = abreast(people, (1.0 - 2 * side, 0.0), lanes_in(width - 2 * abs(offset)), right=offset)
+            mine = abreast(people, HEADINGS[2 * side], lanes_in(width - 2 * abs(offset)), right=offset)
             lanes += self.varied(side, mine, beside(mine, width))
         return lanes
 
@@ -248,20 +222,15 @@ class Intersection(Encounter):
             arms: From how many arms people come, 2 (from the left and from below) to 4.
             turn: Share of people who turn left or right there; all others go straight on.
             common: People are shared out evenly over the arms.
-
-        Raises:
-            UserError: A setting that gives no scene.
         """
         super().__init__(common, width=width)
-        self.variants.check_lengths(CELL, "width")
         self.check(0 <= turn <= 1, f"turn {turn}", "a share from 0 to 1")
         self.check(2 <= arms <= 4, f"arms {arms}", "2 to 4")
         self.arms, self.stray = arms, turn
 
     def lanes_on(self, variant: Variant) -> list[Lane]:
         """Return lanes from the arms."""
-        width = variant["width"]
-        lanes = []
+        width, lanes = variant["width"], []
         for arm, people in enumerate(shares(self.people, self.arms)[: self.people]):
             straight = abreast(people, HEADINGS[arm], lanes_in(width), BEYOND + width / 2)
             for lane in self.varied(arm, straight, beside(straight, width)):
@@ -274,10 +243,9 @@ class Intersection(Encounter):
         """Return the corridors: a square without its four corners."""
         side = variant["width"] / 2
         ends = whole_cells(max(reach, BEYOND + side) + BEHIND) + side
-        walls = room((-ends, -ends), (ends, ends), WALL)
-        for x0, x1 in ((-ends, -side), (side, ends)):
-            walls += [(x0, y0, x1, y1) for y0, y1 in ((-ends, -side), (side, ends))]
-        return walls
+        arms = ((-ends, -side), (side, ends))
+        corners = [(x0, y0, x1, y1) for x0, x1 in arms for y0, y1 in arms]
+        return [*room((-ends, -ends), (ends, ends), WALL), *corners]
 
 
 class Overtaking(Encounter):
@@ -301,12 +269,8 @@ class Overtaking(Encounter):
             speed_ratio: By how much each of the fast is faster than each of the slow, at least; above 1.2.
             slow: How many of the people are slow; None: half of them.
             common: Speeds and delays are those of the fast.
-
-        Raises:
-            UserError: A setting that gives no scene.
         """
         super().__init__(common, meet=3.0, width=width)
-        self.variants.check_lengths(CELL, "width")
         people = self.people
         slow = people // 2 if slow is None else slow
         self.check(1 <= slow < people, f"slow {slow} of {people} people", f"1 to {people - 1}")
@@ -314,14 +278,14 @@ class Overtaking(Encounter):
         self.slow, self.speed_ratio = slow, speed_ratio
 
     def lanes_on(self, variant: Variant) -> list[Lane]:
-        """Return lanes of the slow and of the fast."""
-        width = variant["width"]
-        fit, queue = lanes_in(width), self._queue(variant)
-        beyond, ahead = OVERTAKING_BEYOND + 2 * queue, (1.0, 0.0)
-        slow = abreast(self.slow, ahead, fit, beyond, before=-queue)
-        fast = abreast(self.people - self.slow, ahead, fit, beyond)
-        slow = self.varied(SLOW, slow, beside(slow, width))
-        return [*(lane._replace(delay=0.0) for lane in slow), *self.varied(FAST, fast, beside(fast, width))]
+        """Return lanes of the slow, side 0, and of the fast."""
+        width, queue = variant["width"], self._queue(variant)
+        fit, beyond, lanes = lanes_in(width), OVERTAKING_BEYOND + 2 * queue, []
+        for side, people in enumerate((self.slow, self.people - self.slow)):
+            mine = abreast(people, HEADINGS[0], fit, beyond, before=0.0 if side else -queue)
+            mine = self.varied(side, mine, beside(mine, width))
+            lanes += mine if side else [lane._replace(delay=0.0) for lane in mine]
+        return lanes
 
     def _queue(self, variant: Variant) -> float:
         """Return how far the last of the slow are behind the first, metres: they are at x = 0."""
@@ -335,7 +299,7 @@ class Overtaking(Encounter):
     def speeds(self, draws: Draws) -> Tensor:
         """Return the preferred speeds (B, A), m/s: the slow keep a distance from the slowest fast."""
         speed = super().speeds(draws)
-        slow = self.places.of_scenes(self.variants.draw(draws)).side == SLOW
+        slow = self.seats.of_scenes(self.variants.draw(draws)).side == 0
         limit = speed.masked_fill(slow, float("inf")).amin(1, keepdim=True)
         return speed.where(~slow, speed.minimum(limit) / self.speed_ratio)
 
@@ -362,9 +326,6 @@ class Parallel(Encounter):
             gap: Metres between the nearest lanes of the two streams; or a list.
             change: Share of people with a goal in a lane of the other stream, in their own direction.
             common: Half of the people are in each stream, five abreast at most.
-
-        Raises:
-            UserError: A setting that gives no scene.
         """
         super().__init__(common, gap=gap)
         self.check(0 <= change <= 1, f"change {change}", "a share from 0 to 1")
@@ -373,22 +334,18 @@ class Parallel(Encounter):
         self.opposite, self.stray = opposite, change
 
     def lanes_on(self, variant: Variant) -> list[Lane]:
-        """Return the lanes of both streams."""
-        right = self.people - self.people // 2
+        """Return the lanes of both streams; people may have goals in the other one, too."""
+        right, left = shares(self.people, 2)
         most = block(right)
-        aside = (variant["gap"] + (most - 1) * ABREAST) / 2
-        room = (variant["gap"] - APART) / 2
-        first = self.varied(0, abreast(right, (1.0, 0.0), most, PARALLEL_BEYOND, right=aside), room)
-        heading, keeps = ((-1.0, 0.0), aside) if self.opposite else ((1.0, 0.0), -aside)
-        second = abreast(self.people // 2, heading, most, PARALLEL_BEYOND, right=keeps)
-        second = self.varied(1, second, room)
-        return [_changing(lane, second) for lane in first] + [_changing(lane, first) for lane in second]
-
-
-def _changing(lane: Lane, others: list[Lane]) -> Lane:
-    """Return a lane whose people may also have goals in the other stream."""
-    x = lane.goals[0][0]
-    return lane._replace(goals=(*lane.goals, *((x, other.middle[1]) for other in others)))
+        aside, beside = (variant["gap"] + (most - 1) * ABREAST) / 2, (variant["gap"] - APART) / 2
+        heading, keeps = (HEADINGS[2], aside) if self.opposite else (HEADINGS[0], -aside)
+        first = self.varied(0, abreast(right, HEADINGS[0], most, PARALLEL_BEYOND, aside), beside)
+        second = self.varied(1, abreast(left, heading, most, PARALLEL_BEYOND, keeps), beside)
+        pairs = [(lane, second) for lane in first] + [(lane, first) for lane in second]
+        return [
+            lane._replace(goals=(*lane.goals, *((lane.goals[0][0], one.middle[1]) for one in others)))
+            for lane, others in pairs
+        ]
 
 
 class Perpendicular(Encounter):
@@ -403,23 +360,17 @@ class Perpendicular(Encounter):
 
         Args:
             common: Half of the people are from the left, the others from below, five abreast at most.
-
-        Raises:
-            UserError: A setting that gives no scene.
         """
         super().__init__(common)
 
     def lanes_on(self, variant: Variant) -> list[Lane]:
         """Return lanes from the left and from below."""
-        across = self.people - self.people // 2
-        most = block(across)
-        beyond = BEYOND + (most - 1) * ABREAST / 2
-        sides = zip((across, self.people // 2), HEADINGS[:2], strict=True)
-        return [
-            lane
-            for side, (people, heading) in enumerate(sides)
-            for lane in self.varied(side, abreast(people, heading, most, beyond))
-        ]
+        streams, lanes = shares(self.people, 2), []
+        most = block(streams[0])
+        for side, people in enumerate(streams):
+            mine = abreast(people, HEADINGS[side], most, BEYOND + (most - 1) * ABREAST / 2)
+            lanes += self.varied(side, mine)
+        return lanes
 
 
 class RoomExit(Encounter):
@@ -431,6 +382,7 @@ class RoomExit(Encounter):
     in turn. Agents are numbered by their distance from the door. They have the time that a slow queue takes.
     """
 
+    door = "width"
     most = 1000
     more_would = "more queue at one door for over a quarter of an hour"
 
@@ -448,47 +400,36 @@ class RoomExit(Encounter):
             corridor: Its width, metres; or a list.
             entering: How many of the people come in while the others leave.
             common: Of those who leave and those who enter.
-
-        Raises:
-            UserError: A setting that gives no scene.
         """
         super().__init__(common, width=width, corridor=corridor)
-        self.variants.check_lengths(CELL, "width", "corridor")
         people = self.people
         self.check(0 <= entering < people, f"entering {entering} of {people} people", f"0 to {people - 1}")
         self.entering, self.stray = entering, 0.5
         self.patience = people / (MIN_FLOW * min(self.variants.values["width"]))
         self._rays = RAYS[people > MANY]
 
-    def gate(self, draws: Draws) -> Tensor:
-        """Return the room's door, (B, 5)."""
-        return door_at_origin(self.variants.value("width", draws))
-
     def lanes_on(self, variant: Variant) -> list[Lane]:
         """Return lanes of those who leave, which all end at the door, and of those who enter."""
-        place = (THICKNESS + variant["corridor"]) / 2
-        rays, between = self._rays
-        people, lanes = self.people - self.entering, []
+        place, (rays, between), lanes = (THICKNESS + variant["corridor"]) / 2, self._rays, []
+        people = self.people - self.entering
         count = min(rays, people)
         for number, mine in enumerate(shares(people, count)):
             angle = (number - (count - 1) / 2) * between
             heading = (math.cos(angle), math.sin(angle))
             ray = Lane(mine, heading, (0.0, 0.0), ((place, BEYOND), (place, -BEYOND)))
             lanes += self.varied(number, [ray], BESIDE_RAYS)
-        inside = ((-BEYOND, 1.0), (-BEYOND, -1.0))
-        for number, heading in enumerate(((0.0, -1.0), (0.0, 1.0))):
-            mine = abreast((self.entering + 1 - number) // 2, heading, lanes_in(variant["corridor"]))
-            for lane in self.varied(rays + number, mine, beside(mine, variant["corridor"])):
+        for number, (heading, mine) in enumerate(zip(HEADINGS[3::-2], shares(self.entering, 2), strict=True)):
+            straight = abreast(mine, heading, lanes_in(variant["corridor"]))
+            for lane in self.varied(rays + number, straight, beside(straight, variant["corridor"])):
                 x, y = lane.middle
-                lanes.append(lane._replace(middle=(place + x, y), goals=inside))
+                lanes.append(lane._replace(middle=(place + x, y), goals=((-BEYOND, 1.0), (-BEYOND, -1.0))))
         return lanes
 
     def walls_on(self, variant: Variant, reach: float) -> list[Rectangle]:
         """Return the room, the corridor and the wall between them, symmetric about y = 0."""
-        half, width = THICKNESS / 2, variant["width"]
+        half, width, (rays, between) = THICKNESS / 2, variant["width"], self._rays
         length = max(reach, BEYOND) + BEHIND
         deep = half + whole_cells(length)
-        rays, between = self._rays
         widest = math.sin((min(rays, self.people) - 1) / 2 * between) * reach + self.aside
         high = width / 2 + whole_cells(max(widest, 2.0) + BEHIND)
         ends = high + whole_cells(max(0.0, length - high))

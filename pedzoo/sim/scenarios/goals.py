@@ -7,13 +7,14 @@ from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
+from torch.nn.utils.rnn import pad_sequence
 
 from pedzoo.core.errors import UserError, as_integer
 from pedzoo.core.geometry import identity_pose
 from pedzoo.core.randomness import Draws
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, spread_points
-from pedzoo.maps.planning.planner import Planner
 from pedzoo.maps.plans import load_plan
 from pedzoo.sim.scenario import MIN_INITIAL_PATH, Layout, PreparedScenario, Scenario
 
@@ -56,19 +57,13 @@ class Goals(Scenario):
             pool: Places among which goals are drawn, per floor plan.
             speed: Mean preferred speed, m/s.
             speed_std: Its standard deviation.
-
-        Raises:
-            UserError: A setting that gives no scene.
         """
         both = people if isinstance(people, list | tuple) else (people, people)
         fewest, most = (as_integer("people", one) for one in both)
         super().__init__(most, speed, speed_std)
-        if not 1 <= fewest <= most:
-            raise UserError(f"goals: people {people}: expected [fewest,most] with 1 <= fewest <= most")
-        if goals < 1 or pool < 2:
-            raise UserError(
-                f"goals: goals {goals}, pool {pool}: expected at least 1 goal, a pool of at least 2"
-            )
+        self.check(1 <= fewest <= most, f"people {people}", "[fewest,most] with 1 <= fewest <= most")
+        enough = "at least 1 goal, a pool of at least 2"
+        self.check(goals >= 1 and pool >= 2, f"goals {goals}, pool {pool}", enough)
         self.files = [map] if isinstance(map, str) else map
         self.fewest, self.goals, self.pool = fewest, goals, pool
         self.later = goals + MORE
@@ -78,11 +73,7 @@ class Goals(Scenario):
         return [load_plan(name).at_home() for name in self.files]
 
     def adapted(self, other: PreparedScenario) -> PreparedScenario | None:
-        """Return places and paths of the same floor plans, for any number of people and of goals.
-
-        Raises:
-            UserError: So many people do not fit.
-        """
+        """Return places and paths of the same floor plans, for any number of people and of goals."""
         theirs = other.scenario
         if type(theirs) is not type(self) or (theirs.files, theirs.pool) != (self.files, self.pool):
             return None
@@ -92,21 +83,28 @@ class Goals(Scenario):
     def prepare(self, clearance: float) -> PreparedScenario:
         """Spread places over the floor plans and find the ways to those that are goals."""
         prepared = super().prepare(clearance)
-        places, goals = [], []
+        planner, places, goals, far = prepared.planner, [], [], []
         for row, grid in enumerate(prepared.bank.grids):
             spread = torch.from_numpy(spread_points(grid, self.unknown, clearance, SPACING, seed=0))
             places.append(spread)
-            goals.append(prepared.planner.add_goals(row, spread[: self.pool]))
+            goals.append(planner.add_goals(row, spread[: self.pool]))
         counts = torch.tensor([len(spread) for spread in places])
         self._check_room(prepared.bank, counts)
-        pairs = zip(prepared.bank.grids, places, goals, strict=True)
-        far = [_far(prepared.planner, *given) for given in pairs]
+        for grid, starts, ends in zip(prepared.bank.grids, places, goals, strict=True):
+            pairs = len(starts) * len(ends)
+            points, map_id = starts.float().repeat_interleave(len(ends), 0), torch.full((pairs,), grid.map_id)
+            way = planner.next_waypoints(points, ends.repeat(len(starts)), map_id, identity_pose(pairs))
+            far.append(((way.distance > NEAREST) & way.distance.isfinite()).view(len(starts), len(ends)))
+            if not far[-1].any(1).all():
+                raise UserError(
+                    f"map {grid.name!r} has no two places with more than {NEAREST} m of way between them"
+                )
         tables = _Candidates(
             map_id=torch.tensor([grid.map_id for grid in prepared.bank.grids]),
-            places=_padded(places, float("nan")),
+            places=pad_sequence(places, True, float("nan")),
             counts=counts,
-            goals=_padded(goals, -1),
-            far=_padded(far, 0),
+            goals=pad_sequence(goals, True, -1),
+            far=pad_sequence([pad(one, (0, self.pool - one.shape[1])) for one in far], True),
             row_of_goal=torch.cat([torch.full_like(ids, row) for row, ids in enumerate(goals)]),
             place_of_goal=torch.cat([torch.arange(len(ids)) for ids in goals]),
         )
@@ -145,18 +143,6 @@ class Goals(Scenario):
         return tables.goal(row, place, draws.uniform_at("goal", agent, number))
 
 
-def _far(planner: Planner, grid: OccupancyGrid, places: Tensor, goals: Tensor) -> Tensor:
-    """Return which goals (G,) of a floor plan are some way off each place (S, G)."""
-    pairs = len(places) * len(goals)
-    points = places.float().repeat_interleave(len(goals), 0)
-    map_id = torch.full((pairs,), grid.map_id)
-    way = planner.next_waypoints(points, goals.repeat(len(places)), map_id, identity_pose(pairs)).distance
-    far = ((way > NEAREST) & way.isfinite()).view(len(places), len(goals))
-    if not far.any(1).all():
-        raise UserError(f"map {grid.name!r} has no two places with more than {NEAREST} m of way between them")
-    return far
-
-
 class _Candidates(NamedTuple):
     """Candidates of the draws, for M floor plans with at most S places, of which the first G are goals.
 
@@ -188,12 +174,3 @@ class _Candidates(NamedTuple):
         count = allowed.sum(-1)
         index = (lot * count).long().minimum(count - 1)
         return self.goals[row, (allowed.cumsum(-1) > index.unsqueeze(-1)).int().argmax(-1)]
-
-
-def _padded(tables: list[Tensor], value: float) -> Tensor:
-    """Stack tables of different shapes."""
-    shape = [max(sizes) for sizes in zip(*(table.shape for table in tables), strict=True)]
-    result = tables[0].new_full((len(tables), *shape), value)
-    for row, table in enumerate(tables):
-        result[(row, *(slice(length) for length in table.shape))] = table
-    return result

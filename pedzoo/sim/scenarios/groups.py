@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
-
 import torch
 from torch import Tensor
 
 from pedzoo.core.randomness import Draws
 from pedzoo.maps.plans import Point, Rectangle, check_lengths, room, wall
-from pedzoo.sim.scenario import WARM_SECONDS, Layout, PreparedScenario, door_at_origin
-from pedzoo.sim.scenarios._base import BEHIND, CELL, WALL, Hall, Numbers, whole_cells
+from pedzoo.sim.scenario import WARM_SECONDS, Layout, PreparedScenario
+from pedzoo.sim.scenarios._base import BEHIND, CELL, WALL, Numbers, Variant, Variants, Varied, whole_cells
 
 HALF_WIDTH = 3.0
 """Metres from the middle of the hall to its walls."""
@@ -35,26 +32,14 @@ SIZES = (2, 4)
 """The smallest and the largest group."""
 
 
-class GroupPlaces(NamedTuple):
-    """Each person's group and place in it, (B, A) long each.
-
-    Attributes:
-        unit: Number of the group; people alone have numbers after these.
-        place: Place in the group.
-        size: How many the group is.
-    """
-
-    unit: Tensor
-    place: Tensor
-    size: Tensor
-
-
-class Groups(Hall):
+class Groups(Varied):
     """Groups come in turn from both ends of a hall of 6 m; some halls have a wall with a door at x = 0.
 
     People of a group start side by side, like the same speed, and have goals side by side. ``agents/group``
     names them. The last agents walk alone.
     """
+
+    door = "door"
 
     def __init__(
         self,
@@ -74,41 +59,35 @@ class Groups(Hall):
             door: Width of the door, metres; 0 for no wall. A list: one per scene.
             speed: Mean preferred speed of groups, m/s.
             speed_std: Its standard deviation.
-
-        Raises:
-            UserError: A setting that gives no scene.
         """
         super().__init__(people, speed, speed_std)
-        self.doors = [float(one) for one in (door if isinstance(door, Sequence) else [door])]
-        for width in self.doors:
+        self.variants = Variants(self.name, door=door)
+        for width in self.variants.values["door"]:
             check_lengths(self.name, CELL, door=width or CELL)
         self.check(0 <= alone < people, f"alone {alone} of {people} people", f"0 to {people - 1}")
         fewest, most = size
         self.check(SIZES[0] <= fewest <= most <= SIZES[1], f"size {size}", "[least,most], from 2 to 4")
         self.alone, self.size = alone, (fewest, most)
 
-    def walls(self) -> list[list[Rectangle]]:
-        """Return the hall with every door."""
+    def walls(self, variant: Variant) -> list[Rectangle]:
+        """Return the hall, and the wall with the door."""
         units = -(-(self.people - self.alone) // self.size[0]) + self.alone
         x = whole_cells((WARM_SECONDS + MEET) * self.fastest + SPACING * -(-units // 2) + BEHIND)
-        outer, ends = room((-x, -HALF_WIDTH), (x, HALF_WIDTH), WALL), ((0.0, -HALF_WIDTH), (0.0, HALF_WIDTH))
-        inner = [wall(*ends, 2 * WALL, [(HALF_WIDTH, width)]) if width else [] for width in self.doors]
-        return [outer + one for one in inner]
+        walls, doors = room((-x, -HALF_WIDTH), (x, HALF_WIDTH), WALL), [(HALF_WIDTH, variant["door"])]
+        if variant["door"]:
+            walls += wall((0.0, -HALF_WIDTH), (0.0, HALF_WIDTH), 2 * WALL, doors)
+        return walls
 
-    def places(self) -> list[Point]:
+    def places(self, variant: Variant) -> list[Point]:
         """Return the goals on the right and on the left, from the lowest y on."""
         across = [place * ABREAST / 2 for place in range(-OUTMOST, OUTMOST + 1)]
         return [(x, y) for x in (BEYOND, -BEYOND) for y in across]
 
-    def gate(self, draws: Draws) -> Tensor | None:
-        """Return the door, where all halls have one."""
-        if min(self.doors) <= 0:
-            return None
-        widths = torch.tensor(self.doors, device=draws.key.device)
-        return door_at_origin(widths[draws.integers("door", len(self.doors))])
+    def seats(self, draws: Draws) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the number of each person's group, their place in it, and its size, (B, A) long each.
 
-    def seats(self, draws: Draws) -> GroupPlaces:
-        """Return people's groups, whose sizes are drawn, and their places in them."""
+        Sizes of groups are drawn; people alone have numbers after those of the groups.
+        """
         together, slot = self.people - self.alone, torch.arange(self.people, device=draws.key.device)
         fewest, most = self.size
         sizes = fewest + draws.integers("size", most - fewest + 1, -(-together // fewest) or 1)
@@ -118,7 +97,7 @@ class Groups(Hall):
         begin = torch.nn.functional.pad(ends, (1, 0)).gather(1, last)
         alone = slot >= together
         units = (ends < together).sum(1, keepdim=True) + 1
-        return GroupPlaces(
+        return (
             torch.where(alone, units + slot - together, unit),
             torch.where(alone, 0, slot - begin),
             torch.where(alone, 1, ends.gather(1, last) - begin),
@@ -127,8 +106,7 @@ class Groups(Hall):
     def layout(self, prepared: PreparedScenario, draws: Draws) -> Layout:
         """Return groups as far from the middle as they walk until they would meet."""
         unit, place, size = self.seats(draws)
-        map_id, goals = (table.to(unit.device) for table in prepared.tables)
-        number = draws.integers("door", len(self.doors))
+        map_id, goals = self.drawn(prepared, draws)
         side, row = unit % 2, unit // 2
         speeds = torch.nn.functional.pad(self.speeds(draws), (0, self.people % 2))
         # groups behind faster ones start no nearer to them than `SPACING`
@@ -139,10 +117,10 @@ class Groups(Hall):
         across = shift + 2 * place
         x = torch.where(side == 0, -away, away)
         return Layout(
-            map_id=map_id[number],
-            start=torch.stack((x, ABREAST / 2 * (across - OUTMOST)), -1),
-            mask=torch.ones_like(unit, dtype=torch.bool),
-            pref_speed=speeds.gather(1, unit),
-            goal=goals[number.unsqueeze(1), side * (2 * OUTMOST + 1) + across],
+            map_id,
+            torch.stack((x, ABREAST / 2 * (across - OUTMOST)), -1),
+            torch.ones_like(unit, dtype=torch.bool),
+            speeds.gather(1, unit),
+            goals.gather(1, side * (2 * OUTMOST + 1) + across),
             group=torch.where(size > 1, unit, -1),
         )

@@ -8,7 +8,7 @@ from torch import Tensor
 from pedzoo.core.randomness import Draws
 from pedzoo.maps.plans import Point, Rectangle, room
 from pedzoo.sim.scenario import WARM_SECONDS, Layout, PreparedScenario
-from pedzoo.sim.scenarios._base import BEHIND, WALL, Hall, Range, Uniform, whole_cells
+from pedzoo.sim.scenarios._base import BEHIND, WALL, Range, Uniform, Variant, Variants, Varied, whole_cells
 
 SPACING = 0.8
 """Metres between places in the line."""
@@ -25,7 +25,7 @@ COMING = 2.0
 """Metres between people who come, one behind the other, and at least as many behind the line."""
 
 
-class Queue(Hall):
+class Queue(Varied):
     """A line along x before a counter; the first person is served and leaves to one side, others move up.
 
     Places in the line are goals, at which the policy has to hold people. A person takes the next place when
@@ -51,23 +51,20 @@ class Queue(Hall):
             seconds: How long a person is served; ``[least,most]``: each draws a time.
             speed: Mean preferred speed, m/s.
             speed_std: Its standard deviation.
-
-        Raises:
-            UserError: A setting that gives no scene.
         """
         super().__init__(people, speed, speed_std)
         self.check(0 <= coming < people, f"coming {coming} of {people} people", f"0 to {people - 1}")
-        self.in_line, self.later = people - coming, people + 1
+        self.in_line, self.later, self.variants = people - coming, people + 1, Variants(self.name)
         self.seconds = Uniform(self.name, "seconds", seconds, least=0.1)
 
-    def walls(self) -> list[list[Rectangle]]:
+    def walls(self, variant: Variant) -> list[Rectangle]:
         """Return the room and the counter."""
         coming = self.people - self.in_line
         reach = SPACING * self.people + COMING * (coming + 1) + WARM_SECONDS * self.fastest
         left = whole_cells(max(reach, -EXITS[0][0]) + BEHIND)
-        return [[*room((-left, -HALF_WIDTH), (2.0, HALF_WIDTH), WALL), COUNTER]]
+        return [*room((-left, -HALF_WIDTH), (2.0, HALF_WIDTH), WALL), COUNTER]
 
-    def places(self) -> list[Point]:
+    def places(self, variant: Variant) -> list[Point]:
         """Return the places from the counter on, and the exits."""
         return [*((-SPACING * place, 0.0) for place in range(self.people)), *EXITS]
 
@@ -87,18 +84,17 @@ class Queue(Hall):
 
     def layout(self, prepared: PreparedScenario, draws: Draws) -> Layout:
         """Return people at their places, and those who come behind them."""
-        speed = self.speeds(draws)
-        map_id, goals = (table.to(speed.device) for table in prepared.tables)
+        speed, (map_id, goals) = self.speeds(draws), self.drawn(prepared, draws)
         slot = torch.arange(self.people, device=speed.device)
         late = (slot - self.in_line + 1).clamp_min(0)
         back = torch.where(late > 0, COMING * late + WARM_SECONDS * speed.cummax(1).values, 0.0)
         start = -SPACING * torch.where(late > 0, self.people, slot) - back
         hold = self.pauses(draws, torch.zeros_like(goals[:, :-2]))
         return Layout(
-            map_id=map_id.expand(len(speed)),
-            start=torch.stack((start, torch.zeros_like(start)), -1),
-            mask=torch.ones_like(speed, dtype=torch.bool),
-            pref_speed=speed,
-            goal=goals[:, : self.people].expand(len(speed), -1),
+            map_id,
+            torch.stack((start, torch.zeros_like(start)), -1),
+            torch.ones_like(speed, dtype=torch.bool),
+            speed,
+            goals[:, : self.people],
             hold=torch.where(late > 0, 0.0, hold),
         )

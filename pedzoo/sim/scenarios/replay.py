@@ -4,32 +4,42 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from pedzoo.core.errors import UserError, unknown
+from pedzoo.core.geometry import passes_goal
 from pedzoo.core.randomness import Draws
-from pedzoo.core.types import OBS_LEN, STEP_SECONDS
+from pedzoo.core.types import GOAL_RADIUS, OBS_LEN, STEP_SECONDS
 from pedzoo.data.own_files import OwnFiles
 from pedzoo.data.recordings import OpenFold, Scene, find_fold, open_fold
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
+from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.maps.planning.planner import Planner
 from pedzoo.maps.plans import load_plan
-from pedzoo.sim.recorded_rollout import real_parts
-from pedzoo.sim.replay.people import RecordedPeople, SpeedOf, people_of, top_speed_of
-from pedzoo.sim.replay.script import Script, ScriptScenes
-from pedzoo.sim.replay.slots import pieces, slots, table
-from pedzoo.sim.rollout import Rollout, joined
+from pedzoo.sim import kernel
+from pedzoo.sim.dynamics import substeps
+from pedzoo.sim.episodes import Episodes
+from pedzoo.sim.physics._base import Physics
+from pedzoo.sim.physics.compiled import Compiled
+from pedzoo.sim.recorded_people import RecordedPeople, SpeedOf, people_of, top_speed_of
+from pedzoo.sim.rollout import Rollout, joined, rollout_of
+from pedzoo.sim.rules import Rules, rules_of
 from pedzoo.sim.scenario import Layout, PreparedScenario, Scenario
+from pedzoo.sim.script import Script, ScriptScenes, pieces, slots, table
+from pedzoo.sim.state import TRACE_PER_STEP, State
 
 Simulated = Literal["all", "one", "around"]
 
 CELL, SHARE = 0.1, 0.2
 """Metres: cells on which ways are planned, and squares in which exits share them; see `Planner`."""
+
+_AT_ONCE = 64
+"""Scenes: as many of the recorded crowd as are walked together."""
 
 
 class Replay(Scenario):
@@ -85,9 +95,6 @@ class Replay(Scenario):
                 which uses the future. At least 0.3 m/s.
             stops: People have the places where they stood for 2 s or more as goals before their exit, and
                 stay there as long as they did. That uses the future, as exits do.
-
-        Raises:
-            UserError: There are no such recordings, or a setting is out of range.
         """
         super().__init__(people=1)
         if simulated not in get_args(Simulated):
@@ -123,17 +130,13 @@ class Replay(Scenario):
         """Read the recordings, find people's paths to their exits, and give them slots.
 
         Prints how many people are simulated and played back. Its table has the floor plan of each recording.
-
-        Raises:
-            UserError: A recording is refused, or no person can be simulated.
         """
         recorded = self._scenes()
         # steps of 0.4 s from 0 on; a track with a hole goes on as another person's
         tracks = [scene.tracks.resampled(STEP_SECONDS) for scene in recorded]
-        grids = [scene.grid for scene in recorded]
-        bank = MapBank([grid for grid in grids if grid is not None], self.unknown)
+        bank = MapBank([scene.grid for scene in recorded if scene.grid is not None], self.unknown)
         planner = Planner(bank, clearance, cell=CELL, share=SHARE)
-        map_id = torch.tensor([grid.map_id if grid else -1 for grid in grids])
+        map_id = torch.tensor([scene.grid.map_id if scene.grid else -1 for scene in recorded])
         rows = bank.index(map_id).tolist()
         people, xy = people_of(tracks, rows, planner, self.share, self.speed_of, self.stops)
         if not people.controlled.any():
@@ -179,7 +182,7 @@ class Replay(Scenario):
         kinds = ", ".join(f"{count} {name}" for name, count in people.counts.items())
         print(
             f"replay {name or self.name}: {len(people.agent)} people in {result.scenes} scenes of at most "
-            f"{result.people}: {kinds}" + f"; {int((people.stop_pause > 0).sum())} stops" * self.stops
+            f"{result.people}: {kinds}" + f"; {int((people.stops.pause > 0).sum())} stops" * self.stops
         )
         return result
 
@@ -189,18 +192,14 @@ class Replay(Scenario):
         if draws.episode is None or script is None:
             raise ValueError("a replay needs the numbers of its episodes, Draws.for_episodes(seed, episode)")
         scene = draws.episode % len(script.scenes.table)
-        opening, history = script.opening(scene)
-        there = opening.person >= 0
-        pref_speed = torch.where(there, script.people.pref_speed[opening.person], self.speed)
+        begun = script.opening(scene)
+        pref_speed = torch.where(begun["mask"], script.people.pref_speed[begun["person"]], self.speed)
         return Layout(
             map_id=prepared.tables[script.scenes.table[scene]],
-            start=history[:, :, 0],
-            mask=there,
+            start=begun["history"][:, :, 0],
             pref_speed=pref_speed,
             top_speed=top_speed_of(pref_speed),
-            goal=torch.where(there, script.goals[opening.person, 0], -1),
-            history=history,
-            opening=opening,
+            **begun,
         )
 
 
@@ -231,61 +230,105 @@ class PreparedReplay(PreparedScenario):
         return self.script
 
     def real(self) -> Rollout:
-        """Return the recorded crowd as a rollout of one round: on the same slots and trace.
+        """Return the recorded crowd as a rollout of one round, so that it is measured like everything else.
 
-        ``controlled`` are the people that a policy would have: from where it takes them over until they come
-        within 0.3 m of their goal. Contacts are those of the physics `compiled`.
+        Slots and trace are those of any rollout of it. ``controlled`` are the people that a policy would
+        move, for as long as it would move them if it walked as they did: until they come within 0.3 m of
+        their goal. From there on they have ``reached`` it. Others meet them until they really leave, so
+        people may stand about at the exit where no policy controls an agent. Some never come so near, because
+        the goal is not quite where they left: they reach it by leaving. Contacts are those of `compiled`.
         """
         return joined(list(self.real_parts()))
 
     def real_parts(self) -> Iterator[Rollout]:
         """Yield `real` in parts of some scenes, each only as long as these take."""
-        return real_parts(self, self.scenes)
+        fine, physics = substeps(self.fastest_agent), Compiled(self.bank)
+        episodes = Episodes(self, "recorded", physics, rules_of(self, TRACE_PER_STEP, fine))
+        rules = Rules(_still, TRACE_PER_STEP, fine, script=self._recorded.as_recorded())
+        for number in torch.arange(self.scenes).split(_AT_ONCE):
+            yield self._walked(physics, rules, episodes.begin(Draws.for_episodes(0, number)))
+
+    def _walked(self, physics: Physics, rules: Rules, start: State) -> Rollout:
+        """Return the recorded continuation of scenes that begin so."""
+        assert rules.script is not None
+        script, scene = self._recorded, start.scene
+        people, goal_point = script.people, script.people.goal.float()
+        planned = (people.path_length.float() - GOAL_RADIUS).clamp_min(0)
+        origin = script.scenes.origin[scene]
+        scheduled = rules.script.people_in_slots(scene, origin)
+        state = start._replace(
+            person=scheduled,
+            mask=scheduled >= 0,
+            controlled=torch.zeros_like(start.mask),
+            goal_id=torch.full_like(scheduled, -1),
+        )
+        still, steps = torch.zeros_like(state.position), list[dict[str, Tensor]]()
+        before, done = start.person, torch.zeros_like(start.mask)
+        for frame in range(int((script.scenes.last_exit[scene] - origin).max())):
+            person, there = state.person, state.mask
+            at = (origin + frame).unsqueeze(1).expand_as(person)
+            begin = script.places(person, at)
+            state, _, events = kernel.step(state, still, physics, rules)
+            had = script.scored(scene, person) & there & (at >= people.handover[person])
+            done = done & (person == before)
+            points = torch.cat((begin.unsqueeze(2), events.trace), dim=2)
+            near = passes_goal(points[:, :, :-1], points[:, :, 1:], goal_point[person].unsqueeze(2))
+            reached = (near & had.unsqueeze(2)).cummax(2).values | done.unsqueeze(2)
+            reached[..., -1] |= had & (at + 1 == people.last[person])
+            walks = had.unsqueeze(2) & ~torch.cat((done.unsqueeze(2), reached[..., :-1]), dim=2)
+            before, done = person, reached[..., -1]
+            always = {
+                "goal": goal_point[person],
+                "present": there,
+                "person": torch.where(there, person, -1),
+                "planned": torch.where(had, planned[person], 0.0),
+            }
+            step = {
+                key: value.unsqueeze(2).expand(*value.shape[:2], TRACE_PER_STEP, *value.shape[2:])
+                for key, value in always.items()
+            }
+            step |= {key: getattr(events, key) for key in ("trace", "agent_contact", "wall_contact")}
+            steps.append(step | {"reached": reached.long(), "controlled": walks})
+        never = torch.zeros_like(start.mask), torch.zeros_like(start.failed)
+        return rollout_of(self.scenario, start, steps, *never)
+
+
+def _still(state: State) -> Guidance:
+    """Return goals where people are, so that all stand."""
+    position = state.position
+    still, remaining_path = torch.zeros_like(position), torch.zeros_like(state.remaining_path)
+    return Guidance(position, still, position, state.goal_point, remaining_path)
 
 
 def _all_simulated(people: RecordedPeople, recordings: int) -> tuple[Tensor, ScriptScenes]:
     """Return which person is in which slot, and the scenes, with all people simulated that can be."""
-    scene_rows = []
+    rows = []
     for recording in range(recordings):
         mine = (people.recording == recording).nonzero()[:, 0]
         for piece in pieces(people.first[mine], people.removal[mine]):
             group = mine[piece]
             scored = group[people.controlled[group]]
             if len(scored):
-                origin = people.first[group].min() + OBS_LEN - 1
-                last, left = people.handover[scored].max(), people.last[scored].max()
-                scene_rows.append((recording, origin, people.removal[group].max(), last, left, -1, True))
-    return _occupants(people, people.removal, recordings, 1), _scenes_of(scene_rows)
+                origin = int(people.first[group].min()) + OBS_LEN - 1
+                ends = people.removal[group], people.handover[scored], people.last[scored]
+                rows.append((recording, origin, *(int(end.max()) for end in ends), -1, 1))
+    columns = torch.tensor(rows).unbind(1)
+    return _occupants(people, people.removal, recordings, 1), ScriptScenes(*columns[:-1], columns[-1].bool())
 
 
 def _one_simulated(people: RecordedPeople, recordings: int, around: bool) -> tuple[Tensor, ScriptScenes]:
     """Return the same with a scene for each person, ordered by how long they stay."""
     leads = people.controlled.nonzero()[:, 0]
-    leads = leads[(people.last - people.first)[leads].argsort(stable=True)].tolist()
-    scene_rows = [
-        (
-            people.recording[p],
-            people.handover[p],
-            people.removal[p],
-            people.handover[p],
-            people.last[p],
-            p,
-            around,
-        )
-        for p in leads
-    ]
-    occupants = _occupants(people, people.removal if around else people.last, recordings, 2)
-    return occupants, _scenes_of(scene_rows)
+    leads = leads[(people.last - people.first)[leads].argsort(stable=True)]
+    columns = people.recording, people.handover, people.removal, people.handover, people.last
+    scenes = ScriptScenes(*(column[leads] for column in columns), leads, torch.full_like(leads, around) > 0)
+    return _occupants(people, people.removal if around else people.last, recordings, 2), scenes
 
 
 def _occupants(people: RecordedPeople, end: Tensor, recordings: int, more: int) -> Tensor:
     """Return the person in each slot in each frame (recordings, A, frames) long, -1 for none.
 
-    Args:
-        people: The recorded people.
-        end: Frame from which on their slots are free (P,) long.
-        recordings: How many there are.
-        more: A, beyond the largest number of a slot.
+    Slots of people are free from the frames ``end`` (P,) on; A is ``more`` than the largest number of one.
     """
     frames, slot = int(end.max()) + 1, torch.full_like(people.first, -1)
     own = [people.recording == recording for recording in range(recordings)]
@@ -293,9 +336,3 @@ def _occupants(people: RecordedPeople, end: Tensor, recordings: int, more: int) 
         slot[mine] = slots(people.first[mine], end[mine])
     most = int(slot.max()) + more
     return torch.stack([table(torch.where(m, slot, -1), people.first, end, frames, most) for m in own])
-
-
-def _scenes_of(rows: list[tuple[Any, ...]]) -> ScriptScenes:
-    columns = (torch.tensor([int(value) for value in column]) for column in zip(*rows, strict=True))
-    number, origin, until, last, left, lead, others = columns
-    return ScriptScenes(number, origin, until, last, left, lead, others.bool())

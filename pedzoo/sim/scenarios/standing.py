@@ -45,9 +45,6 @@ class Standing(Door):
                 too, no nearer to its sides than 0.2 m.
             seconds: How long they stand after the warm start; ``[least,most]``: drawn. They set out with the
                 next decision.
-
-        Raises:
-            UserError: A setting that gives no scene.
         """
         if (people := as_integer("people", common.people)) < 2:
             raise UserError(f"standing: people {people}: expected at least 2")
@@ -63,16 +60,15 @@ class Standing(Door):
 
     def layout(self, prepared: PreparedScenario, draws: Draws) -> Layout:
         """Return the people who come and, as the last, the standing one."""
-        coming = super().layout(prepared, draws)
-        width = self.variants.value("width", draws)
+        coming, (_, goals) = super().layout(prepared, draws), self.drawn(prepared, draws)
+        width, seconds = self.variants.value("width", draws), self.seconds.draw(draws, 1)
         beside = (width / 2 - ROOM).clamp_min(0.0) * (2 * draws.uniform("beside") - 1)
         place = torch.stack((self.at.draw(draws, 1)[:, 0], beside), dim=-1)
-        goals = prepared.tables[1].to(width.device)[self.variants.draw(draws)]
-        seconds = self.seconds.draw(draws, 1)
+        pref_speed = torch.cat((coming.pref_speed, self.speeds(draws)[:, -1:]), 1)
         return coming._replace(
-            start=torch.cat((coming.start, place.unsqueeze(1)), dim=1),
-            mask=torch.ones(len(width), self.people, dtype=torch.bool, device=width.device),
-            pref_speed=torch.cat((coming.pref_speed, self.speeds(draws)[:, -1:]), dim=1),
-            goal=torch.cat((coming.goal, goals.gather(1, draws.integers("goal", 2, 1))), dim=1),
+            start=torch.cat((coming.start, place.unsqueeze(1)), 1),
+            mask=torch.ones_like(pref_speed, dtype=torch.bool),
+            pref_speed=pref_speed,
+            goal=torch.cat((coming.goal, goals.gather(1, draws.integers("goal", 2, 1))), 1),
             stand=torch.nn.functional.pad(seconds, (self.people - 1, 0)),
         )

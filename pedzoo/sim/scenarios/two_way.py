@@ -9,7 +9,7 @@ import torch
 from pedzoo.core.randomness import Draws
 from pedzoo.maps.plans import Point, Rectangle, check_lengths, room
 from pedzoo.sim.scenario import WARM_SECONDS, Layout, PreparedScenario
-from pedzoo.sim.scenarios._base import BEHIND, CELL, WALL, Hall, whole_cells
+from pedzoo.sim.scenarios._base import BEHIND, CELL, WALL, Variant, Variants, Varied, whole_cells
 from pedzoo.sim.scenarios._lanes import APART, FREE
 
 FRONT = 0.5
@@ -19,7 +19,7 @@ LANES = 8
 """Goals beside each other at each end."""
 
 
-class TwoWay(Hall):
+class TwoWay(Varied):
     """Half of the people come from each end of a corridor along x, in no order; they meet in its middle.
 
     Both streams together have the given density where they are in the same place. Goals are behind the
@@ -42,15 +42,12 @@ class TwoWay(Hall):
             density: People per square metre where the streams are in the same place.
             speed: Mean preferred speed, m/s.
             speed_std: Its standard deviation.
-
-        Raises:
-            UserError: A setting that gives no scene.
         """
         super().__init__(people, speed, speed_std)
         check_lengths(self.name, CELL, width=width)
         self.check(people >= 2, f"people {people}", "at least 2")
         self.check(0 < density <= 2, f"density {density}", "people per square metre, up to 2")
-        self.width = width
+        self.width, self.variants = width, Variants(self.name)
         # every person of a stream has a cell, as wide as possible
         self.columns = max(1, math.ceil(APART * density * width / 2))
         self.across = width / self.columns
@@ -60,24 +57,20 @@ class TwoWay(Hall):
         self.length = self.along * -(-((people + 1) // 2) // self.columns)
         self.end = FRONT + self.length + WARM_SECONDS * speed
 
-    def walls(self) -> list[list[Rectangle]]:
+    def walls(self, variant: Variant) -> list[Rectangle]:
         """Return the corridor's."""
         x = whole_cells(self.end + BEHIND)
-        return [room((-x, -self.width / 2), (x, self.width / 2), WALL)]
+        return room((-x, -self.width / 2), (x, self.width / 2), WALL)
 
-    def places(self) -> list[Point]:
+    def places(self, variant: Variant) -> list[Point]:
         """Return the goals at the right end, and those at the left end."""
         step = (self.width - 2 * FREE) / LANES
-        return [
-            (x, step * (lane + 0.5) - LANES * step / 2)
-            for x in (self.end, -self.end)
-            for lane in range(LANES)
-        ]
+        across = [step * (lane + 0.5) - LANES * step / 2 for lane in range(LANES)]
+        return [(x, y) for x in (self.end, -self.end) for y in across]
 
     def layout(self, prepared: PreparedScenario, draws: Draws) -> Layout:
         """Return both streams, each person somewhere in a cell, at least 0.5 m from others of the stream."""
-        speed = self.speeds(draws)
-        map_id, goals = (table.to(speed.device) for table in prepared.tables)
+        speed, (map_id, goals) = self.speeds(draws), self.drawn(prepared, draws)
         slot = torch.arange(self.people, device=speed.device)
         number, side = slot // 2, slot % 2
         row, column = number // self.columns, number % self.columns
@@ -86,10 +79,5 @@ class TwoWay(Hall):
         aside = self.across * (column + 0.5) - self.width / 2 + (self.across - APART) * across
         start = torch.stack((torch.where(side == 0, -away, away), aside), -1)
         lane = ((aside / (self.width - 2 * FREE) + 0.5) * LANES).long().clamp(0, LANES - 1)
-        return Layout(
-            map_id=map_id.expand(len(speed)),
-            start=start,
-            mask=torch.ones_like(speed, dtype=torch.bool),
-            pref_speed=speed,
-            goal=goals[0][side * LANES + lane],
-        )
+        mask = torch.ones_like(speed, dtype=torch.bool)
+        return Layout(map_id, start, mask, speed, goals.gather(1, side * LANES + lane))

@@ -8,7 +8,7 @@ from torch import Tensor
 from pedzoo.core.randomness import Draws
 from pedzoo.maps.plans import Point, Rectangle, room
 from pedzoo.sim.scenario import Layout, PreparedScenario
-from pedzoo.sim.scenarios._base import WALL, Hall, Range, Uniform
+from pedzoo.sim.scenarios._base import WALL, Range, Uniform, Variant, Variants, Varied
 
 HALF = (10.0, 4.0)
 """Metres from the middle of the hall to its walls."""
@@ -32,7 +32,7 @@ ENTER = 1.2
 """Metres behind the exits at which people start, at most."""
 
 
-class Waiting(Hall):
+class Waiting(Varied):
     """Some people wait in a hall of 20 m by 8 m, others walk through it from both ends.
 
     People who wait have their place as goal, and their policy has to hold them there. Some of them set out
@@ -61,9 +61,6 @@ class Waiting(Hall):
             seconds: How long the others wait; ``[least,most]``: each draws a time.
             speed: Mean preferred speed, m/s.
             speed_std: Its standard deviation.
-
-        Raises:
-            UserError: A setting that gives no scene.
         """
         super().__init__(people, speed, speed_std)
         passing = people - waiting
@@ -73,15 +70,14 @@ class Waiting(Hall):
             f"0 to {len(PLACES)} who wait, and 1 to {2 * LANES} others",
         )
         self.check(0 <= stay <= 1, f"stay {stay}", "a share from 0 to 1")
-        self.waiting, self.stay = waiting, stay
+        self.waiting, self.stay, self.variants = waiting, stay, Variants(self.name)
         self.seconds = Uniform(self.name, "seconds", seconds, least=0.1)
 
-    def walls(self) -> list[list[Rectangle]]:
+    def walls(self, variant: Variant) -> list[Rectangle]:
         """Return the hall's."""
-        x, y = HALF
-        return [room((-x, -y), (x, y), WALL)]
+        return room((-HALF[0], -HALF[1]), HALF, WALL)
 
-    def places(self) -> list[Point]:
+    def places(self, variant: Variant) -> list[Point]:
         """Return the exits on the left, on the right, and the places to wait at."""
         lanes = [ABREAST * (lane - LANES // 2) for lane in range(LANES)]
         return [(side * EXIT, y) for side in (-1, 1) for y in lanes] + PLACES
@@ -98,8 +94,8 @@ class Waiting(Hall):
     def layout(self, prepared: PreparedScenario, draws: Draws) -> Layout:
         """Return people at their places, and those who walk through at the ends of the hall."""
         device, agents, waiting = draws.key.device, self.people, self.waiting
-        map_id, goals = (table.to(device) for table in prepared.tables)
-        points = torch.tensor(self.places(), device=device)
+        speed, (map_id, goals) = self.speeds(draws), self.drawn(prepared, draws)
+        points = torch.tensor(self.places({}), device=device)
         place = 2 * LANES + draws.uniform("place", len(PLACES)).topk(waiting).indices
         slot = torch.arange(agents - waiting, device=device)
         side = slot % 2  # 0: from the left
@@ -109,12 +105,11 @@ class Waiting(Hall):
         leave = (1 - side) * LANES + draws.integers("leave", LANES, agents - waiting)
         stays = draws.uniform("stay", waiting) < self.stay
         hold = torch.where(stays, torch.inf, self.seconds.draw(draws, waiting))
-        speed = self.speeds(draws)
         return Layout(
-            map_id=map_id.expand(len(speed)),
-            start=torch.cat((points[place], enter), 1),
-            mask=torch.ones_like(speed, dtype=torch.bool),
-            pref_speed=speed,
-            goal=goals[0][torch.cat((place, leave), 1)],
+            map_id,
+            torch.cat((points[place], enter), 1),
+            torch.ones_like(speed, dtype=torch.bool),
+            speed,
+            goals.gather(1, torch.cat((place, leave), 1)),
             hold=torch.cat((hold, torch.zeros_like(enter[..., 0])), 1),
         )

@@ -23,10 +23,10 @@ from pedzoo.sim.arrival import arrived
 from pedzoo.sim.dynamics import STRIDE
 from pedzoo.sim.observation import observed, state_of
 from pedzoo.sim.physics.torch import Torch
-from pedzoo.sim.replay.people import top_speed_of
-from pedzoo.sim.replay.script import Script
+from pedzoo.sim.recorded_people import top_speed_of
 from pedzoo.sim.rules import Rules
 from pedzoo.sim.scenario import SLOWEST
+from pedzoo.sim.script import Script
 from pedzoo.sim.state import TRACE_PER_STEP, Motion, MotionInput, State
 
 Walk = Callable[[TensorDict], Tensor]

@@ -14,7 +14,7 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.maps.planning.planner import Planner
 from pedzoo.policies.memory import Attempts, walks
-from pedzoo.sim.replay.people import top_speed_of
+from pedzoo.sim.recorded_people import top_speed_of
 from pedzoo.train.crowds.excerpts import Excerpts
 
 Policy = Callable[[TensorDictBase], TensorDictBase]

@@ -11,7 +11,7 @@ from pedzoo.core.geometry import identity_pose, move_to_scene
 from pedzoo.core.types import GOAL_RADIUS, OBS_LEN, STEP_SECONDS
 from pedzoo.data.tracks import Tracks
 from pedzoo.maps.planning.planner import Planner
-from pedzoo.sim.replay.people import LONGEST, people_of
+from pedzoo.sim.recorded_people import LONGEST, people_of
 from pedzoo.sim.scenario import SLOWEST
 
 
@@ -32,7 +32,7 @@ class RecordedCrowd(NamedTuple):
         head: Their first 8 rows (P, 8, 2), metres.
         pref_speed: The speed that they like (P,), m/s.
         group: Number of the company that they walk in (P,) long, -1 for alone, and ...
-        grouped: ... the frame that shows it (P,) long, see `pedzoo.sim.replay.companions`.
+        grouped: ... the frame that shows it (P,) long, see `pedzoo.sim.recorded_people`.
         map_id: The floor plan, -1 for none.
     """
 

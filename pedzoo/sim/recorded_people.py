@@ -1,4 +1,4 @@
-"""The people of recordings: when each comes and goes, where to, and which of them a policy can take over."""
+"""The people of recordings: when each comes and goes, where to, where they stop, and who walks together."""
 
 from __future__ import annotations
 
@@ -8,15 +8,16 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from torch import Tensor
+from torch.nn.functional import pad
 
 from pedzoo.core.geometry import identity_pose
 from pedzoo.core.types import GOAL_RADIUS, OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO
 from pedzoo.data.tracks import Tracks
 from pedzoo.maps.planning.planner import Planner
-from pedzoo.sim.replay.companions import companies
-from pedzoo.sim.replay.stops import STANDS, Stops, stops_of
 from pedzoo.sim.state import SLOWEST
 
 USUAL = 1.3
@@ -33,6 +34,15 @@ REASONS = ("controlled", "too short", "already at the exit", "exit in a wall", "
 HURRY = 1.4
 """m/s: recorded people who began more slowly get as fast as people who like this speed."""
 
+NEAR, TOGETHER, DRIFT = 1.5, 8, 0.5
+"""Companions stay within so many metres for so many steps, in which their relative place changes by less."""
+
+FEWEST = 4
+"""Frames that companions are seen together at least: one may come into view after the other."""
+
+STANDS, LEAST = 0.1, 5
+"""m/s below which people stand, and steps of 0.4 s: shorter stays are part of walking."""
+
 SpeedOf = Literal["observed", "estimated", "track"]
 
 _FREE = 1.0
@@ -40,6 +50,53 @@ _FREE = 1.0
 
 _PRIOR = 3
 """Steps for which the speed of others counts beside one's own free steps."""
+
+
+class Stops(NamedTuple):
+    """Up to K stops of each of P people, in order: goals with a pause for those who replay them.
+
+    Attributes:
+        place: Where they are (P, K, 2), metres.
+        pause: For how long (P, K), seconds; 0 for no stop.
+        goal_id: The planner's numbers of the places (P, K) long, -1 for none.
+    """
+
+    place: Tensor
+    pause: Tensor
+    goal_id: Tensor
+
+    @classmethod
+    def none(cls, people: int, device: torch.device | str = "cpu") -> Stops:
+        """Return those of people who never stop."""
+        nothing = torch.zeros(people, 0, device=device)
+        return cls(nothing.unsqueeze(2).expand(-1, -1, 2), nothing, nothing.long())
+
+    @classmethod
+    def joined(cls, parts: list[Stops]) -> Stops:
+        """Return the stops of several recordings, one after the other."""
+        most = max(part.pause.shape[1] for part in parts)
+        columns = []
+        for column, missing in zip(zip(*parts, strict=True), (0.0, 0.0, -1), strict=True):
+            sides = [(*(0, 0) * (one.dim() - 2), 0, most - one.shape[1]) for one in column]
+            columns.append(torch.cat([pad(*pair, value=missing) for pair in zip(column, sides, strict=True)]))
+        return cls(*columns)
+
+    def only(self, which: Tensor) -> Stops:
+        """Return the stops for which ``which`` (P, K) bool, those of each person in order from the first."""
+        order = (~which).long().argsort(dim=1, stable=True)
+        left = which.gather(1, order)
+        width = int(left.sum(1).max()) if which.numel() else 0
+        order, left = order[:, :width], left[:, :width]
+        return Stops(
+            self.place.gather(1, order.unsqueeze(2).expand(-1, -1, 2)) * left.unsqueeze(2),
+            self.pause.gather(1, order) * left,
+            self.goal_id.gather(1, order).where(left, -1),
+        )
+
+    def goals(self, exit: Tensor) -> Tensor:
+        """Return all goals in turn (P, K + 2) long, -1 after the last, for the numbers of exits (P,)."""
+        count = (self.pause > 0).sum(1, keepdim=True)
+        return pad(self.goal_id, (0, 2), value=-1).scatter(1, count, exit.unsqueeze(1))
 
 
 class RecordedPeople(NamedTuple):
@@ -61,9 +118,7 @@ class RecordedPeople(NamedTuple):
         pref_speed: The speed that they like (P,), m/s.
         group: Number of the company that they walk in (P,) long, -1 for alone; see `companies`.
         grouped: Frame that shows it (P,) long: nothing later is needed to know it.
-        stop_place: See `Stops.place` (P, K, 2), metres.
-        stop_pause: See `Stops.pause` (P, K), seconds.
-        stop_id: See `Stops.goal_id` (P, K) long.
+        stops: Where they pause on their way, which is nowhere where that was not asked for.
     """
 
     recording: Tensor
@@ -79,14 +134,12 @@ class RecordedPeople(NamedTuple):
     pref_speed: Tensor
     group: Tensor
     grouped: Tensor
-    stop_place: Tensor
-    stop_pause: Tensor
-    stop_id: Tensor
+    stops: Stops
 
-    @property
-    def stops(self) -> Stops:
-        """Where people pause on their way, which is nowhere where that was not asked for."""
-        return Stops(self.stop_place, self.stop_pause, self.stop_id)
+    def to(self, device: torch.device | str) -> RecordedPeople:
+        """Return the people on a device."""
+        stops = Stops(*(value.to(device) for value in self.stops))
+        return RecordedPeople(*(value.to(device) for value in self[:-1]), stops)
 
     @property
     def controlled(self) -> Tensor:
@@ -150,11 +203,9 @@ def without_goals(
 ) -> tuple[RecordedPeople, Tensor]:
     """Return what `people_of` returns, before any path is planned: exits are goals, and none is blocked."""
     per_recording = [_of(number, tracks, share, speed, stops) for number, tracks in enumerate(recordings)]
-    stopped = Stops.joined([people.stops for people in per_recording])
-    columns = [torch.cat(parts) for parts in list(zip(*per_recording, strict=True))[: -len(stopped)]]
-    people = RecordedPeople(*[*columns, *stopped])
-    xy = torch.cat([torch.from_numpy(tracks.xy) for tracks in recordings])
-    return people, xy.float()
+    *columns, stopped = zip(*per_recording, strict=True)
+    people = RecordedPeople(*map(torch.cat, columns), Stops.joined([*stopped]))
+    return people, torch.cat([torch.from_numpy(tracks.xy) for tracks in recordings]).float()
 
 
 def _of(number: int, tracks: Tracks, share: float, speed: SpeedOf, stops: bool) -> RecordedPeople:
@@ -162,42 +213,28 @@ def _of(number: int, tracks: Tracks, share: float, speed: SpeedOf, stops: bool) 
     agent, begin, count = np.unique(tracks.agent, return_index=True, return_counts=True)
     end = begin + count - 1
     taken = np.minimum(begin + OBS_LEN - 1, end)
-    first, last = tracks.frame[begin], tracks.frame[end]
+    xy, first, last = (torch.from_numpy(part) for part in (tracks.xy, tracks.frame[begin], tracks.frame[end]))
     walked = np.concatenate(([0.0], np.linalg.norm(np.diff(tracks.xy, axis=0), axis=1).cumsum()))
     measured = taken if speed == "observed" else end
-    seconds = np.maximum(measured - begin, 1) * STEP_SECONDS
-    liked = (walked[measured] - walked[begin]) / seconds
+    liked = (walked[measured] - walked[begin]) / (np.maximum(measured - begin, 1) * STEP_SECONDS)
     if speed == "estimated":
         liked = np.maximum(liked, _estimated(tracks, begin, taken))
-    what = np.where(first > share * tracks.frame.max(), LATER, CONTROLLED)
-    what = np.where(count <= OBS_LEN, SHORT, what)
-
-    def places(rows: np.ndarray) -> Tensor:
-        return torch.from_numpy(tracks.xy[rows])
-
-    xy, starts, entry, leaving = (torch.from_numpy(value) for value in (tracks.xy, begin, first, last))
-    group, grouped = companies(xy, starts, entry, leaving)
+    what = np.where(tracks.frame[begin] > share * tracks.frame.max(), LATER, CONTROLLED)
     return RecordedPeople(
-        recording=torch.full((len(agent),), number),
-        agent=torch.from_numpy(agent),
-        first=entry,
-        last=leaving,
-        what=torch.from_numpy(what),
-        start=places(taken),
-        exit=places(end),
-        goal=places(end),
+        torch.full((len(agent),), number),
+        torch.from_numpy(agent),
+        first,
+        last,
+        torch.from_numpy(np.where(count <= OBS_LEN, SHORT, what)),
+        xy[taken],
+        exit=xy[end],
+        goal=xy[end],
         goal_id=torch.full((len(agent),), -1),
         path_length=torch.zeros(len(agent), dtype=torch.float64),
         pref_speed=torch.from_numpy(liked).clamp_min(SLOWEST).float(),
-        group=group,
-        grouped=grouped,
-        **columns_of(stops_of(tracks, begin, taken) if stops else Stops.none(len(agent))),
+        **dict(zip(("group", "grouped"), companies(xy, torch.from_numpy(begin), first, last), strict=True)),
+        stops=stops_of(tracks, begin, taken) if stops else Stops.none(len(agent)),
     )
-
-
-def columns_of(stops: Stops) -> dict[str, Tensor]:
-    """Return stops as columns of `RecordedPeople`."""
-    return {"stop_place": stops.place, "stop_pause": stops.pause, "stop_id": stops.goal_id}
 
 
 def _estimated(tracks: Tracks, begin: np.ndarray, taken: np.ndarray) -> np.ndarray:
@@ -205,11 +242,7 @@ def _estimated(tracks: Tracks, begin: np.ndarray, taken: np.ndarray) -> np.ndarr
 
     Free steps are those at whose end no person is within 1 m: in a queue there are none. The estimate is the
     mean of a person's free steps and of 3 steps of the crowd's speed, which is the median of all people's.
-
-    Args:
-        tracks: Rows in every frame of 0.4 s, person after person.
-        begin: First row of each person (P,).
-        taken: Row in which they are taken over (P,).
+    ``begin`` and ``taken`` (P,) are people's first rows, and those in which they are taken over.
     """
     of_person = np.repeat(np.arange(len(begin)), np.diff(np.append(begin, len(tracks))))
     step = np.linalg.norm(np.diff(tracks.xy, axis=0, prepend=tracks.xy[:1]), axis=1) / STEP_SECONDS
@@ -225,27 +258,89 @@ def _estimated(tracks: Tracks, begin: np.ndarray, taken: np.ndarray) -> np.ndarr
     return (own + _PRIOR * usual) / (count + _PRIOR)
 
 
+def companies(xy: Tensor, begin: Tensor, first: Tensor, last: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the company of each person (P,) long, -1 for alone, and the frame that shows it (P,) long.
+
+    Two people are companions if they are within 1.5 m of each other in all frames in which both are seen
+    and neither has been seen for longer than 8 frames: at least 4 frames. In 7 steps their relative place
+    changes by less than 0.5 m, in fewer steps by as much less. Companions of companions are of one company.
+    Nothing after the frame in which the policy takes over the first of the two is looked at.
+
+    Args:
+        xy: Rows of the tracks (N, 2), person after person, one for each frame, metres.
+        begin: First row of each person (P,) long.
+        first: Frame of that row (P,) long.
+        last: Frame of the last one (P,) long.
+    """
+    order = first.argsort(stable=True)
+    came, number = first[order], torch.arange(len(first))
+    count = torch.searchsorted(came, came + OBS_LEN - FEWEST, right=True) - number - 1
+    one = number.repeat_interleave(count)
+    other = one + 1 + torch.arange(len(one)) - (count.cumsum(0) - count)[one]
+    pair = torch.stack((order[one], order[other]))
+    start = first[pair].amax(0)
+    end = torch.minimum(last[pair], first[pair] + OBS_LEN - 1).amin(0)
+    pair, start, end = (value[..., end - start + 1 >= FEWEST] for value in (pair, start, end))
+    frames = (start.unsqueeze(1) + torch.arange(OBS_LEN)).minimum(end.unsqueeze(1))
+    places = xy[(begin - first)[pair].unsqueeze(2) + frames]
+    apart = places[0] - places[1]
+    near = (apart.norm(dim=2) <= NEAR).all(1)
+    most = DRIFT / (TOGETHER - 1) * (end - start)
+    together = near & ((apart[:, -1] - apart[:, 0]).norm(dim=1) < most)
+    pair, end = pair[:, together], end[together]
+    links = coo_matrix((torch.ones(pair.shape[1]), pair.numpy()), (len(first), len(first)))
+    label = torch.from_numpy(connected_components(links, directed=False)[1]).long()
+    seen = torch.full_like(first, torch.iinfo(first.dtype).max)
+    seen.scatter_reduce_(0, pair.flatten(), end.repeat(2), "amin")
+    return torch.where(torch.bincount(label)[label] > 1, label, -1), seen
+
+
+def stops_of(tracks: Tracks, begin: np.ndarray, taken: np.ndarray) -> Stops:
+    """Return the stops of people after they are taken over, without numbers of goals.
+
+    A stop is a run of at least 5 steps in which the mean of three positions moves by less than 0.1 m/s.
+
+    Args:
+        tracks: Rows in every frame of 0.4 s, person after person.
+        begin: First row of each person (P,).
+        taken: Row in which they are taken over (P,).
+    """
+    row, rows, xy = np.arange(len(tracks)), len(tracks), tracks.xy
+    person = np.repeat(np.arange(len(begin)), np.diff(np.append(begin, rows)))
+    first, last = begin[person], np.append(begin[1:], rows)[person] - 1
+    coarse = (xy[np.maximum(row - 1, first)] + xy + xy[np.minimum(row + 1, last)]) / 3
+    step = np.linalg.norm(np.diff(coarse, axis=0, prepend=coarse[:1]), axis=1) / STEP_SECONDS
+    stands = (step < STANDS) & (row > taken[person])
+    goes_on = stands[1:] & stands[:-1] & (person[1:] == person[:-1])
+    opens = np.flatnonzero(stands & ~np.append(False, goes_on))
+    closes = np.flatnonzero(stands & ~np.append(goes_on, False))
+    long = closes - opens + 1 >= LEAST
+    opens, closes = opens[long], closes[long]
+    sums, steps, of = np.append(np.zeros((1, 2)), xy.cumsum(0), axis=0), closes - opens + 1, person[opens]
+    number = np.arange(len(of)) - np.searchsorted(of, of)
+    place = np.zeros((len(begin), int(number.max(initial=-1)) + 1, 2))
+    pause = np.zeros(place.shape[:2])
+    place[of, number] = (sums[closes + 1] - sums[opens]) / steps[:, None]
+    pause[of, number] = steps * STEP_SECONDS
+    ids = torch.full(pause.shape, -1)
+    return Stops(torch.from_numpy(place).float(), torch.from_numpy(pause).float(), ids)
+
+
 def _with_goals(people: RecordedPeople, mine: Tensor, row: int, planner: Planner) -> RecordedPeople:
     """Return the people; those of one recording, ``mine`` (P,) bool, have goals where possible."""
     gone = people.removal[mine & people.controlled]
     if not len(gone):
         return people
     mine = mine & (people.first < gone.max())  # others are never seen
-    goal = people.goal.clone()
-    blocked = torch.zeros_like(mine)
+    goal, goal_id, blocked = people.goal.clone(), people.goal_id.clone(), torch.zeros_like(mine)
     if row >= 0:
         moved = torch.from_numpy(planner.graph(row).settle(goal[mine].numpy(), torch.inf, "exit")[1])
         blocked[mine] = (moved - goal[mine]).norm(dim=1) > planner.snap
         goal[mine] = torch.where(blocked[mine].unsqueeze(1), goal[mine], moved)
     with_goal = mine & ~blocked
-    goal_id = people.goal_id.clone()
     goal_id[with_goal] = planner.add_goals(row, goal[with_goal])
-    start = people.start[mine].float()
-    map_id = torch.full((len(start),), planner.bank.grids[row].map_id if row >= 0 else -1)
     path_length = people.path_length.float()
-    path_length[mine] = planner.next_waypoints(
-        start, goal_id[mine], map_id, identity_pose(len(start))
-    ).distance
+    path_length[mine] = _ways(planner, people.start[mine].float(), goal_id[mine], row)
     lost = path_length.isinf()
     stayed = ((goal - people.start).norm(dim=1) <= GOAL_RADIUS) & ~blocked
     what = people.what
@@ -264,9 +359,9 @@ def _with_stops(people: RecordedPeople, rows: Sequence[int], planner: Planner) -
 
     Places near walls move as exits do; stops that are too near, or that no path leads to, are left out.
     """
-    place, goal_id = people.stop_place.clone(), people.stop_id.clone()
-    wanted = (people.stop_pause > 0) & people.controlled.unsqueeze(1)
-    at = torch.tensor([planner.bank.grids[row].map_id if row >= 0 else -1 for row in rows])
+    place, pause, goal_id = people.stops
+    place, goal_id = place.clone(), goal_id.clone()
+    wanted = (pause > 0) & people.controlled.unsqueeze(1)
     for number, row in enumerate(rows):
         mine = wanted & (people.recording == number).unsqueeze(1)
         if row >= 0 and mine.any():
@@ -277,16 +372,21 @@ def _with_stops(people: RecordedPeople, rows: Sequence[int], planner: Planner) -
         goal_id[mine] = planner.add_goals(row, place[mine])
 
     def ways(begin: Tensor, goal: Tensor) -> Tensor:
-        there = goal >= 0
-        length = torch.zeros(there.shape)
-        begin, maps = begin[there], at[people.recording].unsqueeze(1).expand_as(goal)[there]
-        pose = identity_pose(len(begin))
-        length[there] = planner.next_waypoints(begin, goal[there], maps, pose).distance
+        length = torch.zeros(goal.shape)
+        for number, row in enumerate(rows):
+            mine = (goal >= 0) & (people.recording == number).unsqueeze(1)
+            length[mine] = _ways(planner, begin[mine], goal[mine], row)
         return length
 
     start = people.start.float().unsqueeze(1)
     reached = ways(start.expand_as(place), goal_id).isfinite()
-    stops = Stops(place, people.stop_pause, goal_id).only(wanted & reached)
+    stops = Stops(place, pause, goal_id).only(wanted & reached)
     legs = ways(torch.cat((start, stops.place), 1), stops.goals(people.goal_id)[:, :-1])
     path_length = torch.where(people.controlled, legs.sum(1).to(people.path_length), people.path_length)
-    return people._replace(path_length=path_length, **columns_of(stops))
+    return people._replace(path_length=path_length, stops=stops)
+
+
+def _ways(planner: Planner, begin: Tensor, goal: Tensor, row: int) -> Tensor:
+    """Return the lengths (N,) of ways on a recording's floor plan to goals (N,) long, metres."""
+    map_id = torch.full((len(begin),), planner.bank.grids[row].map_id if row >= 0 else -1)
+    return planner.next_waypoints(begin, goal, map_id, identity_pose(len(begin))).distance

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from functools import cached_property
+from heapq import heappop, heappush
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
-from pedzoo.sim.replay.people import SHORT, RecordedPeople, columns_of, top_speed_of
-from pedzoo.sim.replay.stops import Stops
+from pedzoo.sim.recorded_people import SHORT, RecordedPeople, Stops, top_speed_of
 from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
 
 
@@ -36,35 +36,6 @@ class ScriptScenes(NamedTuple):
     others: Tensor
 
 
-class SceneStarts(NamedTuple):
-    """The people of scenes when these begin.
-
-    Attributes:
-        scene: Which scenes of the script (B,) long.
-        person: Person in each slot (B, A) long, -1 for none.
-        controlled: Which people the policy moves (B, A) bool.
-        observed_points: Trace points for which they have been seen (B, A) long.
-        group: Numbers of their companies (B, A) long, -1 for alone; None: all are.
-        velocity: Theirs (B, A, 2), m/s; None for that of the last 0.1 s.
-        deadline: Until when they have to arrive (B, A), seconds on the clock; None for the usual time limit.
-        later: Their goals after the first (B, A, G) long, -1 for none; None: the scenario draws them.
-    """
-
-    scene: Tensor
-    person: Tensor
-    controlled: Tensor
-    observed_points: Tensor
-    group: Tensor | None = None
-    velocity: Tensor | None = None
-    deadline: Tensor | None = None
-    later: Tensor | None = None
-
-    def to(self, device: torch.device) -> SceneStarts:
-        """Return the opening on a device."""
-        moved = (None if value is None else value.to(device) for value in self)
-        return SceneStarts(*moved)  # type: ignore[arg-type]  # None only where it may be
-
-
 class Script:
     """Moves people as they were recorded, and says which are there.
 
@@ -84,18 +55,18 @@ class Script:
             scenes: The scenes.
         """
         self.people, self.xy, self.occupants, self.scenes = people, xy, occupants, scenes
-        self._begin = torch.cumsum(people.last - people.first + 1, 0) - (people.last - people.first + 1)
+        rows = people.last - people.first + 1
+        self._begin = torch.cumsum(rows, 0) - rows
         self._pref_speed = people.pref_speed.float()
         self.goals = people.stops.goals(people.goal_id)
-        self._pause = torch.nn.functional.pad(people.stop_pause, (0, 1))
+        self._pause = torch.nn.functional.pad(people.stops.pause, (0, 1))
 
     def to(self, device: torch.device | str) -> Script:
         """Return the script on a device: itself where it is there already."""
         if self.xy.device == torch.device(device):
             return self
-        people = RecordedPeople(*(value.to(device) for value in self.people))
         scenes = ScriptScenes(*(value.to(device) for value in self.scenes))
-        return type(self)(people, self.xy.to(device), self.occupants.to(device), scenes)
+        return type(self)(self.people.to(device), self.xy.to(device), self.occupants.to(device), scenes)
 
     @classmethod
     def of_windows(cls, here: Tensor, future: Tensor, there: Tensor, group: Tensor) -> Script:
@@ -111,28 +82,24 @@ class Script:
         """
         scenes, agents, steps = there.shape
         number = torch.arange(scenes * agents, device=there.device)
-        zeros, last = torch.zeros_like(number), torch.full_like(number, steps)
-        place, never = here.flatten(0, 1), torch.full_like(number, steps + 1)
+        zeros, place = torch.zeros_like(number), here.flatten(0, 1)
         people = RecordedPeople(
             recording=number // agents,
             agent=number % agents,
             first=zeros,
-            last=last,
+            last=torch.full_like(number, steps),
             what=torch.full_like(number, SHORT),
-            start=place,
-            exit=place,
-            goal=place,
+            **dict.fromkeys(("start", "exit", "goal"), place),
+            **dict.fromkeys(("path_length", "pref_speed"), place[:, 0] * 0),
             goal_id=zeros,
-            path_length=place[:, 0] * 0,
-            pref_speed=place[:, 0] * 0,
             group=group.flatten(),
             grouped=zeros,
-            **columns_of(Stops.none(len(number), there.device)),
+            stops=Stops.none(len(number), there.device),
         )
         xy = torch.cat((here.unsqueeze(2), future), 2).reshape(-1, 2)
         occupants = torch.where(there, number.view(scenes, agents, 1), -1)
         row = torch.arange(scenes, device=there.device)
-        none, end = torch.full_like(row, -1), never[:scenes]
+        none, end = torch.full_like(row, -1), torch.full_like(row, steps + 1)
         return cls(people, xy, occupants, ScriptScenes(row, zeros[:scenes], end, end, end, none, none > 0))
 
     def as_recorded(self) -> Script:
@@ -168,30 +135,11 @@ class Script:
         first, last = self.people.first[person], self.people.last[person]
         return self.xy[self._begin[person] + frame.clamp(first, last) - first]
 
-    def path(self, scene: Tensor, person: Tensor, tick: Tensor, points: int, substeps: int) -> Tensor:
-        """Return the recorded ways (B, A, S, M, 2) of people: straight from frame to frame.
-
-        Args:
-            scene: Which scenes (B,) long.
-            person: Persons (B, A) long; paths of -1 mean nothing.
-            tick: Trace points since the clock was 0, before the first one wanted (B,) long; the S points do
-                not go beyond the end of a frame.
-            points: S.
-            substeps: M.
-        """
-        at = self.scenes.origin[scene] * TRACE_PER_STEP + tick
-        frame, part = (at // TRACE_PER_STEP).unsqueeze(1).expand_as(person), at % TRACE_PER_STEP
-        here, there = self.places(person, frame), self.places(person, frame + 1)
-        share = part.unsqueeze(1) + torch.arange(1, points * substeps + 1, device=at.device) / substeps
-        share = (share / TRACE_PER_STEP)[:, None, :, None]
-        return torch.lerp(here.unsqueeze(2), there.unsqueeze(2), share).unflatten(2, (points, substeps))
-
-    def opening(self, scene: Tensor) -> tuple[SceneStarts, Tensor]:
-        """Return how scenes (B,) begin, and people's positions in the frames until then (B, A, 8, 2)."""
+    def opening(self, scene: Tensor) -> dict[str, Tensor]:
+        """Return how scenes (B,) begin, as fields of a `pedzoo.sim.scenario.Layout`."""
         frame = self.scenes.origin[scene]
         person = self.people_in_slots(scene, frame)
-        there = person >= 0
-        at = frame.unsqueeze(1).expand_as(person)
+        there, at = person >= 0, frame.unsqueeze(1).expand_as(person)
         frames = at.unsqueeze(2) + torch.arange(1 - OBS_LEN, 1, device=at.device)
         history = self.places(person.unsqueeze(2).expand_as(frames), frames)
         seen = (at - self.people.first[person]).clamp_max(OBS_LEN - 1)
@@ -199,26 +147,24 @@ class Script:
         came = (seen < 1).unsqueeze(2)
         last = torch.where(came, history[:, :, -1], history[:, :, -2])
         following = torch.where(came, self.places(person, at + 1), history[:, :, -1])
-        return SceneStarts(
-            scene=scene,
-            person=person,
-            controlled=self._taken(scene, person, at, before=True),
-            observed_points=torch.where(there, seen * TRACE_PER_STEP + 1, PAST_LEN),
-            group=self._group(person, at),
-            velocity=(following - last) / STEP_SECONDS,
-            deadline=self._deadline(scene, person),
-            later=self.goals[person, 1:],
-        ), torch.where(there[..., None, None], history, 0.0)
+        return {
+            "scene": scene,
+            "person": person,
+            "mask": there,
+            "controlled": self.scored(scene, person) & (self.people.handover[person] <= at),
+            "observed_points": torch.where(there, seen * TRACE_PER_STEP + 1, PAST_LEN),
+            "group": self._group(person, at),
+            "velocity": (following - last) / STEP_SECONDS,
+            "deadline": self._deadline(scene, person),
+            "goal": torch.where(there, self.goals[person, 0], -1),
+            "later": self.goals[person, 1:],
+            "history": torch.where(there[..., None, None], history, 0.0),
+        }
 
     def scored(self, scene: Tensor, person: Tensor) -> Tensor:
         """Return which people the policy has at some time (B, A) bool."""
         lead, others = self.scenes.lead[scene].unsqueeze(1), self.scenes.others[scene].unsqueeze(1)
         return self.people.controlled[person] & (person >= 0) & (others | (person == lead))
-
-    def _taken(self, scene: Tensor, person: Tensor, frame: Tensor, before: bool = False) -> Tensor:
-        """Return which people the policy takes over in this frame (B, A) bool, or took over ``before``."""
-        taken = self.people.handover[person]
-        return self.scored(scene, person) & (taken <= frame if before else taken == frame)
 
     def _group(self, person: Tensor, frame: Tensor) -> Tensor:
         """Return the companies of people (B, A) long as far as frames until this one show them."""
@@ -235,8 +181,18 @@ class Script:
         return torch.where(state.person >= 0, pause, 0.0)
 
     def playback(self, state: State, failed: Tensor, points: int, substeps: int) -> Tensor:
-        """Return the recorded ways (B, A, S, M, 2) of people; in scenes that ``failed`` (B,) they stay."""
-        recorded = self.path(state.scene, state.person, _tick(state.clock), points, substeps)
+        """Return the recorded ways (B, A, S, M, 2) of people: straight from frame to frame.
+
+        In scenes that ``failed`` (B,) they stay; ways of nobody mean nothing. The S ``points`` do not go
+        beyond the end of a frame; each has M ``substeps``.
+        """
+        person = state.person
+        at = self.scenes.origin[state.scene] * TRACE_PER_STEP + _tick(state.clock)
+        frame, part = (at // TRACE_PER_STEP).unsqueeze(1).expand_as(person), at % TRACE_PER_STEP
+        here, there = self.places(person, frame), self.places(person, frame + 1)
+        share = part.unsqueeze(1) + torch.arange(1, points * substeps + 1, device=at.device) / substeps
+        share = (share / TRACE_PER_STEP)[:, None, :, None]
+        recorded = torch.lerp(here.unsqueeze(2), there.unsqueeze(2), share).unflatten(2, (points, substeps))
         return torch.where(failed.view(-1, 1, 1, 1, 1), state.position[:, :, None, None], recorded)
 
     def update_presence(self, before: State, after: State, points: int) -> tuple[State, Tensor]:
@@ -257,7 +213,7 @@ class Script:
         stays = after.mask & (after.person == scheduled)
         mask = comes | stays
         overdue = after.overdue | (after.mask & after.controlled & ~stays)
-        taken = stays & sharp & self._taken(after.scene, scheduled, now)
+        taken = stays & sharp & self.scored(after.scene, scheduled) & (self.people.handover[scheduled] == now)
         here = self.places(scheduled, now)
         velocity = (self.places(scheduled, now + 1) - here) / STEP_SECONDS
         come, person = comes.unsqueeze(2), torch.where(mask, scheduled, -1)
@@ -291,3 +247,43 @@ class Script:
 def _tick(clock: Tensor) -> Tensor:
     """Return how many trace points lie before the times (B,), seconds, long."""
     return (clock / TRACE_SECONDS).round().long()
+
+
+def slots(begin: Tensor, end: Tensor) -> Tensor:
+    """Return slots (P,) long for people present from ``begin`` to before ``end`` (P,) long.
+
+    As few as possible: the next person gets the free slot with the smallest number. People who are never
+    present (``end`` not after ``begin``) get -1.
+    """
+    result = torch.full_like(begin, -1)
+    free, leaving = list(range(len(begin))), list[tuple[int, int]]()
+    for person in begin.argsort(stable=True).tolist():
+        comes, goes = int(begin[person]), int(end[person])
+        if goes <= comes:
+            continue
+        while leaving and leaving[0][0] <= comes:
+            heappush(free, heappop(leaving)[1])
+        result[person] = slot = heappop(free)
+        heappush(leaving, (goes, slot))
+    return result
+
+
+def table(slot: Tensor, begin: Tensor, end: Tensor, frames: int, most: int) -> Tensor:
+    """Return the person in ``most`` slots in ``frames`` frames (most, frames) long, -1 for none."""
+    occupant = torch.full((most, frames), -1)
+    stays = zip(slot.tolist(), begin.tolist(), end.tolist(), strict=True)
+    for person, (place, comes, goes) in enumerate(stays):
+        if place >= 0:
+            occupant[place, comes:goes] = person
+    return occupant
+
+
+def pieces(begin: Tensor, end: Tensor) -> list[Tensor]:
+    """Return groups of people (each (n,) long) such that people of two groups are never there together.
+
+    In order of time; within a group there are people from its first ``begin`` to its last ``end`` (P,).
+    """
+    order = begin.argsort(stable=True)
+    gone = end[order].cummax(0).values
+    cuts = (begin[order][1:] >= gone[:-1]).nonzero()[:, 0] + 1
+    return list(order.tensor_split(cuts))

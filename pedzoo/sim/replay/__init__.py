@@ -1,1 +1,0 @@
-"""Recorded crowds that are played back."""
