@@ -86,13 +86,6 @@ class Setting:
     collision_penalty: float = -0.25
     discomfort_factor: float = 0.5
 
-    @property
-    def orca(self) -> OrcaSettings:
-        """The parameters of the people's ORCA."""
-        return OrcaSettings(
-            dt=TIME_STEP, neighbor_dist=10.0, max_neighbors=max(10, self.people), time_horizon=5.0
-        )
-
 
 CROWDNAV = Setting()
 """Chen, Liu, Kreiss and Alahi, "Crowd-Robot Interaction", ICRA 2019: ``crowd_nav/configs/env.config``."""
@@ -165,15 +158,11 @@ class Events(NamedTuple):
 def cases(setting: Setting, seeds: Sequence[int]) -> State:
     """Return the start of the cases that are drawn from seeds of numpy's legacy generator, one for each."""
     draws, scenes = [np.random.RandomState(seed) for seed in seeds], len(seeds)
-    if setting.arena is None:
-        start = torch.tensor([0.0, -setting.circle]).double().repeat(scenes, 1)
-        end = -start
-    else:
-        ends, left = torch.zeros(scenes, 4).double(), torch.arange(scenes)
-        while len(left):
-            ends[left] = setting.arena * (2 * _numbers(draws, left, 4) - 1)
-            left = left[(ends[left, :2] - ends[left, 2:]).norm(dim=-1) < setting.far]
-        start, end = ends[:, :2].clone(), ends[:, 2:].clone()
+    start = torch.tensor([0.0, -setting.circle]).double().repeat(scenes, 1)
+    end, left = -start, torch.arange(scenes if setting.arena else 0)
+    while setting.arena and len(left):
+        start[left], end[left] = (setting.arena * (2 * _numbers(draws, left, 4) - 1)).split(2, dim=1)
+        left = left[(start[left] - end[left]).norm(dim=-1) < setting.far]
     place = start.new_full((scenes, setting.people, 2), torch.nan)
     for slot in range(setting.people):
         others = torch.cat((start[:, None], end[:, None], place, -place), dim=1)
@@ -202,13 +191,9 @@ def _numbers(draws: list[np.random.RandomState], rows: Tensor, count: int) -> Te
 
 
 def _free_place(setting: Setting, draws: list[np.random.RandomState], rows: Tensor, taken: Tensor) -> Tensor:
-    """Return places (R, 2) near the circle that keep clear of others, each drawn until it does.
+    """Return places (R, 2) of cases ``rows`` (R,) near the circle, each drawn until it keeps clear of others.
 
-    Args:
-        setting: Its circle and distances.
-        draws: The generators.
-        rows: Of which cases (R,) long.
-        taken: Where others are and where they go (R, K, 2), metres; NaN is nowhere.
+    ``taken`` (R, K, 2) is where others are and where they go, metres; NaN is nowhere.
 
     Raises:
         RuntimeError: A case has no place for one more person.
@@ -235,8 +220,7 @@ def step(setting: Setting, state: State, velocity: Tensor) -> tuple[State, Event
     """
     robot, people, going = state.robot, state.people, state.going
     valid = velocity.isfinite().all(1)
-    velocity = torch.where((valid & going)[:, None], velocity.double(), 0)
-    velocity = limit_speed(velocity, robot.v_pref)
+    velocity = limit_speed(torch.where((valid & going)[:, None], velocity.double(), 0), robot.v_pref)
     present = people._replace(mask=people.mask & going[:, None])
     chosen = people_velocity(setting, robot, present, state.goal)
     moved = robot._replace(position=robot.position + TIME_STEP * velocity, velocity=velocity)
@@ -260,8 +244,7 @@ def step(setting: Setting, state: State, velocity: Tensor) -> tuple[State, Event
     reward = ends[outcome] + torch.where(disturbing & going & (outcome == GOES_ON), depth, 0)
 
     people, going = walked(people, chosen), going & (outcome == GOES_ON)
-    seen = in_range(setting, moved, people)
-    gone_on = walked(state.known, state.known.velocity)
+    seen, gone_on = in_range(setting, moved, people), walked(state.known, state.known.velocity)
     known = ObservedPeople(
         torch.where(seen[..., None], people.position, gone_on.position),
         torch.where(seen[..., None], people.velocity, gone_on.velocity),
@@ -292,14 +275,14 @@ def people_velocity(setting: Setting, robot: Robot | None, people: ObservedPeopl
     wanted, slots = toward(goal - people.position), people.mask.shape[1]
     if setting.visible and robot is not None:
         own = ObservedPeople(*robot[:2], robot.radius, torch.ones_like(robot.radius, dtype=torch.bool))
-        people = ObservedPeople(
-            *(torch.cat((them, it[:, None]), 1) for them, it in zip(people, own, strict=True))
-        )
+        pairs = zip(people, own, strict=True)
+        people = ObservedPeople(*(torch.cat((them, it[:, None]), 1) for them, it in pairs))
         wanted = torch.nn.functional.pad(wanted, (0, 0, 0, 1))
     position, velocity, radius, mask = people
     radius = radius.float() + (MARGIN + setting.safety_space)
-    speed = torch.full(mask.shape, SPEED)
-    given = position.float(), velocity.float(), wanted.float(), speed, mask, setting.orca
+    speed, most = torch.full(mask.shape, SPEED), max(10, setting.people)
+    orca = OrcaSettings(dt=TIME_STEP, neighbor_dist=10.0, max_neighbors=most, time_horizon=5.0)
+    given = position.float(), velocity.float(), wanted.float(), speed, mask, orca
     return orca_velocity(*given, radius=radius)[:, :slots].double()
 
 

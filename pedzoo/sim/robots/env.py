@@ -115,33 +115,33 @@ class RobotEnv(PedestrianEnv):
         self._people = Teams(people, _Commanded(part)).to(self.device)
         self._ends_at, self._time_limit, self._reward = ends_at, time_limit, reward
         self._readings = Readings(sensors, decision_dt)
-        self._set_specs(num_envs)
-
-    def _set_specs(self, scenes: int) -> None:
-        shape, agents = (scenes, self.robots), self.prepared.people
-        points = round(self.decision_dt / TRACE_SECONDS)
-        full = specs.observation_spec(scenes, agents, points, self.bank)
-        info = Composite({name: specs.flag(*shape) for name in ("active", *INFO)}, shape=shape)
-        seen = Composite(
-            {name: one.spec(*shape) for name, one in self._readings.entries.items()}, shape=shape
-        )
+        shape = (num_envs, self.robots)
         self._body = TensorDict(self.fleet._asdict(), (self.robots,), device=self.device).expand(shape)
-        body = make_composite_from_td(self._body)
-        full["robots"] = Composite(observation=seen, body=body, info=info, shape=shape)
-        low, high = torch.tensor([body.limits for body in self.scenes.bodies]).unbind(-1)
-        low, high = (limit.expand(*shape, 2).clone() for limit in (low, high))
-        action = Bounded(low, high, torch.Size((*shape, 2)))
+        self._set_specs(*shape)
 
-        def group(**entries: Any) -> Composite:
-            return Composite(robots=Composite(entries, shape=shape), shape=shape[:1])
-
+    def _set_specs(self, *shape: int) -> None:
+        points = round(self.decision_dt / TRACE_SECONDS)
+        full = specs.observation_spec(shape[0], self.prepared.people, points, self.bank)
+        seen = {name: one.spec(*shape) for name, one in self._readings.entries.items()}
+        full["robots"] = Composite(
+            observation=Composite(seen, shape=shape),
+            body=make_composite_from_td(self._body),
+            info=Composite({name: specs.flag(*shape) for name in ("active", *INFO)}, shape=shape),
+            shape=shape,
+        )
+        limits = torch.tensor([body.limits for body in self.scenes.bodies]).unbind(-1)
+        low, high = (limit.expand(*shape, 2).clone() for limit in limits)
+        entries = {
+            "action": Bounded(low, high, torch.Size((*shape, 2))),
+            "reward": specs.real(*shape, 1),
+        }
+        done = specs.done_spec(shape[0])
         ends = {name: specs.flag(*shape, 1) for name in ("done", "terminated", "truncated")}
-        self.observation_spec = full.to(self.device)
-        self.action_spec = group(action=action).to(self.device)
-        self.reward_spec = group(reward=specs.real(*shape, 1)).to(self.device)
-        done = specs.done_spec(scenes)
         done["robots"] = Composite(ends, shape=shape)
-        self.done_spec = done.to(self.device)
+        self.observation_spec, self.done_spec = full.to(self.device), done.to(self.device)
+        for name, entry in entries.items():
+            group = Composite({name: entry}, shape=shape)
+            setattr(self, f"{name}_spec", Composite(robots=group, shape=shape[:1]).to(self.device))
 
     def view(self, state: State, guidance: Guidance) -> RobotView:
         """Return what sensors look at."""
@@ -160,8 +160,8 @@ class RobotEnv(PedestrianEnv):
     def _opened(self, state: State) -> State:
         if self.scenes.present:
             return state
-        agents = self.prepared.people
-        there = torch.arange(agents, device=self.device) < agents - self.robots
+        there = torch.ones_like(state.mask)
+        there[:, -self.robots :] = False
         return state._replace(
             mask=state.mask & there,
             controlled=state.controlled & there,
@@ -172,16 +172,13 @@ class RobotEnv(PedestrianEnv):
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         before, scenes = self.state, self._scenes  # the former refuses a step before `reset`
         assert scenes is not None
-        guidance = scenes.guidance
+        guidance, people = scenes.guidance, self.prepared.people - self.robots
         first = self.view(before, guidance)
-        action = actions_of(tensordict, "robots")
-        command = self.fleet.commands(action, first.heading)
-        state, outcome, happened, taken = before, None, [], []
-        for _ in range(self._parts):
+        command = self.fleet.commands(actions_of(tensordict, "robots"), first.heading)
+        state, outcome, happened, taken = before, Outcome.none(before.controlled[:, people:]), [], []
+        for part in range(self._parts):
             seen = observed(state, guidance, self.bank)
-            agents_of(seen)["command"] = torch.nn.functional.pad(
-                command, (0, 0, self.prepared.people - self.robots, 0)
-            )
+            agents_of(seen)["command"] = torch.nn.functional.pad(command, (0, 0, people, 0))
             # how the robots' policy explores is no matter of people's
             with set_exploration_type(ExplorationType.RANDOM):
                 velocity = actions_of(self._people(seen))
@@ -189,43 +186,45 @@ class RobotEnv(PedestrianEnv):
             result = outcome_of(
                 state, after, events, self.robots, self.scenes.robot_goals, self._time_limit, self._ends_at
             )
-            people = torch.zeros_like(after.mask[:, : -self.robots])
-            after = after._replace(controlled=after.controlled & ~torch.cat((people, result.ended), 1))
-            outcome = result if outcome is None else outcome.then(result)
+            ended = torch.nn.functional.pad(result.ended, (people, 0))
+            after = after._replace(controlled=after.controlled & ~ended)
+            outcome = outcome.then(result) if part else result
             happened.append(events)
             taken.append((velocity, state, after))
             state = after
-        assert outcome is not None
         if bool((state.failed & ~before.failed).any()):
             # of the first part that failed: what comes later moves nobody
             self._warn(*next(part for part in taken if bool((part[2].failed & ~part[1].failed).any())))
         self._scenes = scenes._replace(state=state, guidance=guidance)
-        together = Events(
-            *(torch.cat(parts, 2) for parts in list(zip(*happened, strict=True))[:4]), *happened[-1][4:]
-        )
+        over_time = [torch.cat(parts, 2) for parts in list(zip(*happened, strict=True))[:4]]
+        together = Events(*over_time, *happened[-1][4:])
         observation = self._observation(state, guidance, together, outcome)
         reward = self._reward(first, self.view(state, guidance), together.trace, outcome)
-        over = ~state.controlled[:, -self.robots :]
-        late = outcome.timeout | outcome.failed | (over & state.overdue[:, -self.robots :])
+        over = ~state.controlled[:, people:]
+        late = outcome.timeout | outcome.failed | (over & state.overdue[:, people:])
         observation["robots", "reward"] = reward.unsqueeze(-1)
-        ended = over.all(1)
         self._set_ends(observation, over, late)
-        observation["done"] = ended.unsqueeze(1)
-        observation["truncated"] = (ended & late.any(1)).unsqueeze(1)
-        observation["terminated"] = (ended & ~late.any(1)).unsqueeze(1)
+        ended, late = over.all(1).unsqueeze(1), late.any(1).unsqueeze(1)
+        for name, value in _ends(ended, late).items():
+            observation[name] = value
         return observation
 
     def _set_ends(self, observation: TensorDictBase, over: Tensor, late: Tensor) -> None:
         """Write which robots' episodes are over (B, R) bool, and which of them are so without an end."""
         robots = cast("TensorDict", observation["robots"])
-        for name, value in (("done", over), ("terminated", over & ~late), ("truncated", over & late)):
+        for name, value in _ends(over, late).items():
             robots[name] = value.unsqueeze(-1)
 
     def _observation(
         self, state: State, guidance: Guidance, happened: Events | None = None, outcome: Outcome | None = None
     ) -> TensorDict:
         batch, robots = super()._observation(state, guidance, happened), self._body.batch_size
-        seen = self._sensed(happened is None)
+        if happened is None:  # only scenes that begin are looked at again
+            assert self._scenes is not None
+            rows = self._begun.nonzero().view(-1)
+            seen = self._readings(self.view(*self._scenes.select(rows)), rows)
+        else:
+            seen = self._readings(self.view(state, guidance))
         outcome = outcome or Outcome.none(state.controlled[:, -self.robots :])
         flags = {name: getattr(outcome, name) for name in ("active", *INFO)}
         group = {
@@ -236,14 +235,9 @@ class RobotEnv(PedestrianEnv):
         batch["robots"] = tensordict_of(group, robots, self.device)
         return batch
 
-    def _sensed(self, begins: bool) -> dict[str, Tensor]:
-        """Return what sensors say (B, R, ...); where scenes begin, only these are looked at again."""
-        scenes = self._scenes
-        assert scenes is not None
-        if not begins:
-            return self._readings(self.view(*scenes))
-        rows = self._begun.nonzero().view(-1)
-        return self._readings(self.view(*scenes.select(rows)), rows)
+
+def _ends(over: Tensor, late: Tensor) -> dict[str, Tensor]:
+    return {"done": over, "terminated": over & ~late, "truncated": over & late}
 
 
 class _Commanded(Policy):
@@ -287,8 +281,7 @@ def make_robot_env(
         clearance: Metres that planned ways keep from walls; None: 0.25, or more for wide robots.
         robot_goals: Goals that each robot has to reach.
         present: Without it the robots are missing: the same people, in the same scenes.
-        settings: More of `RobotEnv` and `PedestrianEnv`: ``seed``, ``decision_dt``, ``ends_at``,
-            ``time_limit``, ``device``, ...
+        settings: More of `RobotEnv` and `PedestrianEnv`: ``seed``, ``decision_dt``, ``ends_at``, ...
 
     Raises:
         UserError: An unknown name or setting, or a scene that cannot be.

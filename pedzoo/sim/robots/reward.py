@@ -81,28 +81,21 @@ def outcome_of(
     """
     last = slice(-robots, None)
     active = before.controlled[:, last]
-    success = active & (events.reached[:, last, -1] >= goals)
     touched = active & events.agent_contact[:, last].any(-1)
     wall = active & events.wall_contact[:, last].any(-1)
     person = touched
-    if robots > 1:
-        person = touched & _nearest_is_person(events.trace, before, robots)
+    if robots > 1:  # of which kind is the nearest body on the way
+        gap = torch.linalg.vector_norm(events.trace[:, last].unsqueeze(2) - events.trace.unsqueeze(1), dim=-1)
+        gap = gap.amin(-1) - before.radius.unsqueeze(1) - before.radius[:, last].unsqueeze(2)
+        nearest = gap.masked_fill(~other_agents(before.mask, robots), torch.inf).argmin(-1)
+        person = touched & (before.kind.gather(1, nearest) != ROBOT)
     late = after.overdue[:, last] if time_limit is None else (after.clock >= time_limit - 1e-3).unsqueeze(1)
     hit = {"any": touched | wall, "agent": touched, "none": torch.zeros_like(touched)}[ends_at]
     failed = active & after.failed.unsqueeze(1)
-    success = success & ~hit
+    success = active & (events.reached[:, last, -1] >= goals) & ~hit
     timeout = active & (late | ~after.mask[:, last]) & ~success & ~hit & ~failed
     ended = active & (success | hit | timeout | failed)
     return Outcome(active, success, person, touched & ~person, wall, timeout, failed, ended)
-
-
-def _nearest_is_person(trace: Tensor, state: State, robots: int) -> Tensor:
-    """Return whose (B, R) bool nearest body on a trace (B, A, S, 2) is a person's."""
-    mine = trace[:, -robots:].unsqueeze(2)
-    gap = torch.linalg.vector_norm(mine - trace.unsqueeze(1), dim=-1).amin(-1)
-    gap = gap - state.radius.unsqueeze(1) - state.radius[:, -robots:].unsqueeze(2)
-    nearest = gap.masked_fill(~other_agents(state.mask, robots), torch.inf).argmin(-1)
-    return state.kind.gather(1, nearest) != ROBOT
 
 
 class RobotReward(ABC):
@@ -120,13 +113,7 @@ class RobotReward(ABC):
         """
 
 
-DEFAULT_WEIGHTS: Mapping[str, float] = {
-    "progress": 1.0,
-    "success": 5.0,
-    "collision": 5.0,
-    "discomfort": 1.0,
-    "time": 0.1,
-}
+DEFAULT_WEIGHTS = {"progress": 1.0, "success": 5.0, "collision": 5.0, "discomfort": 1.0, "time": 0.1}
 """Default terms and weights."""
 
 
@@ -142,10 +129,17 @@ class WeightedSum:
         given = DEFAULT_WEIGHTS if weights is None else weights
         if not isinstance(given, Mapping) or not all(isinstance(name, str) for name in given):
             raise UserError(f'reward {given!r:.60}: expected weights by name, such as {{"progress": 1.0}}')
-        self.terms = [
-            (name, build(ROBOT_REWARDS, name, RobotReward), _weight(name, weight))
-            for name, weight in given.items()
-        ]
+        self.terms: list[tuple[str, RobotReward, float]] = []
+        for name, weight in given.items():
+            term = build(ROBOT_REWARDS, name, RobotReward)
+            try:
+                number = float(cast("Any", weight))
+            except (TypeError, ValueError):
+                number = math.nan
+            if not math.isfinite(number):
+                expected = f'a finite number, as in {{"{name}": 1.0}}'
+                raise UserError(f"reward {name}: weight {weight!r:.60}: expected {expected}")
+            self.terms.append((name, term, number))
 
     def __call__(self, before: RobotView, after: RobotView, trace: Tensor, outcome: Outcome) -> Tensor:
         """Return the reward (B, R); 0 for robots that had ended.
@@ -166,14 +160,3 @@ class WeightedSum:
                     raise UserError(f"reward {name} returned {float(odd[0])}: expected finite numbers")
             raise UserError(f"rewards {', '.join(terms)}: their sum is no finite number")
         return total
-
-
-def _weight(name: str, weight: object) -> float:
-    try:
-        if math.isfinite(number := float(cast("Any", weight))):
-            return number
-    except (TypeError, ValueError):
-        pass
-    raise UserError(
-        f'reward {name}: weight {weight!r:.60}: expected a finite number, as in {{"{name}": 1.0}}'
-    )

@@ -68,7 +68,11 @@ class RobotRollout:
 
     def episodes(self, index: slice) -> RobotRollout:
         """Return some of the episodes."""
-        return RobotRollout(**{field.name: _some(getattr(self, field.name), index) for field in fields(self)})
+        values: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
+        for name, value in values.items():
+            if name != "bodies" and not isinstance(value, int):
+                values[name] = value.episodes(index) if isinstance(value, Rollout) else value[index]
+        return RobotRollout(**values)
 
 
 def joined_robots(parts: Sequence[RobotRollout]) -> RobotRollout:
@@ -77,18 +81,11 @@ def joined_robots(parts: Sequence[RobotRollout]) -> RobotRollout:
     result: dict[str, Any] = {}
     for field in fields(RobotRollout):
         values = [getattr(part, field.name) for part in parts]
+        result[field.name] = values[0]
         if isinstance(values[0], Rollout):
             result[field.name] = joined(values)
         elif isinstance(values[0], Tensor):
             points = longest + (field.name == "heading")
             over_time = values[0].dim() == 3
             result[field.name] = torch.cat([grown(v, points) if over_time else v for v in values])
-        else:
-            result[field.name] = values[0]
     return RobotRollout(**result)
-
-
-def _some(value: Any, index: slice) -> Any:
-    if isinstance(value, Rollout):
-        return value.episodes(index)
-    return value[index] if isinstance(value, Tensor) else value

@@ -48,11 +48,7 @@ class RobotScenes(Scenario):
         present: bool = True,
         body_radius: float = BODY_RADIUS,
     ) -> None:
-        """Take the scenario of N + R people; `with_robots` makes it.
-
-        Raises:
-            UserError: There is no robot, or no goal for it.
-        """
+        """Take the scenario of N + R people; `with_robots` makes it, and says what the arguments are."""
         robot_goals = as_integer("robot_goals", robot_goals)
         if not bodies or robot_goals < 1:
             raise UserError(f"{len(bodies)} robots, robot_goals {robot_goals}: expected at least 1 of each")

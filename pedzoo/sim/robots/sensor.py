@@ -118,10 +118,14 @@ class Sensor(ABC):
     delay: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the values; a sensor with more settings is a dataclass, and checks its own as well."""
+        """Check the values; a sensor with more settings is a dataclass, and may check its own as well."""
         given = f"noise {self.noise}, dropout {self.dropout}, delay {self.delay}"
         valid = self.noise >= 0 and 0 <= self.dropout < 1 and self.delay >= 0
         self.check(valid, given, "at least 0, a share below 1, and seconds from 0 on")
+        self._set_up()
+
+    def _set_up(self) -> None:  # noqa: B027  for our own sensors
+        pass
 
     def check(self, valid: bool, given: str, expected: str) -> None:
         """Raise the error of settings ``given`` that are not as ``expected``, unless they are valid."""

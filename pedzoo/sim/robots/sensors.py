@@ -92,9 +92,7 @@ class Lidar(Sensor):
     reach: float = 5.0
     field_of_view: float = 360.0
 
-    def __post_init__(self) -> None:
-        """See `Sensor.__post_init__`."""
-        super().__post_init__()
+    def _set_up(self) -> None:
         _check_view(self, "beams", self.beams)
         angle = math.radians(self.field_of_view)
         around = torch.arange(self.beams) * (angle / self.beams)
@@ -135,9 +133,7 @@ class Camera(Sensor):
     eye_height: float = 0.5
     reach: float = 10.0
 
-    def __post_init__(self) -> None:
-        """See `Sensor.__post_init__`."""
-        super().__post_init__()
+    def _set_up(self) -> None:
         width, height, angle = self.width, self.height, self.field_of_view
         eyes, reach = self.eye_height, self.reach
         valid = min(width, height) >= 1 and 0 < angle < 180 and eyes > 0 and reach > 0
@@ -177,9 +173,7 @@ class Patch(Sensor):
     cells: int = 32
     side: float = 6.4
 
-    def __post_init__(self) -> None:
-        """See `Sensor.__post_init__`."""
-        super().__post_init__()
+    def _set_up(self) -> None:
         cells, side = self.cells, self.side
         self.check(cells >= 1 and side > 0, f"cells {cells}, side {side}", "at least 1, and metres above 0")
         across = (torch.arange(cells) + 0.5) * (side / cells) - side / 2
@@ -223,9 +217,7 @@ class People(Sensor):
     field_of_view: float = 360.0
     line_of_sight: bool = False
 
-    def __post_init__(self) -> None:
-        """See `Sensor.__post_init__`."""
-        super().__post_init__()
+    def _set_up(self) -> None:
         _check_view(self, "most", self.most)
         self.half_angle = math.radians(self.field_of_view / 2)
 
