@@ -194,13 +194,8 @@ class Scenario(ABC):
         """Return the next goals (P,) long of people who have just reached one; -1 for none.
 
         Also asked for people who would begin an episode nearer than `MIN_INITIAL_PATH` to their first goal.
-
-        Args:
-            prepared: The result of `prepare`.
-            draws: One entry per person: that of their scene.
-            agent: Their slots in it (P,) long.
-            number: How many goals they have reached (P,) long.
-            last: The goal just reached (P,) long.
+        ``draws`` has one entry per person, that of their scene; ``agent`` are their slots in it, ``number``
+        how many goals they have reached, and ``last`` the goal just reached, (P,) long each.
         """
         return torch.full_like(last, -1)
 
@@ -208,11 +203,8 @@ class Scenario(ABC):
         """Return how long people wait where their present goal is, once they reach it (B, A), seconds.
 
         0: they do not, and the goal counts as reached. Infinite: until the person in the slot before theirs
-        has taken more goals than they have; then they take the next one, on the way, too.
-
-        Args:
-            draws: Of the scenes.
-            number: How many goals people took after the first (B, A) long.
+        has taken more goals than they have; then they take the next one, on the way, too. ``number`` (B, A)
+        says how many goals people took after the first.
         """
         return torch.zeros_like(number, dtype=torch.float32)
 
@@ -224,10 +216,7 @@ class Scenario(ABC):
         return None
 
     def adapted(self, other: PreparedScenario) -> PreparedScenario | None:
-        """Return the scenario prepared with the floor plans and ways of another; None if it has others.
-
-        So several scenarios on one floor plan are prepared once.
-        """
+        """Return this with the floor plans and ways of another, which are prepared once; None for others."""
         return None
 
     def prepare(self, clearance: float) -> PreparedScenario:

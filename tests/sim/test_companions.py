@@ -79,43 +79,33 @@ def test_people_are_companions_in_any_order() -> None:
     assert torch.equal(same, other.unsqueeze(1) == other)
 
 
-def test_a_policy_sees_companies_once_they_show(tmp_path: Path) -> None:
-    """Two enter in frames 0 and 3; they are companions from the first one's eighth frame on."""
-    rows = [(frame, 1, 0.4 * frame, 0.0) for frame in range(30)]
-    rows += [(frame, 2, 0.4 * frame, 0.7) for frame in range(3, 30)]
-    rows += [(frame, 3, 12 - 0.4 * frame, 5.0) for frame in range(30)]
-    file = tmp_path / "rows.txt"
-    file.write_text("".join(f"{f} {a} {x:.4f} {y:.4f}\n" for f, a, x, y in rows))
-    scenario = Replay(files=[str(file)], dt=0.4).prepare(0.25)
-    assert (scenario.persons.group >= 0).tolist() == [True, True, False]
-    env = make_env(scenario)
-    now: Any = env.reset()
-    person = now["agents", "id"][0].tolist()
-    pair = [person.index(0), person.index(1)]
-    seen = []
-    for _ in range(4):
-        both = companions_of(now)[0]
-        seen.append(bool(both[pair[0], pair[1]]))
-        assert int(both.sum()) == 2 * seen[-1]
-        now["agents", "action"] = now["agents", "desired_velocity"]
-        now = step_mdp(env.step(now))
-    # the clock begins in frame 7
-    assert seen == [True] * 4
-    assert torch.equal(env.state.group[0] >= 0, torch.isin(env.state.person[0], torch.tensor([0, 1])))
-
-
-def test_companies_are_not_shown_before(tmp_path: Path) -> None:
-    """The third person lets the scene begin in frame 7; two enter in frames 4 and 5, and show in 11."""
-    rows = [(frame, 3, 12 - 0.4 * frame, 5.0) for frame in range(30)]
-    rows += [(frame, 1, 0.4 * frame, 0.0) for frame in range(4, 30)]
-    rows += [(frame, 2, 0.4 * frame, 0.7) for frame in range(5, 30)]
-    file = tmp_path / "rows.txt"
-    file.write_text("".join(f"{f} {a} {x:.4f} {y:.4f}\n" for f, a, x, y in rows))
+def pairs_seen(folder: Path, decisions: int, *people: tuple[int, float, float, float]) -> list[list[Any]]:
+    """Return the pairs of persons that a policy sees as companions before each decision of a replay."""
+    xy, begin, first, _ = tracks(*people)
+    rows = [
+        (int(first[who]) + row, who, *xy[int(begin[who]) + row].tolist())
+        for who in range(len(people))
+        for row in range(FRAMES)
+    ]
+    file = folder / "rows.txt"
+    file.write_text("".join(f"{f} {a} {x:.4f} {y:.4f}\n" for f, a, x, y in sorted(rows)))
     env = make_env(Replay(files=[str(file)], dt=0.4).prepare(0.25))
     now: Any = env.reset()
     seen = []
-    for _ in range(6):
-        seen.append(bool(companions_of(now).any()))
+    for _ in range(decisions):
+        pairs = now["agents", "id"][0][companions_of(now)[0].nonzero()]
+        seen.append(sorted(pairs.tolist()))
+        assert torch.equal(env.state.group[0] >= 0, torch.isin(env.state.person[0], pairs.flatten()))
         now["agents", "action"] = now["agents", "desired_velocity"]
         now = step_mdp(env.step(now))
-    assert seen == [False] * 4 + [True] * 2
+    return seen
+
+
+def test_policies_see_companies_as_soon_as_these_show(tmp_path: Path) -> None:
+    """The clock begins in frame 7, in which who comes in frame 0 has been seen eight times."""
+    alone = (0, 5.0, 12.0, -0.4)
+    both = [[0, 1], [1, 0]]
+    two = (0, 0.0, 0.0, 0.4), (3, 0.7, 0.0, 0.4)
+    assert pairs_seen(tmp_path, 4, *two, alone) == [both] * 4
+    later = (4, 0.0, 0.0, 0.4), (5, 0.7, 0.0, 0.4)
+    assert pairs_seen(tmp_path, 6, *later, alone) == [[]] * 4 + [both] * 2

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -106,37 +107,37 @@ def test_a_run_is_the_same_in_any_batch_and_leaves_cases_as_they_are() -> None:
 # RVO2 and published logs
 
 
-def test_the_first_50_cases_of_orca_end_as_with_rvo2() -> None:
+@pytest.fixture
+def rvo2() -> Any:
+    """Return CrowdNav on RVO2, the oracle; tests skip where that is not installed."""
     pytest.importorskip("pyrvo")
-    from tools.bench.crowdnav_rvo2 import crowdnav
+    from tools.bench import crowdnav_rvo2
 
+    return crowdnav_rvo2
+
+
+def test_the_first_50_cases_of_orca_end_as_with_rvo2(rvo2: Any) -> None:
     assert ends(runs("crowdnav_orca", CROWDNAV, range(TEST, TEST + 50))) == [
-        crowdnav(TEST + case) for case in range(50)
+        rvo2.crowdnav(TEST + case) for case in range(50)
     ]
 
 
 @pytest.mark.slow
-def test_all_500_cases_of_orca_end_as_with_rvo2_but_for_one_step() -> None:
-    pytest.importorskip("pyrvo")
-    from tools.bench.crowdnav_rvo2 import crowdnav
-
+def test_all_500_cases_of_orca_end_as_with_rvo2_but_for_one_step(rvo2: Any) -> None:
     made = runs("crowdnav_orca", CROWDNAV, range(TEST, TEST + 500))
-    theirs = [crowdnav(TEST + case) for case in range(500)]
+    theirs = [rvo2.crowdnav(TEST + case) for case in range(500)]
     other = [pair for pair in zip(ends(made), theirs, strict=True) if pair[0] != pair[1]]
-    assert len(other) <= 1 and all(abs(ours[1] - rvo2[1]) <= TIME_STEP for ours, rvo2 in other)
+    assert len(other) <= 1 and all(abs(ours[1] - oracle[1]) <= TIME_STEP for ours, oracle in other)
     won = made.outcome == SUCCESS
     assert (int(won.sum()), int((made.outcome == COLLISION).sum())) == (213, 284)
     assert made.seconds[won].mean().item() == pytest.approx(10.863, abs=0.01)
 
 
-def test_orca_that_people_see_ends_as_with_rvo2() -> None:
-    pytest.importorskip("pyrvo")
-    from tools.bench.crowdnav_rvo2 import crowdnav
-
+def test_orca_that_people_see_ends_as_with_rvo2(rvo2: Any) -> None:
     visible = replace(CROWDNAV, visible=True)
     for space in (0.0, 0.15):
         made = ends(runs(f"crowdnav_orca:safety_space={space}", visible, range(TEST, TEST + 10)))
-        assert made == [crowdnav(TEST + case, space, visible=True) for case in range(10)]
+        assert made == [rvo2.crowdnav(TEST + case, space, visible=True) for case in range(10)]
 
 
 def test_social_forces_among_20_people_end_as_in_the_published_log() -> None:
@@ -147,12 +148,10 @@ def test_social_forces_among_20_people_end_as_in_the_published_log() -> None:
     assert "".join(end[0] for end, _ in ends(made)) == SOCIAL_FORCE_LOG.outcomes[:20]
 
 
-def test_rvo2_with_random_people_ends_as_in_the_published_log_of_orca() -> None:
-    pytest.importorskip("pyrvo")
-    from tools.bench.crowdnav_rvo2 import compare
+def test_rvo2_with_random_people_ends_as_in_the_published_log_of_orca(rvo2: Any) -> None:
     from tools.paper.published import ORCA_LOG
 
-    assert compare(ORCA_LOG, "orca", random_people=True, cases=8) == 8
+    assert rvo2.compare(ORCA_LOG, "orca", random_people=True, cases=8) == 8
 
 
 # Rules by hand

@@ -130,17 +130,6 @@ def test_go_to_goal_runs_into_others_and_orca_does_not(name: str) -> None:
     assert touched(walked(name, 4, "orca:radius=0.3,dt=0.4")) == 0
 
 
-@pytest.mark.parametrize("name", ["room_exit", "circle", "hallway"])
-def test_both_backends_walk_alike(name: str) -> None:
-    """With walls and without any."""
-    walks, env = prepare("go_to_goal", prepared(name), "bullet", 3)
-    bullet, grid = joined(list(walk(walks, env, 3))), walked(name, 3)
-    env.physics.close()
-    assert torch.equal(bullet.trace, grid.trace)
-    assert torch.equal(bullet.agent_contact, grid.agent_contact) and bool(grid.agent_contact.any())
-    assert torch.equal(bullet.map_id, grid.map_id)
-
-
 def test_hallway_is_head_on() -> None:
     env = begun("hallway")
     x = env.state.position[..., 0]

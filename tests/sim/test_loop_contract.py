@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import pickle
-import warnings
 from concurrent.futures import ProcessPoolExecutor
 from itertools import pairwise
 from multiprocessing import get_context
@@ -71,6 +70,9 @@ def test_decisions_take_whole_tenths_of_a_second() -> None:
     for dt in (0.25, 0.0, 0.04, 3.2, math.nan):
         with pytest.raises(UserError, match=r"expected a multiple of 0\.1 s up to 2\.8 s"):
             make_env("door", decision_dt=dt)
+    for dt in (0.3, 0.5, 0.8):
+        with pytest.raises(UserError, match=r"every 0\.4 s, so a decision takes 0\.1, 0\.2 or 0\.4 s"):
+            make_env("replay:fold=embedded,share=0.1", decision_dt=dt)
 
 
 def test_a_learned_model_is_refused_another_step_than_its_own() -> None:
@@ -374,15 +376,14 @@ def test_environments_go_to_workers() -> None:
     assert torch.equal(sent.reset()["agents", "history"], env.reset()["agents", "history"])
 
 
-@pytest.mark.parametrize("scenario", SCENES)
+@pytest.mark.parametrize("scenario", [*SCENES, "circle:people=4"])
 def test_both_worlds_show_the_same_episode(scenario: str) -> None:
-    grid = walked(make_env(scenario, num_envs=2, physics="compiled"), 12)
-    bullet_env = make_env(scenario, num_envs=2, physics="bullet")
-    bullet = walked(bullet_env, 12)
-    bullet_env.physics.close()
-    assert torch.equal(positions(grid), positions(bullet))
+    """With walls and without any."""
+    envs = [make_env(scenario, num_envs=2, physics=physics) for physics in ("compiled", "bullet")]
+    grid, bullet = (walked(env, 12) for env in envs)
+    envs[1].physics.close()
     for one, other in zip(grid, bullet, strict=True):
-        for key in ("agent_contact", "wall_contact", "reached"):
+        for key in ("trace", "agent_contact", "wall_contact", "reached"):
             assert torch.equal(one["next", "agents", "info", key], other["next", "agents", "info", key]), key
 
 
@@ -527,35 +528,7 @@ def test_unknown_names() -> None:
         make_env("door", physics="bulet")  # type: ignore[arg-type]
 
 
-def test_a_scenario_of_ones_own(tmp_path: Path) -> None:
-    (tmp_path / "mine.py").write_text(
-        "from pedzoo.sim.scenarios.door import Door\n\n\nclass Wide(Door):\n"
-        "    def __init__(self, width: float = 2.0) -> None:\n        super().__init__(width=width)\n"
-    )
-    env = make_env(f"{tmp_path}/mine.py:Wide:width=1.5")
-    assert isinstance(env.scenario, Door)
-    assert env.scenario.variants.values["width"] == (1.5,)
-
-
 def test_a_different_number_of_people_per_scene() -> None:
     env = make_env("goals:people=[2,4],pool=2", num_envs=60, warm_start="static")
     counts = env.reset()["agents", "mask"].sum(1)
     assert sorted(counts.unique().tolist()) == [2, 3, 4]
-
-
-def test_gradients_flow_through_the_loop() -> None:
-    env = make_env("door", num_envs=2)
-    now = env.reset()
-    gain = torch.tensor(1.0, requires_grad=True)
-    for _ in range(3):
-        now["agents", "action"] = gain * now["agents", "desired_velocity"]
-        now = step_mdp(env.step(now), exclude_reward=False)
-    loss = now["agents", "history"].square().sum() + now["agents", "reward"].sum()
-    (gradient,) = torch.autograd.grad(loss, gain)
-    assert gradient.isfinite() and gradient != 0
-
-
-def test_no_warnings() -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        walked(make_env("goals:pool=6", num_envs=2), 3)

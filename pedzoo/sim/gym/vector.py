@@ -45,16 +45,10 @@ class RobotVectorEnv(VectorEnv[Observation, ArrayLike, NDArray[Any]]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         **settings: Any,
     ) -> None:
-        """Make the scenes; arguments as of `pedzoo.sim.gym.env.OneScene`, and these.
+        """Make B scenes, ``num_envs``; other arguments are as of `pedzoo.sim.gym.env.OneScene`.
 
-        Args:
-            scenario: See there.
-            num_envs: B.
-            render_mode: ``rgb_array`` for pictures of all scenes, ``human`` for a window of one, or None.
-            seed: See there.
-            render_size: See there.
-            autoreset_mode: When scenes begin anew that have ended: ``SameStep``, ``NextStep``, ``Disabled``.
-            settings: See there.
+        Pictures are of all scenes, a window shows one. ``autoreset_mode`` says when scenes begin anew that
+        have ended: ``SameStep``, ``NextStep`` or ``Disabled``.
         """
         modes = {mode.value: mode for mode in AutoresetMode}
         mode = autoreset_mode if isinstance(autoreset_mode, AutoresetMode) else modes.get(autoreset_mode)

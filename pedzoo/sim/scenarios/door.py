@@ -19,9 +19,6 @@ BEFORE = 2.5
 NEAREST = 1.0
 """Metres: the smallest such distance that a setting may ask for."""
 
-BEHIND = 3.0
-"""Metres of the goals behind the wall."""
-
 PUSH = 0.05
 """Metres that those behind may drive the first ones on before the episode begins."""
 
@@ -30,12 +27,6 @@ SPACING = 0.9
 
 ABREAST = 0.75
 """Metres between people side by side (pairs of Zanlungo et al. 2014, 10.1103/PhysRevE.89.012811)."""
-
-MAX_ABREAST = 3
-"""People who walk together."""
-
-BORDER = 2
-"""Cells of the outer walls' thickness."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +113,7 @@ class Door(Varied):
         """Give each person a side, a row, and the people beside them."""
         abreast = common.abreast
         self.check(0 <= from_right <= people, f"from_right {from_right} of {people} people", f"0 to {people}")
-        self.check(1 <= abreast <= MAX_ABREAST, f"abreast {abreast}", f"1 to {MAX_ABREAST}")
+        self.check(1 <= abreast <= 3, f"abreast {abreast}", "1 to 3")
         sides = (people - from_right, from_right)
         seats = sorted((number, side) for side, count in enumerate(sides) for number in range(count))
         number, self._right = torch.tensor(seats).unbind(1)
@@ -152,12 +143,12 @@ class Door(Varied):
         # from the door's sides, and from the wall, to the ends of the rooms
         x = thickness / 2 + cells(self.half_length - thickness / 2)
         y = width / 2 + cells(self.half_width - width / 2)
-        walls = room((-x, -y), (x, y), BORDER * self.resolution)
+        walls = room((-x, -y), (x, y), 2 * self.resolution)
         return walls + wall((0.0, -y), (0.0, y), thickness, doors=[(y, width)])
 
     def places(self, variant: Variant) -> list[Point]:
-        """Return the goals of both sides: people keep to their side of the axis."""
-        return [(BEHIND, -variant["offset"]), (-BEHIND, variant["offset"])]
+        """Return the goals of both sides, 3 m behind the wall: people keep to their side of the axis."""
+        return [(3.0, -variant["offset"]), (-3.0, variant["offset"])]
 
     def layout(self, prepared: PreparedScenario, draws: Draws) -> Layout:
         """Return people on both sides, as far away as they walk before the episode begins."""

@@ -38,26 +38,14 @@ OVERTAKING_BEYOND = 8.0
 PARALLEL_BEYOND = 6.0
 """Metres of the goals behind the line on which those in front are at the same time."""
 
-CHORD = 1.0
-"""Minimum distance of neighbours on a circle, metres."""
-
-RADII, MIN_RADIUS = (3.0, 4.0, 5.0), 2.0
-"""Radii of a circle by default, and the smallest one, metres."""
+CHORD, RADII, MIN_RADIUS = 1.0, (3.0, 4.0, 5.0), 2.0
+"""Metres between neighbours on a circle, at least; its radii by default, and the smallest one."""
 
 THICKNESS = 0.1
 """Metres of the wall with the door of a room."""
 
-MANY = 150
-"""People of a room from whom on more directions keep their lanes short."""
-
-RAYS = {False: (5, math.radians(18)), True: (17, math.radians(9))}
-"""Most directions from which people come to a room's door, and the angle between two; with `MANY`: True."""
-
-BESIDE_RAYS = 0.3
-"""Metres on each side of a direction that belong to it."""
-
-MIN_FLOW = 1.0
-"""People per second and metre of a door's width who get out in time: half as many as in real queues."""
+RAYS, MANY_RAYS = (5, math.radians(18)), (17, math.radians(9))
+"""Most directions from which people come to a room's door, and the angle between two; those of 151 people."""
 
 
 class BlindCorner(Encounter):
@@ -405,8 +393,9 @@ class RoomExit(Encounter):
         people = self.people
         self.check(0 <= entering < people, f"entering {entering} of {people} people", f"0 to {people - 1}")
         self.entering, self.stray = entering, 0.5
-        self.patience = people / (MIN_FLOW * min(self.variants.values["width"]))
-        self._rays = RAYS[people > MANY]
+        # 1 person per second and metre of the door gets out in time: half as many as in real queues
+        self.patience = people / min(self.variants.values["width"])
+        self._rays = MANY_RAYS if people > 150 else RAYS  # which keep their lanes short
 
     def lanes_on(self, variant: Variant) -> list[Lane]:
         """Return lanes of those who leave, which all end at the door, and of those who enter."""
@@ -417,7 +406,7 @@ class RoomExit(Encounter):
             angle = (number - (count - 1) / 2) * between
             heading = (math.cos(angle), math.sin(angle))
             ray = Lane(mine, heading, (0.0, 0.0), ((place, BEYOND), (place, -BEYOND)))
-            lanes += self.varied(number, [ray], BESIDE_RAYS)
+            lanes += self.varied(number, [ray], 0.3)
         for number, (heading, mine) in enumerate(zip(HEADINGS[3::-2], shares(self.entering, 2), strict=True)):
             straight = abreast(mine, heading, lanes_in(variant["corridor"]))
             for lane in self.varied(rays + number, straight, beside(straight, variant["corridor"])):
