@@ -213,10 +213,7 @@ def _free_place(setting: Setting, draws: list[np.random.RandomState], rows: Tens
 def step(setting: Setting, state: State, velocity: Tensor) -> tuple[State, Events]:
     """Return the state after `TIME_STEP`, and what happened in cases that had not ended.
 
-    Args:
-        setting: The rules.
-        state: Before.
-        velocity: What the robots' policy says (B, 2), m/s.
+    ``velocity`` (B, 2) is what the robots' policy says, m/s.
     """
     robot, people, going = state.robot, state.people, state.going
     valid = velocity.isfinite().all(1)
@@ -265,12 +262,7 @@ def people_velocity(setting: Setting, robot: Robot | None, people: ObservedPeopl
     """Return the people's next velocities (B, N, 2), m/s: ORCA in single precision, as RVO2 computes.
 
     Each takes others to want nothing, but that changes no velocity: ORCA looks at those that others have.
-
-    Args:
-        setting: ORCA's parameters, and whether people see the robot.
-        robot: The robot among them; None: not there.
-        people: The people.
-        goal: Where they go (B, N, 2), metres.
+    People go to ``goal`` (B, N, 2), metres; ``robot`` is among them, or None.
     """
     wanted, slots = toward(goal - people.position), people.mask.shape[1]
     if setting.visible and robot is not None:
@@ -289,11 +281,7 @@ def people_velocity(setting: Setting, robot: Robot | None, people: ObservedPeopl
 def swept_clearance(robot: Robot, people: ObservedPeople, velocity: Tensor, seconds: float) -> Tensor:
     """Return the least distances (B, N) between bodies on the way, metres; infinite for absent people.
 
-    Args:
-        robot: At the beginning.
-        people: At the beginning; they go on with their velocities.
-        velocity: Of the robot on the way (B, 2), m/s.
-        seconds: How long the way is.
+    For so many ``seconds`` the robots have a ``velocity`` (B, 2), m/s, and people go on with theirs.
     """
     away = people.position - robot.position[:, None]
     move = (people.velocity - velocity[:, None]) * seconds

@@ -44,14 +44,10 @@ class Episodes:
         rules: Rules,
         device: torch.device | str = "cpu",
     ) -> None:
-        """Take a prepared scenario.
+        """Take a prepared scenario, and what says how its scenes begin.
 
-        Args:
-            prepared: The scenario, with its floor plans and ways.
-            warm_start: Where the first observed steps come from.
-            physics: Says how wide bodies are where nothing else does.
-            rules: Of the scenes.
-            device: Where the scenes will be. They are laid out on the CPU, alike for every device.
+        ``physics`` says how wide bodies are where nothing else does. Scenes are laid out on the CPU, alike
+        for every ``device``, and then are there.
 
         Raises:
             UserError: There is no such warm start.
@@ -78,7 +74,10 @@ class Episodes:
             warm.recorded(layout) if begun or self._warm_start == "recorded" else warm.standing(layout.start)
         )
         state = self._placed(draws.key, layout, past).to(self._device)
-        given = Layout(*(None if value is None else value.to(self._device) for value in layout))
+        velocity, until, heading = (
+            None if value is None else value.to(self._device)
+            for value in (layout.velocity, layout.deadline, layout.heading)
+        )
         taken = state.controlled
         if not begun and self._warm_start == "orca":
             state = warm.rolled(state, self._physics, self._rules, self._walls)
@@ -94,7 +93,7 @@ class Episodes:
             raise self._no_way(state, guidance, *cut_off[0].tolist())
         if begun:  # played-back people may stand where no path leads away
             remaining_path = torch.where(remaining_path.isfinite(), remaining_path, 0.0)
-        clock, until = torch.zeros_like(state.clock), given.deadline
+        clock = torch.zeros_like(state.clock)
         waits = state._replace(clock=clock).holds
         stays = waits & state.stands.isinf() & (state.next_goal < 0)
         if until is None:
@@ -104,11 +103,11 @@ class Episodes:
         # neither a recording nor the warm start says how they came
         placed = self._rules.script is None if begun else self._warm_start == "static"
         position = state.position
-        velocity = filled(given.velocity, (position - state.past[:, :, -2]) / TRACE_SECONDS)
-        goes = filled(given.heading, heading_of(guidance.goal_point - position))
+        velocity = filled(velocity, (position - state.past[:, :, -2]) / TRACE_SECONDS)
+        goes = filled(heading, heading_of(guidance.goal_point - position))
         faces = heading_of(velocity, goes, TURNS_FROM)
-        if given.heading is not None:
-            faces = torch.where(state.drive == HOLONOMIC, faces, given.heading)
+        if heading is not None:
+            faces = torch.where(state.drive == HOLONOMIC, faces, heading)
         return state._replace(
             clock=clock,
             velocity=velocity,
@@ -266,17 +265,10 @@ class EpisodeQueue:
         first: int,
         stride: int,
     ) -> None:
-        """Take what makes episodes.
+        """Take what makes first states of A ``people`` in B ``rows``, and ``opened``, which may change them.
 
-        Args:
-            episodes: Makes first states.
-            rules: Of the scenes.
-            opened: Changes what environments change of them.
-            people: A, agents in every scene.
-            seed: Of all episodes.
-            rows: B.
-            first: Number of the first episode of row 0.
-            stride: From an episode to the next one of its row.
+        The episodes of a row are those of ``seed`` from number ``first`` plus the row's on, each ``stride``
+        after the one before.
         """
         self._episodes, self._rules, self._opened = episodes, rules, opened
         self._seed = torch.full((rows,), signed(seed % 2**64))

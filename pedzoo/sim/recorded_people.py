@@ -139,7 +139,7 @@ class RecordedPeople(NamedTuple):
     def to(self, device: torch.device | str) -> RecordedPeople:
         """Return the people on a device."""
         stops = Stops(*(value.to(device) for value in self.stops))
-        return RecordedPeople(*(value.to(device) for value in self[:-1]), stops)
+        return RecordedPeople(*(value.to(device) for value in self[:-1]), stops=stops)
 
     @property
     def controlled(self) -> Tensor:
@@ -204,7 +204,7 @@ def without_goals(
     """Return what `people_of` returns, before any path is planned: exits are goals, and none is blocked."""
     per_recording = [_of(number, tracks, share, speed, stops) for number, tracks in enumerate(recordings)]
     *columns, stopped = zip(*per_recording, strict=True)
-    people = RecordedPeople(*map(torch.cat, columns), Stops.joined([*stopped]))
+    people = RecordedPeople(*map(torch.cat, columns), stops=Stops.joined([*stopped]))
     return people, torch.cat([torch.from_numpy(tracks.xy) for tracks in recordings]).float()
 
 
@@ -266,11 +266,8 @@ def companies(xy: Tensor, begin: Tensor, first: Tensor, last: Tensor) -> tuple[T
     changes by less than 0.5 m, in fewer steps by as much less. Companions of companions are of one company.
     Nothing after the frame in which the policy takes over the first of the two is looked at.
 
-    Args:
-        xy: Rows of the tracks (N, 2), person after person, one for each frame, metres.
-        begin: First row of each person (P,) long.
-        first: Frame of that row (P,) long.
-        last: Frame of the last one (P,) long.
+    ``xy`` (N, 2) are the rows of the tracks, metres, person after person, one for each frame; ``begin`` the
+    first row of each person, ``first`` and ``last`` the frames of their first and last row (P,) long.
     """
     order = first.argsort(stable=True)
     came, number = first[order], torch.arange(len(first))
@@ -300,10 +297,7 @@ def stops_of(tracks: Tracks, begin: np.ndarray, taken: np.ndarray) -> Stops:
 
     A stop is a run of at least 5 steps in which the mean of three positions moves by less than 0.1 m/s.
 
-    Args:
-        tracks: Rows in every frame of 0.4 s, person after person.
-        begin: First row of each person (P,).
-        taken: Row in which they are taken over (P,).
+    ``begin`` and ``taken`` (P,) are people's first rows, and those in which they are taken over.
     """
     row, rows, xy = np.arange(len(tracks)), len(tracks), tracks.xy
     person = np.repeat(np.arange(len(begin)), np.diff(np.append(begin, rows)))

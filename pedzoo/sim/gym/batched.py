@@ -194,15 +194,7 @@ class Batched:
         settings: dict[str, Any],
         several_robots: bool = False,
     ) -> None:
-        """Make the environment.
-
-        Args:
-            scenario: As in `pedzoo.make_robot_env`.
-            render_mode: One of `MODES`, or None.
-            seed: Of the first scenes; None: by chance.
-            size: Width and height of pictures in pixels.
-            settings: As of `pedzoo.make_robot_env`.
-            several_robots: There may be more than one in a scene.
+        """Make the environment; arguments as of `pedzoo.sim.gym.env.OneScene`, ``size`` in pixels.
 
         Raises:
             UserError: An unknown name or setting, a scene that cannot be, several robots, a picture without
@@ -289,10 +281,12 @@ class Batched:
         robots = cast("TensorDictBase", seen["robots"])
         reward, shape = robots.get("reward", None), (self.env.batch_size[0], self.env.robots)
         ends = (cast("Tensor", robots[name])[..., 0] for name in ("terminated", "truncated"))
+        terminated, truncated = (flags.cpu().numpy().copy() for flags in ends)
         return Step(
             self.observations(cast("TensorDictBase", robots["observation"])),
             np.zeros(shape) if reward is None else reward[..., 0].double().cpu().numpy(),
-            *(flags.cpu().numpy().copy() for flags in ends),
+            terminated,
+            truncated,
             self._totals.info(seen),
         )
 

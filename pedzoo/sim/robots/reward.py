@@ -68,16 +68,10 @@ def outcome_of(
     time_limit: float | None,
     ends_at: str,
 ) -> Outcome:
-    """Return the outcome of a decision for the last ``robots`` agents.
+    """Return the outcome of a decision for the last R ``robots``, of the scenes ``before`` and ``after`` it.
 
-    Args:
-        before: The scenes at its beginning.
-        after: And at its end.
-        events: What happened.
-        robots: R.
-        goals: That each robot has to reach.
-        time_limit: Seconds; None for the deadlines of `pedzoo.sim.arrival.deadline`.
-        ends_at: See `EndsAt`.
+    Each robot has to reach so many ``goals`` within the ``time_limit``, seconds; None for the deadlines of
+    `pedzoo.sim.arrival.deadline`. For ``ends_at`` see `EndsAt`.
     """
     last = slice(-robots, None)
     active = before.controlled[:, last]

@@ -215,12 +215,7 @@ class Readings:
             self._late.append((sensor, late))
 
     def __call__(self, view: RobotView, begun: Tensor | None = None) -> dict[str, Tensor]:
-        """Return all entries (B, R, ...).
-
-        Args:
-            view: The scenes now; where there was no decision, those that begin alone.
-            begun: Which scenes these are (N,) long; None after a decision.
-        """
+        """Return all entries (B, R, ...); where scenes ``begun`` (N,) begin, the view has these alone."""
         for sensor, late in self._late if begun is None or len(begun) else ():
             for name, now in sensor.observe(view).items():
                 now = now.expand(late + 1, *now.shape)

@@ -42,14 +42,10 @@ def whole_cells(length: float) -> float:
 
 
 def fastest_ahead(speed: Tensor, row: Tensor, lane: Tensor) -> Tensor:
-    """Return the greatest speed (B, A) of each agent and those ahead in its lane, m/s.
+    """Return the greatest of the speeds (B, A) of each agent and those ahead in its lane, m/s.
 
-    Who starts behind faster people by this speed comes no nearer to them in the warm start.
-
-    Args:
-        speed: Preferred speeds (B, A), m/s.
-        row: How many are ahead in the lane (A,) or (B, A) long.
-        lane: Number of the lane (A,) or (B, A) long.
+    Who starts behind faster people by this speed comes no nearer to them in the warm start. ``row`` is how
+    many are ahead in the lane, and ``lane`` its number, (A,) or (B, A) long.
     """
     scene = torch.arange(len(speed), device=speed.device).unsqueeze(1)
     table = speed.new_zeros(len(speed), int(row.max()) + 1, int(lane.max()) + 1)

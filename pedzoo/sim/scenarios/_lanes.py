@@ -119,15 +119,10 @@ class Places(NamedTuple):
 def abreast(
     people: int, heading: Point, most: int, beyond: float = BEYOND, right: float = 0.0, before: float = 0.0
 ) -> list[Lane]:
-    """Return people on their way past the origin in lanes side by side.
+    """Return people, shared out evenly, on their way past the origin in ``most`` lanes at most, side by side.
 
-    Args:
-        people: How many, shared out evenly.
-        heading: Unit vector in which they walk.
-        most: Lanes, at most.
-        beyond: Metres of the goals behind the origin.
-        right: Metres that the middle of the lanes keeps to the right of it.
-        before: Metres that they all start farther back.
+    The middle of the lanes keeps ``right`` metres to the right of the origin, goals are ``beyond`` metres
+    behind it. ``heading`` and ``before`` are as of `Lane`.
     """
     lanes = []
     for number, mine in enumerate(shares(people, min(most, people))):
@@ -232,9 +227,7 @@ class Encounter(Varied):
     def walls_on(self, variant: Variant, reach: float) -> list[Rectangle]:
         """Return the walls, whose edges are between cells of 0.05 m; none: an open space.
 
-        Args:
-            variant: The settings' values.
-            reach: Metres from its middle at which a lane's last one may start.
+        The last one of a lane may start ``reach`` metres from its middle.
         """
         return []
 
@@ -259,13 +252,7 @@ class Encounter(Varied):
         return Places.of(self.lanes)
 
     def varied(self, side: int, lanes: list[Lane], room: float = math.inf) -> list[Lane]:
-        """Return lanes whose people start aside and come late.
-
-        Args:
-            side: Its number: lanes of one side start aside by the same length.
-            lanes: All lanes of the side.
-            room: Metres to their left and right that are theirs.
-        """
+        """Return all lanes of a side, whose people start aside within ``room`` metres, and come late."""
         aside = min(self.aside, max(0.0, room - self.jitter))
         return [lane._replace(side=side, aside=aside, delay=self.delay) for lane in lanes]
 

@@ -163,15 +163,10 @@ class Replay(Scenario):
         xy: Tensor,
         name: str = "",
     ) -> PreparedReplay:
-        """Give people slots, and print how many are simulated and played back.
+        """Give people slots, and print how many are simulated and played back, under a name of their own.
 
-        Args:
-            planner: Their paths.
-            map_id: Floor plan of each recording, -1 for none.
-            home: See `PreparedReplay`.
-            people: Row p is person p.
-            xy: Rows of their tracks (N, 2), person after person.
-            name: What the line calls them; empty for the scenario's name.
+        ``map_id`` is the floor plan of each recording, -1 for none; ``home`` is as of `PreparedReplay`, and
+        ``xy`` (N, 2) are the rows of people's tracks, person after person.
         """
         if self.simulated == "all":
             occupants, scenes = _all_simulated(people, len(map_id))
@@ -313,7 +308,9 @@ def _all_simulated(people: RecordedPeople, recordings: int) -> tuple[Tensor, Scr
                 ends = people.removal[group], people.handover[scored], people.last[scored]
                 rows.append((recording, origin, *(int(end.max()) for end in ends), -1, 1))
     columns = torch.tensor(rows).unbind(1)
-    return _occupants(people, people.removal, recordings, 1), ScriptScenes(*columns[:-1], columns[-1].bool())
+    return _occupants(people, people.removal, recordings, 1), ScriptScenes(
+        *columns[:-1], others=columns[-1].bool()
+    )
 
 
 def _one_simulated(people: RecordedPeople, recordings: int, around: bool) -> tuple[Tensor, ScriptScenes]:
@@ -321,7 +318,8 @@ def _one_simulated(people: RecordedPeople, recordings: int, around: bool) -> tup
     leads = people.controlled.nonzero()[:, 0]
     leads = leads[(people.last - people.first)[leads].argsort(stable=True)]
     columns = people.recording, people.handover, people.removal, people.handover, people.last
-    scenes = ScriptScenes(*(column[leads] for column in columns), leads, torch.full_like(leads, around) > 0)
+    others = torch.full_like(leads, around) > 0
+    scenes = ScriptScenes(*(column[leads] for column in columns), lead=leads, others=others)
     return _occupants(people, people.removal if around else people.last, recordings, 2), scenes
 
 
