@@ -44,8 +44,8 @@ from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.zoo.card import read_card
 from pedzoo.models.zoo.loading import config_of, load
 from pedzoo.policies.load import load_policy
+from pedzoo.sim.make import scenario_spec
 from pedzoo.sim.scenario import Scenario
-from pedzoo.sim.scenarios._yaml import scenario_spec
 
 
 @dataclass(frozen=True)
