@@ -10,7 +10,7 @@ from pedzoo.eval.packed_episodes import packed_episodes
 from pedzoo.eval.rollout import Progress, prepare, walk
 from pedzoo.metrics.arrival import arrived_in_time, finish_seconds
 from pedzoo.metrics.closed_loop import closed_loop, named, own_metrics, time_ratio_median
-from pedzoo.metrics.contacts import contact_events, least_distance, nearest
+from pedzoo.metrics.contacts import contact_events, least_distance
 from pedzoo.metrics.ratios import Ratio, summarised
 from pedzoo.policies.policy import Policy
 from pedzoo.policies.walker import Walker
@@ -18,17 +18,10 @@ from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import CLEARANCE, make_scenario, usual_physics
 from pedzoo.sim.rollout import Rollout, joined
 from pedzoo.sim.scenario import PreparedScenario, Scenario
-from pedzoo.sim.warm_start import WarmStart
 
 
 class PolicyRollout(NamedTuple):
-    """What one policy did.
-
-    Attributes:
-        name: The policy as it was given.
-        rollout: Its episodes.
-        env: Where it walked.
-    """
+    """What one policy did, by its name as it was given, and the environment where it walked."""
 
     name: str
     rollout: Rollout
@@ -52,61 +45,47 @@ class Comparison:
         episodes: int = 20,
         seed: int = 0,
         deterministic: bool = False,
-        warm_start: WarmStart = "orca",
-        clearance: float = CLEARANCE,
-        decision_dt: float | None = None,
-        device: str = "cpu",
         metrics: Sequence[str] = (),
         keep_episodes: int = 0,
-        deadline: float | None = None,
+        **settings: Any,
     ) -> None:
         """Build all policies and their environments, so that a misspelt one is found before any has walked.
+
+        Arguments and errors beside these are those of `pedzoo.eval.rollout.rollout`.
 
         Args:
             policies: Names with settings.
             scenario: Its name with settings.
-            physics: ``compiled`` (the fastest), ``torch``, ``bullet`` or ``file.py:Class``; by default
-                bullet, or compiled where there is no pybullet.
+            physics: By default bullet, or compiled where there is no pybullet.
             episodes: Scenes per policy.
             seed: Of the scenes, the same for all policies.
             deterministic: Models walk with noise zero.
-            warm_start: The first 2.8 s, which are not counted.
-            clearance: Metres that planned ways keep from walls.
-            decision_dt: Seconds; refused unless it is the policies' own.
-            device: Where scenes and models are, such as ``cuda``.
             metrics: Metrics of your own, as ``path/to/file.py:f``, beside the shipped ones.
             keep_episodes: So many episodes keep their positions in the report, for ``pedzoo report``.
-            deadline: Seconds that people have for every goal; by default four times as many as their way
-                takes freely, at least 20.
-
-        Raises:
-            UserError: An unknown name or setting, or a decision step that a policy cannot serve.
+            settings: Of `pedzoo.make_env`: ``warm_start``, ``clearance``, ``device``, ``deadline``; None for
+                its own. A ``decision_dt`` that is not the policies' own is refused.
         """
-        physics = physics or usual_physics()
         named(metrics)
         if keep_episodes < 0:
             raise UserError(f"keep_episodes {keep_episodes}: expected 0 or more")
         self._metrics, self._kept = metrics, keep_episodes
         self.refusal: UserError | None = None
-        settings = {"warm_start": warm_start, "clearance": clearance}
-        settings |= {"decision_dt": decision_dt, "device": device, "deadline": deadline}
+        settings = {"warm_start": "orca", "clearance": CLEARANCE, "device": "cpu"} | {
+            key: value for key, value in settings.items() if value is not None
+        }
         self._prepared: dict[str, tuple[Policy | Walker, PedestrianEnv]] = {}
         self.walked: list[PolicyRollout] = []
         made: Scenario | PreparedScenario = make_scenario(scenario)
-        recorded = False
+        physics, recorded = physics or usual_physics(), {}
         for name in dict.fromkeys(policies):
             policy, env = prepare(name, made, physics, episodes, seed, **settings)
             self._prepared[name], made = (policy, env), env.prepared  # planned once
-            recorded = env.prepared.script is not None or env.prepared.scenario.begun
+            if env.prepared.script is not None or env.prepared.scenario.begun:
+                recorded = {"warm_start": "recorded"}
         self._episodes, self._seed, self._deterministic = episodes, seed, deterministic
-        self._protocol = {
-            "scenario": scenario,
-            "physics": physics,
-            "episodes": episodes,
-            "noise": "none" if deterministic else "sampled",
-            **{key: value for key, value in settings.items() if value is not None},
-            **({"warm_start": "recorded"} if recorded else {}),
-        }
+        where = {"scenario": scenario, "physics": physics, "episodes": episodes}
+        noise = {"noise": "none" if deterministic else "sampled"}
+        self._protocol = where | noise | settings | recorded
 
     def __enter__(self) -> Comparison:
         return self
@@ -156,8 +135,7 @@ def row(
     """Return the metrics of a policy with their 95 % intervals, and what each person did.
 
     ``n`` are episodes, intervals are over episodes; what the metrics are `pedzoo.metrics.closed_loop` says;
-    ``time_ratio_median`` is beside them.
-    In a replay slots are not people: what each of them did `pedzoo.eval.realism` says.
+    ``time_ratio_median`` is beside them. In a replay slots are not people: see `pedzoo.eval.realism`.
 
     Args:
         name: The policy as it was given.
@@ -182,11 +160,10 @@ def row(
 
 def _per_agent(walked: Rollout) -> list[dict[str, Any]]:
     """Return what each person did, people of one episode after the other."""
-    arrived = arrived_in_time(walked.reached, walked.goals, walked.overdue, walked.failed, walked.mask)
-    seconds = finish_seconds(walked.reached, walked.goals)
-    agents = contact_events(walked.agent_contact & walked.scored)
-    walls = contact_events(walked.wall_contact & walked.scored)
-    least = least_distance(nearest(walked.trace, walked.present), walked.scored)
+    arrived, seconds = arrived_in_time(walked), finish_seconds(walked.reached, walked.goals)
+    both = walked.agent_contact, walked.wall_contact
+    agents, walls = (contact_events(contact & walked.scored) for contact in both)
+    least = least_distance(walked)
     return [
         {
             "episode": at[0],

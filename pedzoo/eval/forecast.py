@@ -98,7 +98,7 @@ def forecast_row(
     sums = BlockSums(data.sets[split])
     for i, (draw, batch) in enumerate(zip(loader.sampler, loader, strict=True)):
         score.update(model, batch, generator)
-        sums.add(draw.scenes, score.latest())
+        sums.add(draw.scenes, score.latest)
         people += int(batch["agents", "mask"].sum())
         if progress:
             progress(name, i + 1, len(loader))

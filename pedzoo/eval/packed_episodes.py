@@ -108,7 +108,7 @@ def packed_plan(grid: OccupancyGrid) -> dict[str, Any]:
 
 def _values(one: Rollout) -> dict[str, float]:
     there = int(one.mask.sum()) or 1
-    arrived = arrived_in_time(one.reached, one.goals, one.overdue, one.failed, one.mask)
+    arrived = arrived_in_time(one)
     return {
         "success": round(float(arrived[one.mask].sum()) / there, 4),
         "agent_contacts": int(contact_events(one.agent_contact & one.scored).sum()),

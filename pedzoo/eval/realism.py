@@ -6,20 +6,22 @@ over people, who are drawn with all that they did in all rounds and in the recor
 depend on each other is left out, so intervals are somewhat too narrow.
 """
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from pedzoo.core.types import STEP_SECONDS
-from pedzoo.eval.scoring.rows import SPLITS, Resampled, crowd_values, halves_row, values_row
+from pedzoo.eval.scoring.rows import SPLITS, halves_row, values_row
 from pedzoo.metrics.closed_loop import own_metrics
 from pedzoo.metrics.contacts import intervention_m, intervention_share
 from pedzoo.metrics.ratios import of_parts, summarised
 from pedzoo.metrics.realism.crowds import (
     CrowdSums,
+    compared,
     contact_intervals,
     crowd,
     densities,
@@ -28,8 +30,8 @@ from pedzoo.metrics.realism.crowds import (
     together,
 )
 from pedzoo.metrics.realism.distances import halves
-from pedzoo.metrics.realism.features import FEATURES, every_step, surroundings
-from pedzoo.metrics.realism.walks import RecordedWalks, Walks, WalksByPerson, of_people, tracks_of, walks_of
+from pedzoo.metrics.realism.features import FEATURES, SampledRollout, every_step, surroundings
+from pedzoo.metrics.realism.walks import RecordedWalks, Walks, of_people, tracks_of, walks_of
 from pedzoo.metrics.statistics import drawn_people, wilson
 from pedzoo.sim.recorded_people import RecordedPeople
 from pedzoo.sim.rollout import Rollout
@@ -39,11 +41,21 @@ REAL = "real"
 """Name of the recorded people's row."""
 
 
-class _Recorded(NamedTuple):
-    """The real people of a replay."""
+def _walked(part: Rollout, first: int, scenario: PreparedReplay) -> tuple[SampledRollout, CrowdSums]:
+    """Return the steps and the crowd of episodes ``first``, ... of a replay."""
+    steps, people = every_step(part), scenario.persons
+    around = surroundings(steps)
+    return steps, crowd(part, steps, around, first, scenario.scenes, people.start, people.goal)
 
-    tracks: RecordedWalks
-    crowd: CrowdSums
+
+@lru_cache(maxsize=1)
+def _recorded(scenario: PreparedReplay) -> tuple[RecordedWalks, CrowdSums]:
+    """Return the real people of a replay; kept for the next row."""
+    parts, crowds, first = list(scenario.real_parts()), [], 0
+    for part in parts:
+        crowds.append(_walked(part, first, scenario)[1])
+        first += len(part.failed)
+    return tracks_of(parts, len(scenario.persons.agent)), together(crowds)
 
 
 def replay_row(
@@ -70,38 +82,36 @@ def replay_row(
 
     Args:
         name: The policy as it was given.
-        rollout: Scenes 0, 1, ... of the scenario, round after round; or its parts one after the other, of
-            which only one has to be in memory at a time.
+        rollout: Scenes 0, 1, ... of the scenario, round after round; or its parts one after the other.
         scenario: The replay.
         decision_dt: Seconds between decisions.
         metrics: Of one's own, as ``path/to/file.py:f``; their intervals are over scenes.
     """
-    recorded, people, scenes = _recorded(scenario), scenario.persons, scenario.scenes
-    parts = [rollout] if isinstance(rollout, Rollout) else rollout
+    (tracks, everybody), people, scenes = _recorded(scenario), scenario.persons, scenario.scenes
     walked, crowds, own, first = [], [], [], 0
-    for part in parts:
+    for part in [rollout] if isinstance(rollout, Rollout) else rollout:
         layer = {"intervention_share": intervention_share(part), "intervention_m": intervention_m(part)}
         own.append(layer | own_metrics(part, metrics))
-        steps = every_step(part)
-        walked.append(walks_of(part, steps, first, scenes, recorded.tracks))
-        crowds.append(crowd(part, steps, surroundings(steps), first, scenes, people.start, people.goal))
+        steps, sums = _walked(part, first, scenario)
+        walked.append(walks_of(part, steps, first, scenes, tracks))
+        crowds.append(sums)
         first += len(part.failed)
     walks = Walks(*(torch.cat(values) for values in zip(*walked, strict=True)))
     seen = torch.zeros(len(people.agent), dtype=torch.bool)
     seen[walks.person] = True
-    tables = WalksByPerson.of(walks, recorded.tracks.seconds, scenes)
-    mine, real, count = together(crowds), only(recorded.crowd, seen), int(seen.sum())
+    tables = walks.by_person(scenes, len(seen))
+    mine, real, count = together(crowds), only(everybody, seen), int(seen.sum())
     drawn = _weights(torch.cat((torch.ones(1, count, dtype=torch.float64), drawn_people(count))), seen)
-    values = of_people(tables, drawn) | crowd_values(mine, real, Resampled(drawn, drawn))
+    values = of_people(tables, tracks.seconds, drawn) | compared(mine, real, drawn, drawn)
     exact = contact_intervals(mine, real, torch.arange(len(seen)), len(seen))
     exact |= {key: wilson(float(values[key][0]), count) for key in ("success", "deadlock")}
-    row = values_row(name, count, len(tables.success), values, count, exact)
+    row = values_row(name, count, len(tables["success"]), values, count, exact)
     more, theirs = summarised({key: of_parts([part[key] for part in own]) for key in own[0]})
     return row | {
         "decision_dt_s": decision_dt,
         "metrics": row["metrics"] | more,
         "ci95": row["ci95"] | theirs,
-        "per_agent": _listed(tables, people, seen),
+        "per_agent": _listed(tables, tracks.seconds, people, seen),
         "density_speed": _curve(mine, real, drawn[:1]),
         "distributions": distributions(mine, real),
     }
@@ -115,25 +125,12 @@ def reference_rows(scenario: PreparedReplay, metrics: Sequence[str] = ()) -> lis
     splits, its intervals hold 95 % of them. People are met by all others in either half: only who is counted
     differs. ``metrics`` of ``real`` are those of `replay_row`.
     """
-    recorded = _recorded(scenario)
-    real, seen = recorded.crowd, recorded.tracks.scene >= 0
+    tracks, real = _recorded(scenario)
+    seen = tracks.scene >= 0
     first = _weights(halves(int(seen.sum()), SPLITS), seen)
-    values = crowd_values(real, real, Resampled(first, seen.double() - first), exact=False)
+    values = compared(real, real, first, seen.double() - first, exact=False)
     floor = halves_row(int(seen.sum()), values) | {"decision_dt_s": STEP_SECONDS, "per_agent": []}
     return [replay_row(REAL, scenario.real_parts(), scenario, STEP_SECONDS, metrics), floor]
-
-
-@lru_cache(maxsize=1)
-def _recorded(scenario: PreparedReplay) -> _Recorded:
-    """Return the real people of a replay; kept for the next row."""
-    people, parts = scenario.persons, list(scenario.real_parts())
-    crowds, first = [], 0
-    for part in parts:
-        steps = every_step(part)
-        around = surroundings(steps)
-        crowds.append(crowd(part, steps, around, first, scenario.scenes, people.start, people.goal))
-        first += len(part.failed)
-    return _Recorded(tracks_of(parts, len(people.agent)), together(crowds))
 
 
 def _weights(of_seen: Tensor, seen: Tensor) -> Tensor:
@@ -159,25 +156,27 @@ def _curve(mine: CrowdSums, real: CrowdSums, once: Tensor) -> list[dict[str, flo
     ]
 
 
-def _listed(tables: WalksByPerson, people: RecordedPeople, seen: Tensor) -> list[dict[str, Any]]:
+def _listed(
+    tables: Mapping[str, Tensor], real_seconds: Tensor, people: RecordedPeople, seen: Tensor
+) -> list[dict[str, Any]]:
     """Return what each person did, means over rounds."""
-    share, seconds, ade, warped = (
-        value.nanmean(0) for value in (tables.success, tables.seconds, tables.ade, tables.dtw)
-    )
+    means = {name: tables[name].nanmean(0) for name in ("success", "seconds", "ade", "dtw")}
+    means["real"] = real_seconds
 
-    def known(value: Tensor, person: int) -> float | None:
-        return None if value[person].isnan() else round(float(value[person]), 4)
+    def known(name: str, person: int) -> float | None:
+        value = float(means[name][person])
+        return None if math.isnan(value) else round(value, 4)
 
     return [
         {
             "person": person,
             "recording": int(people.recording[person]),
             "agent": int(people.agent[person]),
-            "success": round(float(share[person]), 4),
-            "time_s": known(seconds, person),
-            "real_time_s": known(tables.real_seconds, person),
-            "closed_loop_ade_m": known(ade, person),
-            "dtw_m": known(warped, person),
+            "success": known("success", person),
+            "time_s": known("seconds", person),
+            "real_time_s": known("real", person),
+            "closed_loop_ade_m": known("ade", person),
+            "dtw_m": known("dtw", person),
         }
         for person in seen.nonzero()[:, 0].tolist()
     ]
@@ -201,15 +200,11 @@ def distributions(mine: CrowdSums, real: CrowdSums) -> dict[str, dict[str, Any]]
         if not len(theirs):
             continue
         ends = torch.tensor([OUTSIDE, 1 - OUTSIDE], dtype=torch.float64)
-        low, high = (float(end) for end in torch.quantile(_some(theirs), ends))
+        some = theirs[:: -(-len(theirs) // 1_000_000)]  # `torch.quantile` takes no more than 16 million
+        low, high = torch.quantile(some, ends).tolist()
         high = high if high > low else low + 1.0
         result[name] = {"unit": unit, "low": round(low, 4), "high": round(high, 4)}
         for key, values in (("share", mine.samples[name].value.double()), ("real_share", theirs)):
             counts = torch.histc(values.clamp(low, high), BINS, low, high)
             result[name][key] = [round(float(count), 5) for count in counts / max(len(values), 1)]
     return result
-
-
-def _some(values: torch.Tensor, most: int = 1_000_000) -> torch.Tensor:
-    """Return at most so many of the values: `torch.quantile` takes no more than 16 million."""
-    return values[:: -(-len(values) // most)]

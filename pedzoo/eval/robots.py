@@ -153,8 +153,7 @@ class _RobotRecorder:
         robots, runs = self._env.robots, alive.view(-1, 1, 1)
         flags, info = after["robots", "info"], after["agents", "info"]
         for name, where in _CONTACTS.items():
-            happened = info[where][:, -robots:] & flags[name].unsqueeze(-1)
-            self._contacts[name].append(happened & runs)
+            self._contacts[name].append(info[where][:, -robots:] & flags[name].unsqueeze(-1) & runs)
         for name, before in self._ends.items():
             self._ends[name] = before | (flags[name] & alive.unsqueeze(1))
         last = self._heading[-1][..., -1:]
@@ -165,20 +164,18 @@ class _RobotRecorder:
 
     def fields(self) -> dict[str, Tensor]:
         """Return the fields of a `RobotRollout`."""
-        result = {name: torch.cat(parts, -1).cpu() for name, parts in self._contacts.items()}
-        result |= {name: value.cpu() for name, value in self._ends.items()}
-        return result | {"heading": torch.cat(self._heading, -1).cpu()}
+        parts = self._contacts | {"heading": self._heading}
+        result = self._ends | {name: torch.cat(some, -1) for name, some in parts.items()}
+        return {name: value.cpu() for name, value in result.items()}
 
 
-_CONTACTS = {
-    "person_contact": "agent_contact",
-    "robot_contact": "agent_contact",
-    "wall_contact": "wall_contact",
+_CONTACTS = dict.fromkeys(("person_contact", "robot_contact"), "agent_contact") | {
+    "wall_contact": "wall_contact"
 }
 """What `RobotRollout` calls contacts, and where the environment says when they were."""
 
 
-def robot_row(name: str, rollout: RobotRollout, decision_dt: float) -> dict[str, Any]:
+def robot_row(name: str, rollout: RobotRollout) -> dict[str, Any]:
     """Return the metrics of a robot's policy with their 95 % intervals, and what became of each robot.
 
     ``n`` are episodes, intervals are over episodes; what the metrics are says
@@ -188,7 +185,7 @@ def robot_row(name: str, rollout: RobotRollout, decision_dt: float) -> dict[str,
     return {
         "name": name,
         "case": {},
-        "decision_dt_s": decision_dt,
+        "decision_dt_s": rollout.walked.decision_dt,
         "n": len(rollout.walked.failed),
         "metrics": metrics,
         "ci95": intervals,

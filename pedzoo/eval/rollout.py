@@ -116,6 +116,24 @@ def walk(
     return in_parts(partial(run, policy, env), episodes, deterministic, tell)
 
 
+def walked(
+    policy: str,
+    scenario: PreparedScenario,
+    physics: str,
+    episodes: int,
+    seed: int = 0,
+    deterministic: bool = False,
+    progress: Progress | None = None,
+    **settings: Any,
+) -> Iterator[Rollout]:
+    """Yield what `rollout` returns in parts: large crowds do not fit into memory at once."""
+    walks, env = prepare(policy, scenario, physics, episodes, seed, **settings)
+    try:
+        yield from walk(walks, env, episodes, deterministic, progress)
+    finally:
+        env.physics.close()
+
+
 def in_parts(
     run: Callable[[Callable[[int], None]], Episodes],
     episodes: int,
@@ -188,7 +206,7 @@ class Recorder:
         self._steps: list[dict[str, Tensor]] = []
 
     def add(self, after: Any, done: Tensor | None = None, changed: Tensor | None = None) -> None:
-        """Keep a decision.
+        """Keep a decision; scenes that were over before it stay as they ended.
 
         Args:
             after: What it led to: ``next`` of the environment's step.
@@ -196,13 +214,25 @@ class Recorder:
             changed: Metres by which a safety layer changed it (B, A); None without one.
         """
         before, self.state, alive = self.state, self._env.state, self.alive
-        step = _kept(after, before, self.state, alive, self._steps[-1] if self._steps else None)
+        info, slots = after["agents", "info"], alive.unsqueeze(1)
+        shape = info["reached"].shape
+        # no agent walked where the policy gave no number
+        present = (before.mask & slots & ~self.state.failed.unsqueeze(1)).unsqueeze(2).expand(shape)
+        step = {"present": present, "controlled": present & before.controlled.unsqueeze(2)}
+        step |= {key: info[key] for key in ("trace", "reached")}
+        step |= {key: info[key] & present for key in ("agent_contact", "wall_contact")}
+        step |= {key: getattr(before, key).unsqueeze(2).expand(shape) for key in ("person", "planned")}
+        step["goal"] = before.goal_point.unsqueeze(2).expand(*shape, -1)
+        if self._steps:
+            for key in ("trace", "goal", "reached", "person", "planned"):
+                running = alive.view(-1, *[1] * (step[key].dim() - 1))
+                step[key] = torch.where(running, step[key], self._steps[-1][key][:, :, -1:])
         if changed is not None:
-            step["changed"] = changed.unsqueeze(2).expand_as(step["reached"])
+            step["changed"] = changed.unsqueeze(2).expand(shape)
         self._steps.append(step)
-        self._overdue = torch.where(alive.unsqueeze(1), self.state.overdue, self._overdue)
+        self._overdue = torch.where(slots, self.state.overdue, self._overdue)
         self._failed = torch.where(alive, self.state.failed, self._failed)
-        self.progress = torch.where(alive.unsqueeze(1), _progress(self.state), self.progress)
+        self.progress = torch.where(slots, _progress(self.state), self.progress)
         self.alive = alive & ~(after["done"][:, 0] if done is None else done)
 
     def rollout(self) -> Rollout:
@@ -221,26 +251,3 @@ class Recorder:
 def _progress(state: State) -> Tensor:
     """Return how far agents have come on the planner's ways to their goals (B, A), metres."""
     return state.planned - planned(state.remaining_path)
-
-
-def _kept(
-    after: Any, before: State, state: State, alive: Tensor, last: dict[str, Tensor] | None
-) -> dict[str, Tensor]:
-    """Return the values of one decision; scenes that were over before it stay as they ended."""
-    info = after["agents", "info"]
-    points = info["reached"].shape[2]
-    # no agent walked where the policy gave no number
-    there = before.mask & (alive & ~state.failed).unsqueeze(1)
-    stored = {key: info[key] for key in ("trace", "agent_contact", "wall_contact", "reached")}
-    stored["present"] = there.unsqueeze(2).expand(-1, -1, points)
-    stored["controlled"] = stored["present"] & before.controlled.unsqueeze(2)
-    stored["goal"] = before.goal_point.unsqueeze(2).expand(-1, -1, points, -1)
-    for key in ("person", "planned"):
-        stored[key] = getattr(before, key).unsqueeze(2).expand(-1, -1, points)
-    for key in ("agent_contact", "wall_contact"):
-        stored[key] = stored[key] & stored["present"]
-    if last is not None:
-        for key in ("trace", "goal", "reached", "person", "planned"):
-            running = alive.view(-1, *[1] * (stored[key].dim() - 1))
-            stored[key] = torch.where(running, stored[key], last[key][:, :, -1:])
-    return stored

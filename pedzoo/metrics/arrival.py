@@ -7,6 +7,7 @@ what `pedzoo.sim.rollout.Rollout` holds under the same names.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -22,9 +23,10 @@ STILL_POINTS, STILL_METRES, AWAY = round(5.0 / TRACE_SECONDS), 0.1, 0.5
 """Trace points (5 s), metres in them, and metres to the goal: less movement, farther away, is a deadlock."""
 
 
-def arrived_in_time(reached: Tensor, goals: int, late: Tensor, failed: Tensor, mask: Tensor) -> Tensor:
+def arrived_in_time(rollout: Rollout) -> Tensor:
     """Return which people have reached all goals in time (E, A) bool; none in an episode that failed."""
-    return (reached[..., -1] >= goals) & ~late & ~failed.unsqueeze(1) & mask
+    arrived = (rollout.reached[..., -1] >= rollout.goals) & rollout.mask
+    return arrived & ~rollout.overdue & ~rollout.failed.unsqueeze(1)
 
 
 def finish_seconds(reached: Tensor, goals: int) -> Tensor:
@@ -32,13 +34,6 @@ def finish_seconds(reached: Tensor, goals: int) -> Tensor:
     missing = (reached < goals).sum(-1)
     seconds = (missing + 1).double() * TRACE_SECONDS
     return torch.where(missing < reached.shape[-1], seconds, torch.inf)
-
-
-def episode_seconds(seconds: Tensor, success: Tensor, mask: Tensor) -> Tensor:
-    """Return when the last person had finished (E,), seconds; infinite unless all had in time."""
-    all_in_time = (success | ~mask).all(1)
-    last = seconds.masked_fill(~mask, 0.0).amax(1)
-    return torch.where(all_in_time, last, torch.inf)
 
 
 def seconds_per_goal(seconds: Tensor, reached: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
@@ -80,28 +75,12 @@ def weighted(success: Tensor, least: Tensor, taken: Tensor) -> Tensor:
     return torch.where(most > 0, least / most, 1.0).where(success, 0.0)
 
 
-def fewest_goals(reached: Tensor, mask: Tensor) -> Tensor:
-    """Return how many goals the person with the fewest reached in each episode (E,) long."""
-    last = reached[..., -1]
-    return last.masked_fill(~mask, int(last.max())).amin(1)
-
-
-def most_goals(reached: Tensor, mask: Tensor) -> Tensor:
-    """Return how many goals the person with the most reached in each episode (E,) long."""
-    return reached[..., -1].masked_fill(~mask, 0).amax(1)
-
-
-def deadlocked(trace: Tensor, goal: Tensor, scored: Tensor) -> Tensor:
-    """Return which people once stayed within 0.1 m for 5 s, more than 0.5 m from the goal (E, A) bool.
+def stuck(trace: Tensor, goal: Tensor, scored: Tensor) -> Tensor:
+    """Return where people have stayed within 0.1 m for 5 s, more than 0.5 m from the goal (E, A, T) bool.
 
     They are ``scored`` all of the 5 s, and do not come back to a place within them. Current goals: (E, A, T,
     2), metres; people are away from theirs when the 5 s begin, too, so that waiting at a goal is no deadlock.
     """
-    return stuck(trace, goal, scored).any(-1)
-
-
-def stuck(trace: Tensor, goal: Tensor, scored: Tensor) -> Tensor:
-    """Return at which points 5 s end that make a person `deadlocked` (E, A, T) bool; same arguments."""
     result = torch.zeros_like(scored)
     if trace.shape[2] <= STILL_POINTS:
         return result
@@ -121,56 +100,23 @@ def stuck(trace: Tensor, goal: Tensor, scored: Tensor) -> Tensor:
     return result
 
 
-class ScoredSpans(NamedTuple):
-    """When people are scored who come and go: it makes values of persons of values of slots.
+def over_spans(scored: Tensor, value: Tensor) -> Tensor:
+    """Return the sums of values (E, A, T) over each time that a slot is ``scored`` without a gap (E, A, R).
 
-    In a replay a slot has one person after the other, each scored without a gap until they leave. Run r of R
-    is the r-th such time of a slot. Where a slot has fewer, the last ones are empty.
-
-    Attributes:
-        number: Which run each point is in (E, A, T) long, 0 for points that are in none, runs from 1 on.
-        count: R.
+    In a replay a slot has one person after the other, each scored without a gap until they leave. The r-th of
+    R sums is of the r-th person; where a slot has fewer, the last ones are 0.
     """
-
-    number: Tensor
-    count: int
-
-    @classmethod
-    def of(cls, scored: Tensor) -> ScoredSpans:
-        """Find the runs of people who are ``scored`` (E, A, T) bool."""
-        number = begins(scored).cumsum(2)
-        return cls(number.where(scored, 0), int(number.max()) if number.numel() else 0)
-
-    @property
-    def there(self) -> Tensor:
-        """Which runs there are (E, A, R) bool."""
-        return self.sums(torch.ones_like(self.number)) > 0
-
-    def sums(self, value: Tensor) -> Tensor:
-        """Return the sums over each run's points (E, A, R) of values at every point (E, A, T)."""
-        result = value.new_zeros(*value.shape[:2], self.count + 1)
-        return result.scatter_add_(2, self.number, value)[..., 1:]
-
-    def any(self, value: Tensor) -> Tensor:
-        """Return in which runs (E, A, R) something is true at any point (E, A, T)."""
-        return self.sums(value.long()) > 0
-
-    def last(self, value: Tensor) -> Tensor:
-        """Return the value (E, A, T) at the last point of each run (E, A, R)."""
-        after = torch.cat((self.number[..., 1:], torch.zeros_like(self.number[..., :1])), dim=2)
-        return self.sums(value.where(self.number != after, 0))
+    number = begins(scored).cumsum(2).where(scored, 0)
+    spans = int(number.max()) if number.numel() else 0
+    return value.new_zeros(*value.shape[:2], spans + 1).scatter_add_(2, number, value)[..., 1:]
 
 
 class _Walks(NamedTuple):
-    """Times and paths of people to all goals; (E, A) each, or (E, A, R) for the R runs of a replay's slots.
+    """Times and paths of people to all goals; (E, A) each, or (E, A, R) for the spans of a replay's slots.
 
-    Attributes:
-        there: Which people are counted: not those who stay where the episode begins.
-        arrived: Which of them arrived in time.
-        planned: Length of the planner's paths, metres.
-        walked: Length of the path that they walked, metres.
-        needed: Seconds of free walking, each planned path at the preferred speed. Not of replays.
-        taken: Seconds until they arrived, infinite for people who did not. Not of replays.
+    Who is ``there`` does not stay where the episode begins. Lengths of the ``planned`` and of the ``walked``
+    paths, metres; seconds that are ``needed`` at the preferred speed, and ``taken``, infinite for people who
+    did not arrive. A replay has no seconds.
     """
 
     there: Tensor
@@ -183,19 +129,21 @@ class _Walks(NamedTuple):
 
 @once
 def _walks(rollout: Rollout) -> _Walks:
-    if rollout.replayed:
-        runs = ScoredSpans.of(rollout.scored)
-        arrived = runs.there & (runs.last(rollout.reached) >= rollout.goals)
-        steps = rollout.path.diff(dim=2).norm(dim=-1).where(rollout.underway, 0.0)
-        planned, walked, none = runs.last(rollout.planned), runs.sums(steps), torch.empty(0)
-        return _Walks(runs.there, arrived & ~rollout.failed[:, None, None], planned, walked, none, none)
     reached, goals = rollout.reached, rollout.goals
-    mask = rollout.mask & ((reached[..., 0] < goals) | (rollout.planned[..., -1] > 0))
-    arrived = arrived_in_time(reached, goals, rollout.overdue, rollout.failed, mask)
+    if rollout.replayed:
+        spans = partial(over_spans, rollout.scored)
+        ends = begins(rollout.scored.flip(2)).flip(2)
+        there = spans(rollout.scored.long()) > 0
+        arrived = there & (spans(reached.where(ends, 0)) >= goals) & ~rollout.failed[:, None, None]
+        steps = rollout.path.diff(dim=2).norm(dim=-1).where(rollout.underway, 0.0)
+        none = torch.empty(0)
+        return _Walks(there, arrived, spans(rollout.planned.where(ends, 0)), spans(steps), none, none)
+    there = rollout.mask & ((reached[..., 0] < goals) | (rollout.planned[..., -1] > 0))
     planned = planned_metres(rollout.planned, reached, goals)
     walked = walked_metres(rollout.path, rollout.scored, reached, goals)
-    seconds = finish_seconds(reached, goals)
-    return _Walks(mask, arrived, planned, walked, planned / rollout.pref_speed, seconds - rollout.stood)
+    taken = finish_seconds(reached, goals) - rollout.stood
+    arrived = arrived_in_time(rollout) & there
+    return _Walks(there, arrived, planned, walked, planned / rollout.pref_speed, taken)
 
 
 @metric()
@@ -204,8 +152,7 @@ def success(rollout: Rollout) -> Ratio:
 
     In a replay: their real exit in twice the real time.
     """
-    walks = _walks(rollout)
-    return share(walks.arrived, walks.there)
+    return share(_walks(rollout).arrived, _walks(rollout).there)
 
 
 @metric("ordinary")
@@ -233,10 +180,10 @@ def failed(rollout: Rollout) -> Ratio:
 @metric()
 def deadlock(rollout: Rollout) -> Ratio:
     """Share of people who once stayed within 0.1 m for 5 s, more than 0.5 m from their goal."""
-    where = rollout.trace, rollout.goal, rollout.scored
+    still = stuck(rollout.trace, rollout.goal, rollout.scored)
     if rollout.replayed:
-        return share(ScoredSpans.of(rollout.scored).any(stuck(*where)), _walks(rollout).there)
-    return share(deadlocked(*where), rollout.mask)
+        return share(over_spans(rollout.scored, still.long()) > 0, _walks(rollout).there)
+    return share(still.any(-1), rollout.mask)
 
 
 @metric("ordinary")
@@ -245,41 +192,48 @@ def goals_per_person(rollout: Rollout) -> Ratio:
     return ratio(rollout.reached[..., -1].where(rollout.mask, 0), rollout.mask)
 
 
+def _fewest_and_most(rollout: Rollout) -> tuple[Tensor, Tensor]:
+    """Return the goals of the persons with the fewest and with the most in each episode (E,) long."""
+    last, absent = rollout.reached[..., -1], ~rollout.mask
+    return last.masked_fill(absent, int(last.max())).amin(1), last.masked_fill(absent, 0).amax(1)
+
+
 @metric("ordinary")
 def goals_per_person_min(rollout: Rollout) -> Ratio:
     """Goals of an episode's person with the fewest."""
-    return ratio(fewest_goals(rollout.reached, rollout.mask))
+    return ratio(_fewest_and_most(rollout)[0])
 
 
 @metric("ordinary")
 def goals_per_person_max(rollout: Rollout) -> Ratio:
     """Goals of an episode's person with the most."""
-    return ratio(most_goals(rollout.reached, rollout.mask))
+    return ratio(_fewest_and_most(rollout)[1])
 
 
 @metric("ordinary")
 def goals_parity(rollout: Rollout) -> Ratio:
     """Fewest goals divided by most, mean over episodes in which a goal is reached."""
-    most = most_goals(rollout.reached, rollout.mask)
-    fewest = fewest_goals(rollout.reached, rollout.mask)
+    fewest, most = _fewest_and_most(rollout)
     return mean(fewest.double() / most.clamp_min(1), most > 0)
 
 
-def _episode_seconds(rollout: Rollout) -> Tensor:
-    seconds = finish_seconds(rollout.reached, rollout.goals)
-    return episode_seconds(seconds, _walks(rollout).arrived, _walks(rollout).there)
+def episode_seconds(rollout: Rollout) -> Tensor:
+    """Return when the last person had finished (E,), seconds; infinite unless all had in time."""
+    walks = _walks(rollout)
+    last = finish_seconds(rollout.reached, rollout.goals).masked_fill(~walks.there, 0.0).amax(1)
+    return torch.where((walks.arrived | ~walks.there).all(1), last, torch.inf)
 
 
 @metric("ordinary")
 def time_s(rollout: Rollout) -> Ratio:
     """When the last person arrives, mean over episodes in which all do in time."""
-    return finite(_episode_seconds(rollout))
+    return finite(episode_seconds(rollout))
 
 
 @metric("ordinary")
 def decisions(rollout: Rollout) -> Ratio:
     """`time_s` in decisions of the policy."""
-    return finite((_episode_seconds(rollout) / rollout.decision_dt - 1e-6).ceil())
+    return finite((episode_seconds(rollout) / rollout.decision_dt - 1e-6).ceil())
 
 
 @metric("ordinary")
@@ -304,20 +258,14 @@ def path_ratio(rollout: Rollout) -> Ratio:
 
 @metric()
 def spl(rollout: Rollout) -> Ratio:
-    """Success weighted by path length, mean over people.
-
-    See `weighted`.
-    """
+    """Success weighted by path length, mean over people."""
     walks = _walks(rollout)
     return ratio(weighted(walks.arrived, walks.planned, walks.walked), walks.there)
 
 
 @metric("ordinary")
 def stl(rollout: Rollout) -> Ratio:
-    """Success weighted by time, mean over people.
-
-    See `weighted`.
-    """
+    """Success weighted by time, mean over people."""
     walks = _walks(rollout)
     return ratio(weighted(walks.arrived, walks.needed, walks.taken), walks.there)
 

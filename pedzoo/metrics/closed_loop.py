@@ -17,14 +17,9 @@ from pedzoo.metrics.ratios import Ratio, summarised
 from pedzoo.metrics.statistics import Interval, bootstrap_quantile, quantiles
 from pedzoo.sim.rollout import Rollout
 
-
-def _scenes(function: Callable[..., Any]) -> str:
-    return getattr(function, "scenes", "all")
-
-
 _SHIPPED = {name: METRICS.get(name) for name in METRICS.names()}
 
-NAMES = tuple(sorted(_SHIPPED, key=lambda name: _scenes(_SHIPPED[name]) == "doors"))
+NAMES = tuple(sorted(_SHIPPED, key=lambda name: getattr(_SHIPPED[name], "scenes", "all") == "doors"))
 """Every metric that the registry finds, in the order of tables: those of doors come last."""
 
 
@@ -99,24 +94,27 @@ def _guarded(name: str, function: Callable[[Rollout], Any]) -> Callable[[Rollout
 
 
 def _results(functions: dict[str, Callable[[Rollout], Any]], rollout: Rollout) -> dict[str, Ratio]:
-    kinds = {"all"}
-    if not rollout.replayed:
-        kinds |= {"ordinary"} if rollout.gate is None else {"ordinary", "doors"}
-    known = {name: one for name, one in functions.items() if _scenes(one) in kinds}
+    kinds = {"all"} if rollout.replayed else {"all", "ordinary"}
+    if not rollout.replayed and rollout.gate is not None:
+        kinds.add("doors")
+    known = {name: one for name, one in functions.items() if getattr(one, "scenes", "all") in kinds}
     order = (name for name in (*NAMES, *functions) if name in known)
     return {name: _checked(name, known[name](rollout), len(rollout.failed)) for name in order}
 
 
 def _checked(name: str, result: Any, episodes: int) -> Ratio:
     """Return the two sums that a metric gave."""
+
+    def kind(value: Any) -> str:
+        return (
+            f"a tensor of shape {tuple(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
+        )
+
     sums, more = (result[:2], result[2:]) if isinstance(result, tuple) else ((), ())
     right = len(sums) == 2 and all(isinstance(v, Tensor) and v.shape == (episodes,) for v in sums)
-    if (
-        not right
-        or len(more) > 1 + isinstance(result, Ratio)
-        or not all(isinstance(is_share, bool) for is_share in more)
-    ):
-        given = f"({', '.join(map(_kind, result))})" if isinstance(result, tuple) else _kind(result)
+    right &= len(more) <= 1 + isinstance(result, Ratio) and all(isinstance(one, bool) for one in more)
+    if not right:
+        given = f"({', '.join(map(kind, result))})" if isinstance(result, tuple) else kind(result)
         raise UserError(
             f"metric {name}: expected two tensors (sum, count) of shape ({episodes},), a value of each "
             f"episode, got {given}: pedzoo.metrics.ratios.ratio makes them"
@@ -129,10 +127,6 @@ def _checked(name: str, result: Any, episodes: int) -> Ratio:
     if any(more) and bool(((above < 0) | (above > below)).any()):
         raise UserError(f"metric {name}: a share is outside 0 to 1; pedzoo.metrics.ratios.ratio makes others")
     return Ratio(above, below, *more)
-
-
-def _kind(value: Any) -> str:
-    return f"a tensor of shape {tuple(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
 
 
 def time_ratio_median(rollout: Rollout) -> tuple[dict[str, float], dict[str, Interval]]:

@@ -2,10 +2,9 @@
 
 Pure functions over the 0.1 s trace of closed-loop episodes, and the metrics made of them. E episodes of A
 people (padded), T trace points. Scored people (E, A, T) may come near all people who are present (E, A, T).
-``nearest`` (E, A, T) are distances to the nearest other, metres.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -26,7 +25,6 @@ HORIZON = 10.0
 
 NOTICED = 0.02
 """Metres by which a step is changed at least."""
-
 
 GRAZING = 1e-3
 """m^4/s^2: below, when two people touch changes too fast for a gradient."""
@@ -56,37 +54,11 @@ def person_minutes(scored: Tensor) -> Tensor:
 
 def nearest(trace: Tensor, present: Tensor) -> Tensor:
     """Return the distance between centres to the nearest other (E, A, T), metres; infinite without one."""
-    parts = []
-    for x, y, absent in _frames(present, trace):
-        apart = (x.unsqueeze(2) - x.unsqueeze(1)).square_()
-        across = y.unsqueeze(2) - y.unsqueeze(1)
-        apart = apart.addcmul_(across, across).add_(absent)
-        apart.diagonal(dim1=1, dim2=2).fill_(torch.inf)
-        parts.append(apart.amin(2).sqrt_())
-    return _of_people(parts, present)
 
+    def apart(xy: Tensor) -> Tensor:
+        return torch.cdist(xy, xy, compute_mode="donot_use_mm_for_euclid_dist")
 
-def least_distance(nearest: Tensor, scored: Tensor) -> Tensor:
-    """Return the least distance to another (E, A), metres between centres; infinite for a person alone."""
-    return nearest.masked_fill(~scored, torch.inf).amin(-1)
-
-
-def keeps_distance(nearest: Tensor, scored: Tensor) -> Tensor:
-    """Return at which points no other is within 0.5 m of each scored person (E, A, T) bool.
-
-    Their share of all scored points is personal-space compliance per frame.
-    """
-    return (nearest >= PERSONAL_SPACE) & scored
-
-
-def compliance_igibson(nearest: Tensor, scored: Tensor) -> Tensor:
-    """Return each person's personal-space compliance as iGibson counts it (E, A), 0 to 1.
-
-    ``1 - points with another person within 0.5 m / 500``, not below 0. 500 is the number of 0.1 s steps that
-    an episode of iGibson's social navigation may take, so short episodes look better.
-    """
-    intruded = (nearest < PERSONAL_SPACE) & scored
-    return (1 - intruded.sum(-1) / IGIBSON_POINTS).clamp_min(0.0)
+    return _least_over_others(apart, present, trace)
 
 
 def time_to_collision(
@@ -94,75 +66,58 @@ def time_to_collision(
 ) -> Tensor:
     """Return after how long each person would touch another if all kept their velocities (E, A, S), seconds.
 
-    The smaller root of ``|p + v t| = R``: 0 where they touch already, 10 for later than 10 s and for never. R
-    is the sum of two radii (E, A), those of people if None. A person's time is the least over all others
-    ``there`` (E, A, S), infinite for people alone or absent. Positions and velocities (E, A, S, 2), metres
-    and m/s.
+    It is the least over all others ``there`` (E, A, S) of `collision_seconds`, infinite for people alone or
+    absent. Positions and velocities (E, A, S, 2), metres and m/s; radii (E, A), those of people if None.
     """
     own = position.new_full(position.shape[:2], BODY_RADIUS) if radius is None else radius.to(position)
-    own = own[..., None, None].expand(*position.shape[:3], 1)
-    parts = []
-    for *values, size, absent in _frames(there, position, velocity, own):
-        x, y, vx, vy = (value.unsqueeze(1) - value.unsqueeze(2) for value in values)
-        reach = size.unsqueeze(1) + size.unsqueeze(2)
-        seconds = collision_seconds(x, y, vx, vy, reach).add_(absent)
-        seconds.diagonal(dim1=1, dim2=2).fill_(torch.inf)
-        parts.append(seconds.amin(2))
-    return _of_people(parts, there)
+
+    def seconds(xy: Tensor, moves: Tensor, size: Tensor) -> Tensor:
+        away, relative = (one.unsqueeze(1) - one.unsqueeze(2) for one in (xy, moves))
+        return collision_seconds(away, relative, size.unsqueeze(1) + size.unsqueeze(2))
+
+    return _least_over_others(seconds, there, position, velocity, own.unsqueeze(2).expand_as(there))
 
 
-def collision_seconds(x: Tensor, y: Tensor, vx: Tensor, vy: Tensor, reach: Tensor) -> Tensor:
-    """Return when pairs (...) that keep their velocities touch, at most 10 s; see `time_to_collision`.
+def collision_seconds(away: Tensor, velocity: Tensor, reach: Tensor) -> Tensor:
+    """Return when pairs (...) that keep their velocities touch, seconds: 0 to 10, and 10 for never.
 
-    Positions and velocities are those of the other less those of the one, and ``reach`` is the sum of radii.
-    The memory of all arguments is used for the result.
+    The smaller root of ``|p + v t| = R``: p and v (..., 2) are the position and velocity of the other less
+    those of the one, metres and m/s, R is the sum of radii (...), metres.
     """
-    closing = (x * vx).addcmul_(y, vy).neg_()  # -p.v
-    gap = x.square_().addcmul_(y, y).sub_(reach**2)  # |p|^2 - R^2
-    under = vx.square_().addcmul_(vy, vy).mul_(gap).neg_().addcmul_(closing, closing)
-    # the smaller root, in the form that does not cancel and needs no |v| > 0
-    seconds = gap.clamp(min=0.0).div_(under.clamp(min=0.0).sqrt_().add_(closing))
+    closing, gap, under = _approach(away, velocity, reach)
+    # in the form that does not cancel and needs no |v| > 0
+    seconds = gap.clamp(min=0.0) / (under.clamp(min=0.0).sqrt() + closing)
     never = (closing <= 0) | (under < 0)
-    return seconds.masked_fill_(never, HORIZON).clamp_(max=HORIZON).masked_fill_(gap <= 0, 0.0)
+    return seconds.masked_fill(never, HORIZON).clamp(max=HORIZON).masked_fill(gap <= 0, 0.0)
 
 
 def touch_seconds(away: Tensor, velocity: Tensor, reach: Tensor | float) -> Tensor:
-    """Return when pairs (M,) touch that do so within `HORIZON`, with gradients; see `collision_seconds`.
+    """Return `collision_seconds` with gradients of pairs that touch within `HORIZON`.
 
-    They are ``away`` from each other, with a relative ``velocity`` (M, 2). Times of those who only graze each
-    other are a little too small.
+    Times of those who only graze each other are a little too small.
     """
-    closing = -(away * velocity).sum(-1)
-    gap = away.square().sum(-1) - reach**2
-    under = closing.square() - velocity.square().sum(-1) * gap
+    closing, gap, under = _approach(away, velocity, reach)
     return gap / (under.clamp_min(GRAZING).sqrt() + closing.clamp_min(1e-3))
 
 
-def _frames(there: Tensor, *vectors: Tensor) -> Iterator[list[Tensor]]:
-    """Yield the points of all episodes, F at once so that their pairs fit a cache.
+def _approach(away: Tensor, velocity: Tensor, reach: Tensor | float) -> tuple[Tensor, Tensor, Tensor]:
+    """Return ``-p.v``, ``|p|^2 - R^2`` and the term under the root, see `collision_seconds`."""
+    (x, y), (vx, vy) = away.unbind(-1), velocity.unbind(-1)
+    closing, gap = -(x * vx + y * vy), x.square() + y.square() - reach**2
+    return closing, gap, closing.square() - (vx.square() + vy.square()) * gap
 
-    Args:
-        there: Which people are present (E, A, T) bool.
-        vectors: (E, A, T, D) each.
 
-    Yields:
-        Each component of each of the vectors (F, A). Last, what to add to values of
-        pairs (F, A, A): 0 for others that are there, infinity for absent ones (F, 1, A).
+def _least_over_others(of_pairs: Callable[..., Tensor], there: Tensor, *values: Tensor) -> Tensor:
+    """Return the least of values of pairs over the others that are there (E, A, T), infinite without any.
+
+    ``of_pairs`` gets the values (E, A, T, ...) as frames (F, A, ...), so many that their pairs fit a cache.
     """
-    agents = there.shape[1]
-    by_frame = [
-        value for one in vectors for value in one.permute(3, 0, 2, 1).reshape(one.shape[3], -1, agents)
-    ]
-    absent = torch.zeros_like(by_frame[0]).masked_fill_(~there.transpose(1, 2).reshape(-1, agents), torch.inf)
-    size = max(1, _AT_ONCE // max(1, agents**2))
-    for first in range(0, max(1, len(absent)), size):
-        some = slice(first, first + size)
-        yield [*(value[some] for value in by_frame), absent[some].unsqueeze(1)]
-
-
-def _of_people(parts: list[Tensor], there: Tensor) -> Tensor:
-    """Return values of the frames (F, A) as (E, A, T), infinite for absent people."""
     episodes, agents, points = there.shape
+    size = max(1, _AT_ONCE // max(1, agents**2))
+    frames = (one.transpose(1, 2).flatten(0, 1).split(size) for one in (there, *values))
+    alone, parts = torch.eye(agents, dtype=torch.bool, device=there.device), []
+    for present, *some in zip(*frames, strict=True):
+        parts.append(of_pairs(*some).masked_fill(~present.unsqueeze(1) | alone, torch.inf).amin(2))
     result = torch.cat(parts).view(episodes, points, agents).transpose(1, 2)
     return result.masked_fill(~there, torch.inf)
 
@@ -180,6 +135,11 @@ def _events(rollout: Rollout, contact: Tensor) -> Tensor:
 @once
 def _nearest(rollout: Rollout) -> Tensor:
     return nearest(rollout.trace, rollout.present)
+
+
+def least_distance(rollout: Rollout) -> Tensor:
+    """Return the least distance of scored people to another (E, A), metres; infinite for a person alone."""
+    return _nearest(rollout).masked_fill(~rollout.scored, torch.inf).amin(-1)
 
 
 @metric()
@@ -227,23 +187,25 @@ def wall_contact_episodes(rollout: Rollout) -> Ratio:
 @metric()
 def personal_space(rollout: Rollout) -> Ratio:
     """Share of people's 0.1 s points at which no other person is within 0.5 m."""
-    return ratio(keeps_distance(_nearest(rollout), rollout.scored), rollout.scored)
+    return mean(_nearest(rollout) >= PERSONAL_SPACE, rollout.scored)
 
 
 @metric("ordinary")
 def personal_space_igibson(rollout: Rollout) -> Ratio:
     """Personal space as iGibson counts it, mean over people.
 
-    See `pedzoo.metrics.compliance_igibson`.
+    ``1 - points with another person within 0.5 m / 500``, not below 0. 500 is the number of 0.1 s steps that
+    an episode of iGibson's social navigation may take, so short episodes look better.
     """
-    stored = compliance_igibson(_nearest(rollout), rollout.scored)
-    return ratio(stored.where(rollout.mask, 0.0), rollout.mask)._replace(part=True)
+    intruded = (_nearest(rollout) < PERSONAL_SPACE) & rollout.scored
+    kept = (1 - intruded.sum(-1) / IGIBSON_POINTS).clamp_min(0.0)
+    return mean(kept, rollout.mask)._replace(part=True)
 
 
 @metric()
 def least_distance_m(rollout: Rollout) -> Ratio:
     """Distance between centres of an episode's nearest two, mean over episodes in which people meet."""
-    return finite(least_distance(_nearest(rollout), rollout.scored).amin(1))
+    return finite(least_distance(rollout).amin(1))
 
 
 @once
@@ -268,21 +230,21 @@ def time_to_collision_capped(rollout: Rollout) -> Ratio:
     return mean(seconds >= HORIZON, meets)
 
 
-def _nothing(rollout: Rollout) -> Ratio:
-    return ratio(torch.zeros(len(rollout.failed)), torch.zeros(len(rollout.failed)))
+def _changes(rollout: Rollout) -> tuple[Tensor, Tensor]:
+    """Return metres by which a layer changes steps, and which count (E, A, T); none without a layer."""
+    if rollout.changed is None:
+        return torch.zeros(rollout.scored.shape), torch.zeros_like(rollout.scored)
+    return rollout.changed, rollout.scored
 
 
 @metric()
 def intervention_share(rollout: Rollout) -> Ratio:
     """Share of people's steps that the safety layer changes by more than 2 cm."""
-    if rollout.changed is None:
-        return _nothing(rollout)
-    return mean(rollout.changed > NOTICED, rollout.scored)
+    changed, known = _changes(rollout)
+    return mean(changed > NOTICED, known)
 
 
 @metric()
 def intervention_m(rollout: Rollout) -> Ratio:
     """Metres by which the safety layer changes a step, mean over all steps of people."""
-    if rollout.changed is None:
-        return _nothing(rollout)
-    return mean(rollout.changed, rollout.scored)
+    return mean(*_changes(rollout))

@@ -1,13 +1,14 @@
-"""Displacement errors of forecasts, metres: pure functions and their torchmetrics classes.
+"""Displacement errors of forecasts, metres.
 
 ``error`` is always the distance to the truth (B, K, A, T), ``valid`` (B, A, T) bool says which of the
 truth is known. Minima over samples come in two forms that must never share a column: *per scene*, one
 sample for all people of a window together (Gupta et al., "Social GAN", CVPR 2018), and *per agent*.
 """
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
-from torchmetrics import Metric
 
 from pedzoo.core.errors import UserError
 
@@ -37,14 +38,14 @@ def displacement_error(prediction: Tensor, history: Tensor, future: Tensor) -> T
 
 
 def average(error: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
-    """Return per-agent means over the known steps (B, K, A) and whether there is any (B, A)."""
+    """Return per-agent means over the known steps (B, K, A) and whether there is any (B, A): ADE."""
     known = valid.unsqueeze(1)
     count = known.sum(-1)
     return error.where(known, 0).sum(-1) / count.clamp(min=1), (count > 0).squeeze(1)
 
 
 def final(error: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the error (B, K, A) at the last step and whether the truth is known there (B, A)."""
+    """Return the error (B, K, A) at the last step and whether the truth is known there (B, A): FDE."""
     return error[..., -1], valid[..., -1]
 
 
@@ -53,10 +54,20 @@ def next_step(error: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
     return error[..., 0], valid[..., 0]
 
 
+def final_of_best(error: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the final error (B, 1, A) of the sample that is best by ADE: what minima apart leave out."""
+    best = average(error, valid)[0].argmin(1, keepdim=True)
+    return error[..., -1].gather(1, best), valid[..., -1]
+
+
+def missed(error: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
+    """Return 1 for people of whom no sample ends within `MISS` metres of the truth, else 0 (B, 1, A)."""
+    return (error[..., -1].amin(1, keepdim=True) > MISS).to(error.dtype), valid[..., -1]
+
+
 def min_per_scene(per_agent: Tensor, there: Tensor) -> Tensor:
     """Return each agent's error (B, A) in the one sample that is best for their whole scene."""
-    total = per_agent.where(there.unsqueeze(1), 0).sum(-1)
-    best = total.argmin(1)
+    best = per_agent.where(there.unsqueeze(1), 0).sum(-1).argmin(1)
     return per_agent[torch.arange(len(best), device=best.device), best]
 
 
@@ -70,130 +81,32 @@ def mean_over_samples(per_agent: Tensor, there: Tensor) -> Tensor:
     return per_agent.mean(1)
 
 
-class SceneMean(Metric):
-    """A sum over people with their count; state in float64, summed over processes.
+def scene_sums(
+    error: Tensor,
+    valid: Tensor,
+    of: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]] = average,
+    over_samples: Callable[[Tensor, Tensor], Tensor] = mean_over_samples,
+) -> tuple[Tensor, Tensor]:
+    """Return the sum of an error over the people of each scene (B,) float64, and how many these are (B,).
 
-    Attributes:
-        latest: Sums and counts (B,) of each scene of the last update, for intervals over scenes.
+    ``of`` is the error, such as `average`; ``over_samples`` reduces samples, such as `min_per_agent`.
     """
-
-    higher_is_better: bool | None = False
-    full_state_update = False
-    total: Tensor
-    count: Tensor
-    latest: tuple[Tensor, Tensor]
-
-    def __init__(self) -> None:
-        """Begin without people."""
-        super().__init__()
-        self.add_state("total", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
-        self.add_state("count", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
-
-    def add(self, value: Tensor, count: Tensor) -> None:
-        """Add a batch: each person's value (B, A), zero where not counted, and each scene's count (B,)."""
-        self.latest = value.sum(1, dtype=torch.float64), count
-        self.total += value.sum(dtype=torch.float64)
-        self.count += count.sum()
-
-    def compute(self) -> Tensor:
-        """Return the mean; NaN before the first batch."""
-        return self.total / self.count
+    per_agent, there = of(error, valid)
+    value = over_samples(per_agent, there).where(there, 0)
+    return value.sum(1, dtype=torch.float64), there.sum(1)
 
 
-class AgentMean(SceneMean):
-    """Mean over agents of an error, metres, reduced over samples.
+def sample_distance(prediction: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the distance between the positions of two samples, metres: a sum and a count, () float64 each.
 
-    Attributes:
-        of: Which error: `average`, `final` or `next_step`.
-        over_samples: How samples are reduced.
+    Of the same person at the same step, mean over pairs of samples, of displacements (B, K, A, T, 2) and
+    people ``mask`` (B, A). It shows whether samples differ: 0 for a deterministic model.
     """
-
-    of = staticmethod(average)
-    over_samples = staticmethod(mean_over_samples)
-
-    def update(self, error: Tensor, valid: Tensor) -> None:
-        """Add a batch: ``error`` (B, K, A, T), ``valid`` (B, A, T)."""
-        per_agent, there = self.of(error, valid)
-        self.add(self.over_samples(per_agent, there).where(there, 0), there.sum(1))
-
-
-class ADE(AgentMean):
-    """Average displacement error: mean over agents and steps (and samples)."""
-
-
-class FDE(AgentMean):
-    """Final displacement error: at the last predicted step."""
-
-    of = staticmethod(final)
-
-
-class NextStepError(AgentMean):
-    """Displacement error of the first predicted step."""
-
-    of = staticmethod(next_step)
-
-
-class MinADEScene(AgentMean):
-    """ADE of the sample that is best for all people of a scene together (Social GAN's best-of-K)."""
-
-    over_samples = staticmethod(min_per_scene)
-
-
-class MinFDEScene(FDE):
-    """FDE likewise; its best sample is chosen by FDE and may be another one."""
-
-    over_samples = staticmethod(min_per_scene)
-
-
-class MinADEAgent(AgentMean):
-    """ADE of each person's own best sample."""
-
-    over_samples = staticmethod(min_per_agent)
-
-
-class MinFDEAgent(FDE):
-    """FDE of each person's own best sample."""
-
-    over_samples = staticmethod(min_per_agent)
-
-
-class FinalOfBestADE(AgentMean):
-    """FDE of the sample that is best by ADE: what minima taken apart leave out."""
-
-    def update(self, error: Tensor, valid: Tensor) -> None:
-        """Add a batch: ``error`` (B, K, A, T), ``valid`` (B, A, T)."""
-        last, there = final(error, valid)
-        best = average(error, valid)[0].argmin(1, keepdim=True)
-        self.add(last.gather(1, best).squeeze(1).where(there, 0), there.sum(1))
-
-
-class MissRate(AgentMean):
-    """Share of people of whom no sample ends within `MISS` metres of the truth."""
-
-    def update(self, error: Tensor, valid: Tensor) -> None:
-        """Add a batch: ``error`` (B, K, A, T), ``valid`` (B, A, T)."""
-        last, there = final(error, valid)
-        self.add((last.amin(1) > MISS).where(there, False).to(error.dtype), there.sum(1))
-
-
-class SampleDistance(SceneMean):
-    """Mean distance between the positions of two samples of the same person at the same step, metres.
-
-    It shows whether samples differ: 0 for a deterministic model.
-    """
-
-    higher_is_better = None
-
-    def update(self, prediction: Tensor, mask: Tensor) -> None:
-        """Add a batch: ``prediction`` displacements (B, K, A, T, 2), ``mask`` (B, A)."""
-        samples = prediction.shape[1]
-        people = prediction.cumsum(-2).movedim(1, -2)[mask]  # (P, T, K, 2)
-        self.count += people.shape[0] * people.shape[1]
-        if samples == 1:
-            return  # a deterministic model: one sample stands for all, at distance 0
-        first, second = torch.triu_indices(samples, samples, 1, device=mask.device)
-        # a few people at a time: all pairs of all people at once would not fit a cache
-        for some in people.split(256):
-            self.total += (
-                (some[..., first, :] - some[..., second, :]).norm(dim=-1).mean(-1).sum(dtype=torch.float64)
-            )
+    people = prediction.cumsum(-2).movedim(1, -2)[mask]  # (P, T, K, 2)
+    first, second = torch.triu_indices(prediction.shape[1], prediction.shape[1], 1, device=mask.device)
+    total, count = torch.zeros(2, dtype=torch.float64, device=mask.device)
+    # a few people at a time: all pairs of all people at once would not fit a cache
+    for some in people.split(256) if len(first) else ():  # one sample stands for all, at distance 0
+        apart = (some[..., first, :] - some[..., second, :]).norm(dim=-1)
+        total = total + apart.mean(-1).sum(dtype=torch.float64)
+    return total, count + people.shape[0] * people.shape[1]

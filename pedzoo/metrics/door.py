@@ -68,9 +68,9 @@ def pair(start: Tensor, mask: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
 def index_of_symmetry(path: Tensor, scored: Tensor, gate: Tensor, pair: Tensor) -> tuple[Tensor, Tensor]:
     """Return how far a pair is from walking point-symmetrically (E,), and where that is known (E,) bool.
 
-    The mean over time of ``|p1 + p2 - 2c| / r``, as long as both are present. r is their mean distance from c
-    when the episode begins. 0: they are mirror images in c all the time, and neither yields (ORCA, started
-    alike). About 1: one waits at the start until the other is through.
+    `asymmetry` divided by the pair's mean distance from c when the episode begins. 0: they are mirror images
+    in c all the time, and neither yields (ORCA, started alike). About 1: one waits at the start until the
+    other is through.
     """
     metres, known = asymmetry(path, scored, gate, pair)
     size = (of_pair(path, pair)[:, :, 0] - gate[:, None, :2]).norm(dim=-1).mean(1)
@@ -78,7 +78,7 @@ def index_of_symmetry(path: Tensor, scored: Tensor, gate: Tensor, pair: Tensor) 
 
 
 def asymmetry(path: Tensor, there: Tensor, gate: Tensor, pair: Tensor) -> tuple[Tensor, Tensor]:
-    """Return `index_of_symmetry` in metres (E,), and where it is known. ``there`` is like ``scored``."""
+    """Return the mean of ``|p1 + p2 - 2c|`` while both are ``there`` (E,), metres, and where it is known."""
     two, both = of_pair(path, pair), of_pair(there, pair).all(1)
     off = (two.sum(1) - 2 * gate[:, None, :2]).norm(dim=-1)[:, 1:]
     points = both.sum(1)
@@ -101,14 +101,13 @@ def faster_is_first(seconds: Tensor, pref_speed: Tensor) -> tuple[Tensor, Tensor
     return known & (later * faster < 0), known
 
 
-def yielder_speed(velocity: Tensor, known: Tensor, seconds: Tensor, dt: float) -> Tensor:
+def yielder_speed(velocity: Tensor, known: Tensor, seconds: Tensor) -> Tensor:
     """Return the least speed of the second of a pair before passing the door (E,), m/s.
 
     Infinite where not both are through, or the second is after less than a window. The pair's ``velocity``
-    (E, 2, S, 2), m/s, and ``known`` (E, 2, S) are of windows of ``dt`` seconds, see
-    `pedzoo.metrics.smoothness`.
+    (E, 2, S, 2), m/s, and ``known`` (E, 2, S) are of windows of 0.4 s, see `pedzoo.metrics.smoothness`.
     """
-    end = dt * torch.arange(1, velocity.shape[2] + 1, device=velocity.device)
+    end = STEP_SECONDS * torch.arange(1, velocity.shape[2] + 1, device=velocity.device)
     before = known & (end <= seconds.unsqueeze(2))
     least = velocity.norm(dim=-1).masked_fill(~before, torch.inf).amin(2)
     second = seconds.argmax(1, keepdim=True)
@@ -130,10 +129,7 @@ def flow(seconds: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def headways(seconds: Tensor, at: float) -> Tensor:
-    """Return a quantile ``at`` of the times from person to person through a door (E,), seconds.
-
-    ``seconds`` (E, A) are those at which people passed it; NaN where fewer than two did.
-    """
+    """Return a quantile ``at`` of the times from person to person (E,), seconds; NaN of fewer than two."""
     gaps = seconds.sort(1).values.diff(dim=1)
     if not gaps.shape[1]:  # one person alone
         return seconds.new_full((len(seconds),), torch.nan)
@@ -144,7 +140,6 @@ def wall_drift(path: Tensor, scored: Tensor, gate: Tensor, seconds: Tensor) -> t
     """Return how far people go along the wall while they wait before a door (E, A), metres, and which wait.
 
     People wait before they pass, within 1.5 m of the wall, while they come nearer to it by less than 0.2 m/s.
-    ``seconds`` (E, A) is when they pass.
     """
     ahead, beside = from_door(path, gate)
     off = ahead * -ahead[..., :1].sign()  # below 0 on the side where a person begins
@@ -182,15 +177,7 @@ def from_door(path: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
 
 
 class _Door(NamedTuple):
-    """Passings of the doors.
-
-    Attributes:
-        gate: The doors (E, 5).
-        passed: When people passed (E, A), seconds; see `passing_seconds`.
-        pair: Two people who meet there (E, 2) long.
-        met: Where there are two (E,) bool.
-        theirs: When these passed (E, 2), seconds.
-    """
+    """The doors, when people passed, and the pairs that ``met`` (E,) there, with ``theirs``."""
 
     gate: Tensor
     passed: Tensor
@@ -242,14 +229,13 @@ def yielder_speed_m_per_s(rollout: Rollout) -> Ratio:
     """Least speed of the second before the door."""
     at = _door(rollout)
     velocity, known = (of_pair(value, at.pair) for value in smoothness.moves(rollout))
-    return finite(yielder_speed(velocity, known, at.theirs, STEP_SECONDS))
+    return finite(yielder_speed(velocity, known, at.theirs))
 
 
 @metric("doors")
 def specific_flow_per_m_s(rollout: Rollout) -> Ratio:
     """All people who get through, divided by width of the door and time."""
-    at = _door(rollout)
-    return ratio(*flow(at.passed, at.gate))
+    return ratio(*flow(_door(rollout).passed, _door(rollout).gate))
 
 
 @metric("doors")
@@ -285,12 +271,11 @@ def headway_p95_s(rollout: Rollout) -> Ratio:
 @metric("doors")
 def wall_drift_m(rollout: Rollout) -> Ratio:
     """Way along the wall of people who wait before the door, mean over people."""
-    assert rollout.gate is not None
-    return mean(*wall_drift(rollout.path, rollout.scored, rollout.gate, _door(rollout).passed))
+    at = _door(rollout)
+    return mean(*wall_drift(rollout.path, rollout.scored, at.gate, at.passed))
 
 
 @metric("doors")
 def sharp_turns(rollout: Rollout) -> Ratio:
     """Share of moments about the door at which walking people turn by more than 45 degrees within 0.4 s."""
-    assert rollout.gate is not None
-    return ratio(*sharp(rollout.path, rollout.scored, rollout.gate))
+    return ratio(*sharp(rollout.path, rollout.scored, _door(rollout).gate))

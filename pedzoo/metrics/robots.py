@@ -1,7 +1,8 @@
-"""All metrics of robots among people, each as a ratio of two sums over episodes.
+"""How robots drive, how near they come to people, and what they do to them: ratios of two sums over episodes.
 
 E episodes of N people and R robots, T trace points; point t is the end of the t-th 0.1 s after the warm
-start. Numbers that count like others' are taken from where others define them:
+start. Positions and paths are in metres, headings in radians. Numbers that count like others' are taken from
+where others define them:
 
 * CrowdNav: Chen et al., "Crowd-robot interaction", ICRA 2019; vita-epfl/CrowdNav ``explorer.py``.
 * CrowdNav++: Liu et al., "Intention aware robot crowd navigation", ICRA 2023;
@@ -12,12 +13,13 @@ start. Numbers that count like others' are taken from where others define them:
 Of HuNav's list these are left out: group intrusions (people of pedzoo have no groups); obstacle forces and
 social work (they sum over obstacle points that each simulator chooses by itself); mean angular speed and mean
 acceleration with their sign (left and right cancel out: amounts are here instead); its jerk, which is
-acceleration by time. Its rule of which of two collided with the other swaps the arguments of ``atan2``;
-`pedzoo.metrics.robot_functions.drives_into` says what is used instead. Its social forces on the robot and on
-people are the same number: each pair's have the same amount.
-"""
+acceleration by time. Its rule of which of two collided with the other swaps the arguments of ``atan2``: here
+it is who moves faster towards the other. Its social forces on the robot and on people are the same number:
+each pair's have the same amount.
 
-from __future__ import annotations
+The effect on people is against the same scenes of the same seed without robots. Both begin alike: the robots
+are taken out after the warm start. People's noise is the same, too.
+"""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -27,10 +29,36 @@ from torch import Tensor
 
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.metrics import arrival, contacts, smoothness
-from pedzoo.metrics import robot_functions as of_robots
 from pedzoo.metrics.ratios import Ratio, finite, mean, of_sums, ratio, share
 from pedzoo.sim.robots.rollout import RobotRollout
 from pedzoo.sim.rollout import Rollout
+
+STANDS, STANDS_TURN = 0.01, 0.02
+"""m/s and rad/s: a robot that is slower in both does not move (HuNav's)."""
+
+SPACES = {"intimate": (-torch.inf, 0.45), "personal": (0.45, 1.2), "social": (1.2, 3.6)}
+"""Spaces of proxemics (Hall 1966), metres from the robot's body to people's centres, as in HuNav."""
+
+DISCOMFORT = 0.2
+"""Metres between bodies within which people feel uncomfortable (CrowdNav's)."""
+
+FUTURE_STEPS, FUTURE_SECONDS = 5, 0.25
+"""How far ahead people's ways are that robots should keep clear of (CrowdNav++'s)."""
+
+SOCIAL_FACTOR, LAMBDA, GAMMA, ANGULAR, VELOCITY = 2.1, 2.0, 0.35, 2.0, 3.0
+"""Parameters of the social force (HuNav's): its factor, lambda, gamma, n and n'."""
+
+ENCOUNTER = 3.0
+"""Seconds: a robot and a person with a shorter time to collision meet."""
+
+FROM_REST = round(1.0 / TRACE_SECONDS)
+"""Trace points in which robots set out, 1 s: that is no answer to people."""
+
+LASTS = round(6.0 / TRACE_SECONDS)
+"""Trace points in which those who meet pass each other, 6 s."""
+
+YIELDS = 0.1
+"""m/s: a smaller change of velocity is no yielding."""
 
 LEGEND: Mapping[str, str] = {
     "success": "share of robots that reach all goals in time, and touch nothing that ends the episode",
@@ -80,30 +108,11 @@ LEGEND: Mapping[str, str] = {
 """What each metric is, in the order of tables."""
 
 
-def robot_metrics(rollout: RobotRollout) -> dict[str, Ratio]:
-    """Return every metric of robots, by its name, in the order of `LEGEND`, which says what they are.
-
-    Robots count from the beginning to the end of their own episode. What has no value (no robot succeeds, no
-    person meets it, ...) is in neither sum of its ratio. What robots do to people is known of people whom a
-    policy moves: those who are played back do not react.
-    """
-    agents = _Agents.of(rollout)
-    result = _ends(rollout) | _touches(rollout, agents) | _driving(rollout)
-    result |= _near(agents) | _encounters(agents) | _effect(rollout)
-    return {name: result[name] for name in LEGEND}
-
-
 class _Agents(NamedTuple):
-    """Robots and people apart; where there are no people, one who is never there.
+    """Paths of robots (E, R, 1 + T, 2) and of people (E, N, 1 + T, 2), or of one person who is never there.
 
-    Attributes:
-        robots: Paths (E, R, 1 + T, 2), metres.
-        people: Paths (E, N, 1 + T, 2), metres.
-        there: Robots are on their way (E, R, T) bool.
-        present: People are there, and were at the point before (E, N, T) bool.
-        moved: A policy moves them (E, N, T) bool.
-        radius: Of robots (E, R), metres.
-        reach: Sums of radii (E, R, N), metres.
+    Robots are ``there`` on their way (E, R, T); people are ``present``, and were at the point before, and
+    ``moved`` by a policy (E, N, T); ``radius`` of robots (E, R), ``reach``: sums of radii (E, R, N).
     """
 
     robots: Tensor
@@ -114,17 +123,24 @@ class _Agents(NamedTuple):
     radius: Tensor
     reach: Tensor
 
-    @classmethod
-    def of(cls, rollout: RobotRollout) -> _Agents:
-        """Return the agents of a rollout."""
-        walked, first = rollout.walked, rollout.walked.mask.shape[1] - rollout.robots
-        people, present, moved, sizes = (
-            value[:, :first] if first else torch.zeros_like(value[:, :1])
-            for value in (walked.path, walked.continuous, walked.scored, walked.radius)
-        )
-        radius = walked.radius[:, first:]
-        reach = radius.unsqueeze(2) + sizes.unsqueeze(1)
-        return cls(walked.path[:, first:], people, rollout.there, present, moved, radius, reach)
+
+def robot_metrics(rollout: RobotRollout) -> dict[str, Ratio]:
+    """Return every metric of robots, by its name, in the order of `LEGEND`, which says what they are.
+
+    Robots count from the beginning to the end of their own episode. What has no value (no robot
+    succeeds, ...) is in neither sum of its ratio. What robots do to people is known of whom a policy moves.
+    """
+    walked, first = rollout.walked, rollout.walked.mask.shape[1] - rollout.robots
+    values = (walked.path, walked.continuous, walked.scored, walked.radius)
+    people, present, moved, sizes = (v[:, :first] if first else torch.zeros_like(v[:, :1]) for v in values)
+    radius = walked.radius[:, first:]
+    reach = radius.unsqueeze(2) + sizes.unsqueeze(1)
+    agents = _Agents(walked.path[:, first:], people, rollout.there, present, moved, radius, reach)
+    result = _ends(rollout) | _touches(rollout, agents) | _driving(rollout) | _near(agents) | _effect(rollout)
+    met, known, yields = encounters(agents.robots, agents.people, agents.there, agents.moved, agents.reach)
+    result["encounters_per_min"] = ratio(met.sum(2), contacts.person_minutes(agents.there))
+    result["person_yields"] = share(yields, known)
+    return {name: result[name] for name in LEGEND}
 
 
 def _ends(rollout: RobotRollout) -> dict[str, Ratio]:
@@ -152,7 +168,10 @@ def _ends(rollout: RobotRollout) -> dict[str, Ratio]:
 
 
 def _touches(rollout: RobotRollout, agents: _Agents) -> dict[str, Ratio]:
-    """Return whether the robot or the person causes the first touch of a person."""
+    """Return whether the robot or the person causes the first touch of a person: who moves faster towards it.
+
+    After SEAN 2.0's "robot on person collision" (Tsoi et al., RA-L 2022), which HuNav has, too.
+    """
     contact = rollout.person_contact
     point = contact.long().argmax(-1)
     place, there = point[:, :, None, None], agents.present.unsqueeze(1)
@@ -161,7 +180,8 @@ def _touches(rollout: RobotRollout, agents: _Agents) -> dict[str, Ratio]:
     there = there.expand(-1, contact.shape[1], -1, -1).gather(3, place.expand(*after.shape[:3], 1))[..., 0]
     gap = (after - moved).norm(dim=-1) - agents.reach
     nearest = gap.masked_fill(~there, torch.inf).argmin(2, keepdim=True)
-    drives = of_robots.drives_into(before - robot, moved - robot, after - before).gather(2, nearest)[..., 0]
+    closing = ((moved - robot) + (after - before)) * (before - robot)
+    drives = (closing.sum(-1) >= 0).gather(2, nearest)[..., 0]
     touches, every = contact.any(-1), torch.ones_like(drives)
     return {
         "robot_on_person": share(touches & drives, every),
@@ -181,13 +201,17 @@ def _driving(rollout: RobotRollout) -> dict[str, Ratio]:
     walked, there, last = rollout.walked, rollout.there, slice(-rollout.robots, None)
     path, every = walked.path[:, last], torch.ones_like(rollout.success)
     velocity, known = smoothness.velocities(path, there)
-    least, final = of_robots.goal_distances(walked.trace[:, last], walked.goal[:, last], there)
+    away = (walked.trace[:, last] - walked.goal[:, last]).norm(dim=-1)
+    end = (there.sum(-1, keepdim=True) - 1).clamp_min(0)
+    speed, turned = path.diff(dim=2).norm(dim=-1) / TRACE_SECONDS, rollout.heading.diff(dim=-1)
+    turned = torch.atan2(turned.sin(), turned.cos()).abs()
+    stands = (speed < STANDS) & (turned < STANDS_TURN * TRACE_SECONDS) & there
     return {
-        "final_goal_distance_m": mean(final, every),
-        "least_goal_distance_m": finite(least),
-        "standing_s": mean(of_robots.seconds_standing(path, rollout.heading, there), every),
-        "heading_change_rad": mean(of_robots.heading_changes(rollout.heading, there), every),
-        "speed_m_per_s": mean(path.diff(dim=2).norm(dim=-1) / TRACE_SECONDS, there),
+        "final_goal_distance_m": mean(away.gather(-1, end).squeeze(-1), every),
+        "least_goal_distance_m": finite(away.masked_fill(~there, torch.inf).amin(-1)),
+        "standing_s": mean(stands.sum(-1) * TRACE_SECONDS, every),
+        "heading_change_rad": mean(turned.where(there, 0.0).sum(-1), every),
+        "speed_m_per_s": mean(speed, there),
         "acceleration_m_per_s2": mean(*smoothness.acceleration(velocity, known)),
         "jerk_m_per_s3": mean(*smoothness.jerk(velocity, known)),
     }
@@ -195,70 +219,182 @@ def _driving(rollout: RobotRollout) -> dict[str, Ratio]:
 
 def _near(agents: _Agents) -> dict[str, Ratio]:
     """Return how near robots come to people."""
-    robots, people = agents.robots[:, :, 1:], agents.people[:, :, 1:]
-    there, present = agents.there, agents.present
-    apart = of_robots.distances(robots, people, there, present)
-    gap, body = (apart - agents.reach.unsqueeze(-1)).amin(2), apart - agents.radius[..., None, None]
+    robots, people, there = agents.robots[:, :, 1:], agents.people[:, :, 1:], agents.there
+    both = there.unsqueeze(2) & agents.present.unsqueeze(1)
+    away = people.unsqueeze(1) - robots.unsqueeze(2)
+    apart = away.norm(dim=-1).masked_fill(~both, torch.inf)
+    nearest, body = apart.amin(2), apart - agents.radius[..., None, None]
+    gap, edge = (apart - agents.reach.unsqueeze(-1)).amin(2), body.amin(2)
     farthest = torch.where(body.isfinite(), body, -torch.inf).amax((2, 3))
-    intruded, least = of_robots.intrusions(robots, people, present, agents.reach)
+    intruded, least = intrusions(robots, people, agents.present, agents.reach)
     intruded = intruded & there
     mine, theirs = (path.diff(dim=2) / TRACE_SECONDS for path in (agents.robots, agents.people))
-    closing = mine.unsqueeze(2) - theirs.unsqueeze(1)
-    force = of_robots.social_force(people.unsqueeze(1) - robots.unsqueeze(2), closing)
-    inside = {name: of_robots.in_space(apart, agents.radius, name) for name in of_robots.SPACES}
-    return {f"space_{name}": share(when, there) for name, when in inside.items()} | {
-        "personal_space": share(contacts.keeps_distance(apart.amin(2), there), there),
-        "discomfort": share((gap < of_robots.DISCOMFORT) & there, there),
+    force = social_force(away, mine.unsqueeze(2) - theirs.unsqueeze(1))
+    spaces = {name: (edge >= low) & (edge < high) for name, (low, high) in SPACES.items()}
+    return {f"space_{name}": share(inside, there) for name, inside in spaces.items()} | {
+        "personal_space": share((nearest >= contacts.PERSONAL_SPACE) & there, there),
+        "discomfort": share((gap < DISCOMFORT) & there, there),
         "intrusion_ratio": mean(intruded.sum(-1) / there.sum(-1).clamp_min(1), there.any(-1)),
         "intrusion_distance_m": mean(least, intruded),
         "nearest_person_m": finite(gap),
-        "least_person_m": finite(body.amin((2, 3))),
+        "least_person_m": finite(edge.amin(2)),
         "farthest_person_m": finite(farthest),
-        "social_force_m_per_s2": mean(force.where(apart.isfinite(), 0.0).sum(2), there),
-        "people_speed_m_per_s": mean(theirs.norm(dim=-1), present),
+        "social_force_m_per_s2": mean(force.where(both, 0.0).sum(2), there),
+        "people_speed_m_per_s": mean(theirs.norm(dim=-1), agents.present),
     }
 
 
-def _encounters(agents: _Agents) -> dict[str, Ratio]:
-    """Return how often the robot and the person yield."""
-    met = of_robots.encounters(agents.robots, agents.people, agents.there, agents.moved, agents.reach)
-    return {
-        "encounters_per_min": ratio(met.met.sum(2), contacts.person_minutes(agents.there)),
-        "person_yields": share(met.person_yields, met.known),
-    }
+def intrusions(robots: Tensor, people: Tensor, present: Tensor, reach: Tensor) -> tuple[Tensor, Tensor]:
+    """Return when robots are where people are about to go (E, R, T) bool, and how near (E, R, T), metres.
+
+    At point t a robot intrudes whose body touches a person's body of 0.25, 0.5, ... 1.25 s later. The share
+    of an episode's points, mean over episodes, is CrowdNav++'s intrusion ratio. The distance is the least one
+    between centres of those that touch, infinite for none; its mean over intrusions is CrowdNav++'s, too.
+    There people's future is simulated; here it is what they really did.
+    """
+    points = people.shape[2]
+    least = torch.full(robots.shape[:3], torch.inf)
+    for step in range(1, FUTURE_STEPS + 1):
+        ahead = step * FUTURE_SECONDS / TRACE_SECONDS
+        first, share = int(ahead), ahead - int(ahead)
+        last = first + (share > 0)
+        if last >= points:
+            break
+        later = torch.lerp(people[:, :, first : points - last + first], people[:, :, last:], share)
+        apart = (robots[:, :, : points - last].unsqueeze(2) - later.unsqueeze(1)).norm(dim=-1)
+        there = present[:, :, last:].unsqueeze(1) & (apart < reach.unsqueeze(-1))
+        nearest = apart.masked_fill(~there, torch.inf).amin(2)
+        least[..., : points - last] = torch.minimum(least[..., : points - last], nearest)
+    return least.isfinite(), least
+
+
+def social_force(apart: Tensor, velocity: Tensor) -> Tensor:
+    """Return the amounts of the social force between pairs (...), m/s^2: of either on the other.
+
+    The model of Moussaid et al. (Proc. R. Soc. B 276, 2009) with the parameters of HuNav, which sums it over
+    people and steps for ``social_force_on_robot`` and ``social_force_on_agents``. ``d`` is the distance,
+    ``e`` the direction, ``D = 2 v + e``, ``B = 0.35 |D|``, ``a`` the angle from e to D. Then the force is
+    ``2.1 sqrt(exp(-d/B - (3 B a)^2)^2 + exp(-d/B - (2 B a)^2)^2)``, without the second term where a is 0.
+
+    Args:
+        apart: From one to the other (..., 2), metres.
+        velocity: Of the one less that of the other (..., 2), m/s.
+    """
+    distance = apart.norm(dim=-1)
+    toward = torch.nn.functional.normalize(apart, dim=-1)
+    interaction = LAMBDA * velocity + toward
+    reach = GAMMA * interaction.norm(dim=-1)
+    cross = toward[..., 0] * interaction[..., 1] - toward[..., 1] * interaction[..., 0]
+    angle = torch.atan2(cross, (toward * interaction).sum(-1))
+    decay = -distance / reach.clamp_min(1e-9)
+    ahead = (decay - (VELOCITY * reach * angle) ** 2).exp()
+    aside = (decay - (ANGULAR * reach * angle) ** 2).exp().where(angle != 0, 0.0)
+    return SOCIAL_FACTOR * torch.hypot(ahead, aside)
+
+
+def encounters(
+    robots: Tensor, people: Tensor, there: Tensor, moved: Tensor, reach: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return which robots and people met, in which one of the two yields, and in which the person does.
+
+    All (E, R, N) bool. An encounter of a pair begins where the time after which they would touch, if both
+    kept their velocities, first falls below 3 s, but not in the first second, in which robots set out. It
+    ends at the closest approach of the next 6 s. A change is the largest ``|v(t) - v(begin)|`` in between;
+    one of at least 0.1 m/s is yielding, and who changes more yields. A pair has one encounter in an episode,
+    the first. Only people that a policy ``moved`` can yield. Arguments are as those of `_Agents`.
+    """
+    mine, theirs = (path.diff(dim=2) / TRACE_SECONDS for path in (robots, people))
+    apart = people[:, :, 1:].unsqueeze(1) - robots[:, :, 1:].unsqueeze(2)
+    closing = theirs.unsqueeze(1) - mine.unsqueeze(2)
+    both, point = there.unsqueeze(2) & moved.unsqueeze(1), torch.arange(there.shape[-1])
+    seconds = contacts.collision_seconds(apart, closing, reach.unsqueeze(-1))
+    near = (seconds < ENCOUNTER) & both & (point >= FROM_REST)
+    begin = near.long().argmax(-1, keepdim=True)
+    after = both & (point >= begin) & (point <= begin + LASTS)
+    closest = apart.norm(dim=-1).masked_fill(~after, torch.inf).argmin(-1, keepdim=True)
+    during = after & (point <= closest)
+
+    def change(velocity: Tensor) -> Tensor:
+        velocity = velocity.expand(*near.shape, 2)
+        first = velocity.gather(3, begin.unsqueeze(-1).expand(*begin.shape, 2))
+        return (velocity - first).norm(dim=-1).where(during, 0.0).amax(-1)
+
+    robot, person, met = change(mine.unsqueeze(2)), change(theirs.unsqueeze(1)), near.any(-1)
+    known = met & (torch.maximum(robot, person) >= YIELDS)
+    return met, known, known & (person > robot)
+
+
+class WalkProgress(NamedTuple):
+    """How far people had come when the robot's episode ended (E, N).
+
+    Attributes:
+        arrived: They had reached all their goals, bool.
+        seconds: When they had, infinite for others.
+        covered: Metres of the planner's ways that they had covered; all of them for people who arrived.
+        walked: Metres that they walked until then.
+    """
+
+    arrived: Tensor
+    seconds: Tensor
+    covered: Tensor
+    walked: Tensor
+
+
+def delay(joined: WalkProgress, alone: WalkProgress, pref_speed: Tensor, ended: Tensor) -> Tensor:
+    """Return how much later people arrive because of the robot (E, N), seconds; below 0: earlier.
+
+    A person who had arrived at the end of the robot's episode did so at a known time. For others it is that
+    end plus what was left of their planned way at the speed that they like. Their delay is the difference
+    of the two times, with the robot less without. Of people who arrived in neither that is the planned way
+    that they covered less, by their preferred speed.
+
+    Args:
+        joined: With the robot.
+        alone: Without.
+        pref_speed: The speed that people like (E, N), m/s.
+        ended: When the robot's episode ended (E,), seconds.
+    """
+    whole = torch.where(joined.arrived, joined.covered, alone.covered)  # where neither arrived it cancels
+    late, early = (
+        one.seconds.where(one.arrived, ended.unsqueeze(1) + (whole - one.covered) / pref_speed)
+        for one in (joined, alone)
+    )
+    return late - early
+
+
+def detour(joined: WalkProgress, alone: WalkProgress) -> Tensor:
+    """Return how much farther people walk for the same progress (E, N), metres; below 0: less far.
+
+    What they walked less what they covered of the planner's paths, with the robot less without. So a person
+    who only waits has a delay, and no detour.
+    """
+    return (joined.walked - joined.covered) - (alone.walked - alone.covered)
 
 
 def _effect(rollout: RobotRollout) -> dict[str, Ratio]:
     """Return what robots do to people, against the same scenes without them."""
-    people = slice(0, rollout.walked.mask.shape[1] - rollout.robots)
-    both = rollout.walked, rollout.alone
-    joined, alone = (
-        _walk(one, progress, people)
-        for one, progress in zip(both, (rollout.progress, rollout.progress_alone), strict=True)
-    )
-    known = rollout.walked.controlled[:, people].any(-1) & ~(both[0].failed | both[1].failed).unsqueeze(1)
-    later = of_robots.delay(joined, alone, both[0].pref_speed[:, people], rollout.seconds)
-    result = {
+    walked, alone = both = rollout.walked, rollout.alone
+    people = slice(0, walked.mask.shape[1] - rollout.robots)
+
+    def progress(one: Rollout, covered: Tensor) -> WalkProgress:
+        reached, goals = one.reached[:, people], one.goals
+        arrived = (reached[..., -1] >= goals) & one.mask[:, people]
+        planned = arrival.planned_metres(one.planned[:, people], reached, goals)
+        metres = arrival.walked_metres(one.path[:, people], one.scored[:, people], reached, goals)
+        seconds = arrival.finish_seconds(reached, goals)
+        return WalkProgress(arrived, seconds, torch.where(arrived, planned, covered[:, people]), metres)
+
+    pair = progress(walked, rollout.progress), progress(alone, rollout.progress_alone)
+    known = walked.controlled[:, people].any(-1) & ~(walked.failed | alone.failed).unsqueeze(1)
+    later = delay(*pair, walked.pref_speed[:, people], rollout.seconds)
+    minutes, events = contacts.person_minutes(walked.scored[:, people]), {}
+    for name in ("agent_contact", "wall_contact"):
+        more, less = (contacts.contact_events((getattr(one, name) & one.scored)[:, people]) for one in both)
+        events[name] = ratio(more - less, minutes)
+    return {
         "delay_s": mean(later, known),
         "delay_total_s": ratio(later.where(known, 0.0), known.any(1)),
-        "detour_m": mean(of_robots.detour(joined, alone), known),
+        "detour_m": mean(detour(*pair), known),
+        "contacts_more_per_min": events["agent_contact"],
+        "wall_contacts_more_per_min": events["wall_contact"],
     }
-    minutes = contacts.person_minutes(both[0].scored[:, people])
-    for name in ("agent_contact", "wall_contact"):
-        events = [contacts.contact_events((getattr(one, name) & one.scored)[:, people]) for one in both]
-        key = {"agent_contact": "contacts_more_per_min", "wall_contact": "wall_contacts_more_per_min"}[name]
-        result[key] = ratio(events[0] - events[1], minutes)
-    return result
-
-
-def _walk(rollout: Rollout, progress: Tensor, people: slice) -> of_robots.WalkProgress:
-    """Return how far people had come at the end."""
-    reached, goals = rollout.reached[:, people], rollout.goals
-    arrived = (reached[..., -1] >= goals) & rollout.mask[:, people]
-    planned = arrival.planned_metres(rollout.planned[:, people], reached, goals)
-    return of_robots.WalkProgress(
-        arrived=arrived,
-        seconds=arrival.finish_seconds(reached, goals),
-        covered=torch.where(arrived, planned, progress[:, people]),
-        walked=arrival.walked_metres(rollout.path[:, people], rollout.scored[:, people], reached, goals),
-    )

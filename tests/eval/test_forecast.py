@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any, cast
 
@@ -14,10 +15,15 @@ from pedzoo.cli.main import main
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
 from pedzoo.data.datamodule import Loading, TrajectoryDataModule
-from pedzoo.eval.forecast import forecast
+from pedzoo.eval.forecast import BlockSums, blocks, forecast, forecast_row
 from pedzoo.metrics.displacement import displacement_error
+from pedzoo.metrics.forecast import ForecastScore, negative_log_likelihood
+from pedzoo.metrics.statistics import ratio_interval
 from pedzoo.models.architectures.sgan import SGAN
-from pedzoo.models.zoo.loading import save_weights
+from pedzoo.models.base import known_displacements, true_displacements
+from pedzoo.models.zoo.loading import load, save_weights
+from tools.paper.forecast_pages import NATS
+from tools.paper.forecasts import line_likelihood, log_density, strayed
 
 SAMPLED = {
     *("ade_sampled_m", "fde_sampled_m", "sample_distance_m", "calibration_error"),
@@ -114,8 +120,6 @@ def test_samples_count_and_repeat_with_their_seed(weights: dict[str, str]) -> No
 
 
 def test_mode_and_samples_are_those_of_the_model(weights: dict[str, str]) -> None:
-    from pedzoo.models.zoo.loading import load
-
     data = make_data(batch_size=4096)
     metrics = forecast([weights["plain"]], data, 3, seed=2)["rows"][1]["metrics"]
     (batch,) = list(data.test_dataloader())
@@ -222,3 +226,75 @@ def test_one_command_trains_and_tests_on_files_of_ones_own(tmp_path: Path) -> No
     for row in report["rows"][1:]:
         assert row["metrics"]["min_ade_20_agent_m"] < 1.0
         assert {"miss_rate_20", "calibration_error", "nll_nats_per_step"} <= set(row["metrics"])
+
+
+def test_blocks_are_as_long_as_a_window_and_within_a_recording() -> None:
+    """Seven windows are two blocks of three with the last one added, three are one, none are none."""
+    assert blocks([7, 3, 0, 2], 3).tolist() == [0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 3, 3]
+
+
+@pytest.fixture
+def sums() -> BlockSums:
+    data = TrajectoryDataModule()
+    data.setup("test")
+    return BlockSums(data.sets["test"])
+
+
+def test_interval_of_three_blocks_is_that_of_their_sums(sums: BlockSums) -> None:
+    """Windows come in any order, and in two updates."""
+    sums.block = torch.tensor([0, 0, 1, 2])
+    sums.add(torch.tensor([3, 0]), {"ade_m": (torch.tensor([6.0, 1.0]), torch.tensor([2, 1]))})
+    sums.add(torch.tensor([1, 2]), {"ade_m": (torch.tensor([3.0, 6.0]), torch.tensor([3, 2]))})
+    expected = ratio_interval(torch.tensor([4.0, 6.0, 6.0]), torch.tensor([4, 2, 2]))
+    assert expected and sums.intervals()["ade_m"] == pytest.approx(expected)
+
+
+def test_two_blocks_have_no_interval(sums: BlockSums) -> None:
+    sums.block = torch.tensor([0, 0, 0, 1, 1])
+    sums.add(torch.arange(5), {"ade_m": (torch.rand(5), torch.ones(5))})
+    assert sums.intervals() == {}
+
+
+def test_every_error_of_a_forecast_lies_in_its_interval() -> None:
+    row = forecast_row("bent_line", load("bent_line"), TrajectoryDataModule(goal="window_end"), samples=3)
+    assert set(row["ci95"]) >= {"ade_m", "min_ade_3_scene_m", "min_ade_3_agent_m", "next_step_m"}
+    for name, (low, high) in row["ci95"].items():
+        assert low < row["metrics"][name] < high, name
+
+
+def test_sums_of_scenes_add_up_to_the_mean() -> None:
+    data = TrajectoryDataModule(loading=Loading(batch_size=16))
+    data.setup("test")
+    score, total, people = ForecastScore(0), 0.0, 0
+    for batch in data.test_dataloader():
+        score.update(load("constant_velocity"), batch)
+        errors, counts = score.latest["ade_m"]
+        assert errors.shape == counts.shape == batch.batch_size
+        total, people = total + float(errors.sum()), people + int(counts.sum())
+    assert people == len(data.sets["test"].rows)
+    assert score.compute()["ade_m"] == pytest.approx(total / people)
+
+
+def test_sums_of_likelihoods_by_hand() -> None:
+    """Over two steps each: -1 and 2 nats in one scene, 3 in the other, whose second person is absent."""
+    known = torch.tensor([[[True, True], [True, True]], [[True, True], [False, False]]])
+    sums = negative_log_likelihood(torch.tensor([[1.0, -2.0], [-3.0, math.nan]]), known)
+    assert [values.tolist() for values in sums] == [[1.0, 3.0], [4, 2]]
+
+
+def test_density_around_constant_velocity_is_that_of_torch() -> None:
+    data = TrajectoryDataModule(pred_len=4)
+    data.setup()
+    scale, total, people = strayed(data), torch.zeros(4), 0
+    for batch in data.train_dataloader():
+        agents = agents_of(batch)
+        last = agents["history"][:, :, -1:] - agents["history"][:, :, -2:-1]
+        there = known_displacements(batch).all(-1)
+        total += (true_displacements(batch) - last)[there].square().sum((0, 2))
+        people += int(there.sum())
+        oracle = torch.distributions.Normal(last.expand(-1, -1, 4, -1), scale.unsqueeze(-1))
+        nats = oracle.log_prob(true_displacements(batch)).sum((2, 3))
+        torch.testing.assert_close(log_density(batch, scale)[there], nats[there])
+    torch.testing.assert_close(scale, (total / people / 2).sqrt().clamp_min(0.02))
+    value, ends = line_likelihood(data)
+    assert ends[NATS][0] < value < ends[NATS][1]

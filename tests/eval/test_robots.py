@@ -57,7 +57,7 @@ def test_both_begin_alike_and_last_as_long() -> None:
 
 def test_people_who_heed_no_robot_are_not_delayed() -> None:
     both = driven("straight", people="go_to_goal", ends_at="none")
-    row = robot_row("straight", both, 0.2)
+    row = robot_row("straight", both)
     assert row["metrics"]["delay_s"] == pytest.approx(0.0, abs=1e-4)
     assert row["metrics"]["detour_m"] == pytest.approx(0.0, abs=1e-3)
     assert row["metrics"]["collision_person"] > 0, "it goes through them"
@@ -65,9 +65,9 @@ def test_people_who_heed_no_robot_are_not_delayed() -> None:
 
 def test_a_robot_that_gives_no_way_delays_people() -> None:
     """It drives through the middle of 1.5 m: people go back, or wait. Standing aside costs them less."""
-    drives = robot_row("straight", driven("straight", "hallway:people=4,width=1.5"), 0.2)["metrics"]
+    drives = robot_row("straight", driven("straight", "hallway:people=4,width=1.5"))["metrics"]
     assert drives["delay_s"] > 0.5 and drives["detour_m"] > 0.3 and drives["person_yields"] == 1
-    stands = robot_row("stop", driven("stop", "hallway:people=4,width=1.5", time_limit=4.0), 0.2)["metrics"]
+    stands = robot_row("stop", driven("stop", "hallway:people=4,width=1.5", time_limit=4.0))["metrics"]
     assert stands["timeout"] == 1 and stands["success"] == 0
     assert abs(stands["delay_s"]) < drives["delay_s"]
     assert stands["standing_s"] == pytest.approx(stands["duration_s"]) == pytest.approx(4.0)
@@ -89,7 +89,7 @@ def test_a_robot_in_a_recording_meets_people_who_do_not_react() -> None:
     both = driven("straight", "replay:fold=embedded,share=0.1", episodes=5)
     first = slice(0, both.walked.mask.shape[1] - 1)
     torch.testing.assert_close(both.walked.trace[:, first], both.alone.trace[:, first])
-    metrics = robot_row("straight", both, 0.2)["metrics"]
+    metrics = robot_row("straight", both)["metrics"]
     assert "delay_s" not in metrics and "person_yields" not in metrics
     assert metrics["nearest_person_m"] > 0
 

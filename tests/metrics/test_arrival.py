@@ -2,32 +2,49 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 import torch
+from helpers.walks import made
+from torch import Tensor
 
 from pedzoo.metrics.arrival import (
     arrived_in_time,
-    deadlocked,
-    episode_seconds,
-    fewest_goals,
     finish_seconds,
-    most_goals,
+    goals_parity,
+    goals_per_person_max,
+    goals_per_person_min,
+    over_spans,
     planned_metres,
     seconds_per_goal,
     stuck,
+    time_s,
     walked_metres,
     weighted,
 )
+from pedzoo.sim.rollout import Rollout
 
 INF = float("inf")
+
+
+def standing(reached: Tensor, **fields: Any) -> Rollout:
+    """People who stand (E, A, T), with the goals that they have ``reached`` by then."""
+    present = fields.get("mask", torch.ones(reached.shape[:2], dtype=torch.bool)).unsqueeze(2)
+    path = torch.zeros(*reached.shape[:2], reached.shape[2] + 1, 2)
+    return made(path, present.expand_as(reached), reached=reached, **fields)
+
+
+def deadlocked(trace: Tensor, goal: Tensor, scored: Tensor) -> list[list[bool]]:
+    return stuck(trace, goal, scored).any(2).tolist()
 
 
 def test_success_needs_all_goals_in_time() -> None:
     reached = torch.tensor([[[1, 2], [1, 1], [2, 2], [2, 2]], [[2, 2], [2, 2], [2, 2], [2, 2]]])
     late = torch.tensor([[False, False, True, False]]).expand(2, 4)
     mask = torch.tensor([[True, True, True, False]]).expand(2, 4)
-    result = arrived_in_time(reached, 2, late, torch.tensor([False, True]), mask)
-    assert result.tolist() == [[True, False, False, False], [False] * 4]
+    walked = standing(reached, goals=2, overdue=late, failed=torch.tensor([False, True]), mask=mask)
+    assert arrived_in_time(walked).tolist() == [[True, False, False, False], [False] * 4]
 
 
 def test_people_finish_when_the_last_goal_counts() -> None:
@@ -36,10 +53,13 @@ def test_people_finish_when_the_last_goal_counts() -> None:
 
 
 def test_an_episode_takes_as_long_as_its_last_person() -> None:
-    seconds = torch.tensor([[1.0, 3.0, INF], [1.0, 3.0, 2.0], [1.0, INF, 2.0]])
-    done = torch.tensor([[True, True, False], [True, False, True], [True, False, True]])
+    """In the second one a person is late, in the third one never arrives."""
+    reached = (torch.arange(40) >= torch.tensor([9, 29, 99])[:, None]).long().expand(3, 3, 40).clone()
+    reached[1, 2] = reached[2, 0]
+    late = torch.tensor([[False] * 3, [False, True, False], [False] * 3])
     mask = torch.tensor([[True, True, False], [True, True, True], [True, True, True]])
-    assert episode_seconds(seconds, done, mask).tolist() == [3.0, INF, INF]
+    ratio = time_s(standing(reached, overdue=late, mask=mask))
+    assert ratio.above.tolist() == pytest.approx([3.0, 0, 0]) and ratio.below.tolist() == [1, 0, 0]
 
 
 def test_standing_for_5_s_away_from_the_goal_is_a_deadlock() -> None:
@@ -53,8 +73,10 @@ def test_standing_for_5_s_away_from_the_goal_is_a_deadlock() -> None:
     goal[0, 3] = torch.tensor([0.4, 0.0])  # stands before its goal
     present = torch.ones(1, 5, 60, dtype=torch.bool)
     present[0, 4, 50:] = False  # stands, but leaves before 5 s are over
-    assert deadlocked(trace, goal, present).tolist() == [[True, False, False, False, False]]
-    assert not deadlocked(trace[:, :, 9:59], goal[:, :, 9:59], present[:, :, 9:59]).any()
+    assert deadlocked(trace, goal, present) == [[True, False, False, False, False]]
+    assert not stuck(trace[:, :, 9:59], goal[:, :, 9:59], present[:, :, 9:59]).any()
+    present[0, 0, 30] = False  # two people who stand in the same slot
+    assert deadlocked(trace, goal, present) == [[False] * 5]
 
 
 def test_who_comes_back_within_5_s_is_not_deadlocked() -> None:
@@ -62,17 +84,9 @@ def test_who_comes_back_within_5_s_is_not_deadlocked() -> None:
     there_and_back = torch.stack((1.3 * (seconds - 4).abs(), torch.zeros(80)), dim=-1)
     swaying = torch.stack((0.04 * (9 * seconds).sin(), torch.zeros(80)), dim=-1)
     trace = torch.stack((there_and_back, swaying))[None]
-    goal, scored = torch.full_like(trace, 20.0), torch.ones(1, 2, 80, dtype=torch.bool)
-    assert deadlocked(trace, goal, scored).tolist() == [[False, True]]
+    result = stuck(trace, torch.full_like(trace, 20.0), torch.ones(1, 2, 80, dtype=torch.bool))
     # at every point of the one who sways, from 5 s on
-    assert stuck(trace, goal, scored)[0, 1].tolist() == [False] * 50 + [True] * 30
-
-
-def test_one_person_stands_for_all_of_the_5_s() -> None:
-    trace, goal = torch.zeros(1, 2, 60, 2), torch.full((1, 2, 60, 2), 9.0)
-    scored = torch.ones(1, 2, 60, dtype=torch.bool)
-    scored[0, 0, 30] = False  # two people who stand in the same slot, 3 s each
-    assert deadlocked(trace, goal, scored).tolist() == [[False, True]]
+    assert result[0].tolist() == [[False] * 80, [False] * 50 + [True] * 30]
 
 
 def test_way_and_plan_end_where_the_last_goal_is_reached() -> None:
@@ -95,14 +109,26 @@ def test_success_is_weighted_by_what_it_took() -> None:
     assert weighted(done, least, taken)[0].tolist() == pytest.approx([0.8, 1.0, 0.0, 1.0])
 
 
-def test_an_episode_that_is_not_finished_has_no_seconds_per_goal() -> None:
+def test_an_unfinished_episode_has_no_seconds_per_goal() -> None:
     reached, mask = torch.tensor([[[2], [3]], [[2], [9]]]), torch.tensor([[True, True], [True, False]])
     seconds, goals = seconds_per_goal(torch.tensor([INF, 4.0]), reached, mask)
     assert (seconds.tolist(), goals.tolist()) == ([0.0, 4.0], [0, 2])
 
 
 def test_fewest_and_most_goals_are_of_people_who_took_part() -> None:
+    """By hand: 2 and 3 in the first episode, 0 and 4 in the second."""
     reached = torch.tensor([[[0, 2], [0, 3], [9, 9]], [[0, 1], [0, 0], [0, 4]]])
     mask = torch.tensor([[True, True, False], [True, True, True]])
-    assert fewest_goals(reached, mask).tolist() == [2, 0]
-    assert most_goals(reached, mask).tolist() == [3, 4]
+    walked = standing(reached, mask=mask)
+    assert [one(walked).above.tolist() for one in (goals_per_person_min, goals_per_person_max)] == [
+        [2, 0],
+        [3, 4],
+    ]
+    assert goals_parity(walked).above.tolist() == pytest.approx([2 / 3, 0])
+
+
+def test_people_of_a_slot_are_told_apart_by_gaps() -> None:
+    rows = ("0110111", "1000000", "0000000")
+    scored = torch.tensor([[[letter == "1" for letter in row] for row in rows]])
+    assert over_spans(scored, scored.long()).tolist() == [[[2, 3], [1, 0], [0, 0]]]
+    assert over_spans(scored, torch.arange(7).expand(1, 3, 7)).tolist() == [[[3, 15], [0, 0], [0, 0]]]

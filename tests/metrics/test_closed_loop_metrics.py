@@ -11,9 +11,9 @@ from helpers.walks import made, straight
 from torch import Tensor
 
 from pedzoo.eval.comparison import row
-from pedzoo.metrics.arrival import ScoredSpans, time_ratios
+from pedzoo.metrics.arrival import time_ratios
 from pedzoo.metrics.closed_loop import NAMES, ClosedLoopScore, closed_loop
-from pedzoo.metrics.contacts import least_distance, nearest
+from pedzoo.metrics.contacts import least_distance
 from pedzoo.metrics.ratios import summarised
 from pedzoo.metrics.statistics import wilson
 from pedzoo.sim.rollout import OVER_TIME, Rollout, joined
@@ -101,8 +101,7 @@ def test_least_distance_is_to_people_who_are_there_at_that_time() -> None:
     walked = two_episodes()
     # the third point is the last that both share: 0.4 along x, 0.3 across; later they would be 0.3 apart
     expected = [[0.5, 0.5], [INF, INF]]
-    result = least_distance(nearest(walked.trace, walked.present), walked.scored)
-    assert result.tolist() == [pytest.approx(row) for row in expected]
+    assert least_distance(walked).tolist() == [pytest.approx(row) for row in expected]
 
 
 def test_row_of_two_episodes() -> None:
@@ -326,15 +325,6 @@ def test_a_replay_scores_people_and_not_slots() -> None:
     assert result["success"] == 0.5 and result["failed"] == result["deadlock"] == 0.0
     assert result["path_ratio"] == pytest.approx(3.9 / 3.2) and result["spl"] == pytest.approx(3.2 / 3.9 / 2)
     assert not {"time_ratio", "goals_per_person", "symmetry_index", "personal_space_igibson"} & set(result)
-
-
-def test_runs_are_told_apart_by_gaps() -> None:
-    runs = ScoredSpans.of(bits("0110111", "1000000", "0000000").unsqueeze(0))
-    assert runs.there.tolist() == [[[True, True], [True, False], [False, False]]]
-    number = torch.arange(7).expand(1, 3, 7)
-    assert runs.sums(number).tolist() == [[[3, 15], [0, 0], [0, 0]]]
-    assert runs.last(number).tolist() == [[[2, 6], [0, 0], [0, 0]]]
-    assert runs.any(number == 5).tolist() == [[[False, True], [False, False], [False, False]]]
 
 
 def test_scores_add_up_over_rollouts_and_processes() -> None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import pytest
 import torch
+from helpers.walks import made
+from torch import Tensor
 
 from pedzoo.metrics import contacts
 from pedzoo.metrics.contacts import (
-    compliance_igibson,
+    collision_seconds,
     contact_events,
-    keeps_distance,
     least_distance,
     nearest,
     person_minutes,
@@ -19,7 +20,7 @@ from pedzoo.metrics.contacts import (
 INF = float("inf")
 
 
-def bits(*rows: str) -> torch.Tensor:
+def bits(*rows: str) -> Tensor:
     return torch.tensor([[[letter == "1" for letter in row] for row in rows]])
 
 
@@ -50,42 +51,53 @@ def test_nearest_is_the_least_distance_to_present_others(
 
 
 def test_who_is_scored_may_come_near_anybody_who_is_there() -> None:
-    trace = torch.zeros(1, 3, 4, 2)
-    trace[0, 1, :, 0] = torch.tensor([3.0, 2.0, 0.4, 1.0])
-    trace[0, 2, :, 0] = 5.0
-    near = nearest(trace, bits("1111", "1110", "1111"))
-    scored = bits("1111", "0000", "0011")
-    assert near[0, 0].tolist() == pytest.approx([3.0, 2.0, 0.4, 5.0])
-    assert least_distance(near, scored)[0].tolist() == pytest.approx([0.4, INF, 4.6])
-    assert torch.equal(keeps_distance(near, scored), bits("1101", "0000", "0011"))
-    assert compliance_igibson(near, scored)[0].tolist() == pytest.approx([1 - 1 / 500, 1.0, 1.0])
+    path = torch.zeros(1, 3, 5, 2)
+    path[0, 1, :, 0] = torch.tensor([3.0, 3.0, 2.0, 0.4, 1.0])
+    path[0, 2, :, 0] = 5.0
+    walked = made(path, bits("1111", "1110", "1111"), controlled=bits("1111", "0000", "0011"))
+    # the third person's second point is the first one that is scored and has a point before it
+    assert least_distance(walked)[0].tolist() == pytest.approx([0.4, INF, 4.6])
+    above, below, *_ = contacts.personal_space(walked)
+    assert (above.item(), below.item()) == (5, 6)
+    assert contacts.personal_space_igibson(walked).above.item() == pytest.approx(1 - 1 / 500 + 1 + 1)
 
 
 def test_igibson_divides_by_500_steps_always() -> None:
-    near = torch.full((1, 2, 900), 0.4)
-    scored = torch.ones(1, 2, 900, dtype=torch.bool)
-    scored[0, 1, 50:] = False
-    assert compliance_igibson(near, scored)[0].tolist() == pytest.approx([0.0, 0.9])
+    """Two people 0.4 m apart: 90 s of one, of whom nothing is left, and 5 s of the other."""
+    path = torch.zeros(1, 2, 901, 2)
+    path[:, 1, :, 0] = 0.4
+    controlled = torch.ones(1, 2, 900, dtype=torch.bool)
+    controlled[0, 1, 50:] = False
+    assert contacts.personal_space_igibson(made(path, controlled=controlled)).above.item() == pytest.approx(
+        0.9
+    )
 
 
-def test_time_to_collision_of_simple_encounters() -> None:
-    def seconds(apart: tuple[float, float], velocity: tuple[float, float]) -> float:
-        position = torch.tensor([(1.0, 2.0), (1.0 + apart[0], 2.0 + apart[1])]).view(1, 2, 1, 2)
-        speeds = torch.tensor([(0.3, -0.4), (0.3 + velocity[0], -0.4 + velocity[1])]).view(1, 2, 1, 2)
-        result = time_to_collision(position, speeds, torch.ones(1, 2, 1, dtype=torch.bool))
-        assert float(result[0, 0]) == pytest.approx(float(result[0, 1]))
-        return float(result[0, 0])
+@pytest.mark.parametrize(
+    ("apart", "velocity", "expected"),
+    [
+        ((4.0, 0.0), (-2.0, 0.0), 3.7 / 2),
+        ((3.0, 4.0), (-0.6, -0.8), 4.7),
+        ((4.0, 0.18), (-1.0, 0.0), 4.0 - 0.24),  # 0.18, 0.24, 0.3
+        ((4.0, 0.31), (-1.0, 0.0), 10.0),  # passes
+        ((4.0, 0.0), (1.0, 0.0), 10.0),  # walks away
+        ((40.0, 0.0), (-1.0, 0.0), 10.0),  # later
+        ((4.0, 0.0), (0.0, 0.0), 10.0),  # as far for ever
+        ((0.1, 0.2), (3.0, 0.0), 0.0),  # touches now
+    ],
+)
+def test_time_to_collision_of_simple_encounters(
+    apart: tuple[float, float], velocity: tuple[float, float], expected: float
+) -> None:
+    position = torch.tensor([(1.0, 2.0), (1.0 + apart[0], 2.0 + apart[1])]).view(1, 2, 1, 2)
+    speeds = torch.tensor([(0.3, -0.4), (0.3 + velocity[0], -0.4 + velocity[1])]).view(1, 2, 1, 2)
+    result = time_to_collision(position, speeds, torch.ones(1, 2, 1, dtype=torch.bool))
+    assert result.flatten().tolist() == pytest.approx([expected, expected])
 
-    assert seconds((4.0, 0.0), (-2.0, 0.0)) == pytest.approx(3.7 / 2)
-    assert seconds((3.0, 4.0), (-0.6, -0.8)) == pytest.approx(4.7)
-    assert seconds((4.0, 0.18), (-1.0, 0.0)) == pytest.approx(4.0 - 0.24)  # 0.18, 0.24, 0.3
-    assert seconds((4.0, 0.31), (-1.0, 0.0)) == 10.0  # passes
-    pairs = (torch.tensor([value]) for value in (4.0, 3.0, -1.0, 0.0, 3.0))
-    assert contacts.collision_seconds(*pairs).item() == 4.0  # grazes
-    assert seconds((4.0, 0.0), (1.0, 0.0)) == 10.0  # walks away
-    assert seconds((40.0, 0.0), (-1.0, 0.0)) == 10.0  # later
-    assert seconds((4.0, 0.0), (0.0, 0.0)) == 10.0  # as far for ever
-    assert seconds((0.1, 0.2), (3.0, 0.0)) == 0.0  # touches now
+
+def test_who_only_grazes_the_other_touches() -> None:
+    away, moves = torch.tensor([4.0, 3.0]), torch.tensor([-1.0, 0.0])
+    assert collision_seconds(away, moves, torch.tensor(3.0)).item() == 4.0
 
 
 @pytest.mark.parametrize("at_once", [1, 10**9])
@@ -107,12 +119,11 @@ def test_time_to_collision_is_when_discs_first_touch(at_once: int, monkeypatch: 
     torch.testing.assert_close(result[meets], first[meets], atol=0.02, rtol=0)
 
 
-def test_wide_bodies_touch_earlier() -> None:
+@pytest.mark.parametrize(("radii", "expected"), [([[0.15, 0.5]], 0.675), (None, 0.85)])
+def test_wide_bodies_touch_earlier(radii: list | None, expected: float) -> None:
     """2 m apart, 2 m/s towards each other: bodies of 0.15 and 0.5 m touch after 1.35 m."""
     position = torch.tensor([[[[0.0, 0.0]], [[2.0, 0.0]]]])
     velocity = torch.tensor([[[[1.0, 0.0]], [[-1.0, 0.0]]]])
-    there = torch.ones(1, 2, 1, dtype=torch.bool)
-    result = time_to_collision(position, velocity, there, torch.tensor([[0.15, 0.5]]))
-    assert result.flatten().tolist() == pytest.approx([0.675, 0.675])
-    people = time_to_collision(position, velocity, there)
-    assert people.flatten().tolist() == pytest.approx([0.85, 0.85])
+    there, radius = torch.ones(1, 2, 1, dtype=torch.bool), radii and torch.tensor(radii)
+    result = time_to_collision(position, velocity, there, radius)
+    assert result.flatten().tolist() == pytest.approx([expected, expected])

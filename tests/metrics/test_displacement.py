@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import cast
 
@@ -10,17 +11,18 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torch import Tensor
-from torchmetrics import Metric
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import rotate
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.metrics import displacement as d
-from pedzoo.metrics.forecast import CalibrationError, ForecastScore
+from pedzoo.metrics.forecast import ForecastScore, calibration_error, places
 from pedzoo.models.architectures.bent_line import BentLine
 from pedzoo.models.architectures.constant_velocity import ConstantVelocity
 from pedzoo.models.architectures.straight_line import StraightLine
 from pedzoo.models.base import Forecaster
+
+Kind = tuple[Callable[..., tuple[Tensor, Tensor]], Callable[..., Tensor]]
 
 # one scene, two samples, two people, two steps; per person ADE of sample 0: 2 and 5, of sample 1: 3 and 1
 ERROR = torch.tensor([[[[1.0, 3.0], [4.0, 6.0]], [[2.0, 4.0], [0.5, 1.5]]]])
@@ -28,84 +30,45 @@ KNOWN = torch.ones(1, 2, 2, dtype=torch.bool)
 
 # ADE per scene: sample 0 costs 7, sample 1 costs 4: (3 + 1) / 2; per agent: (2 + 1) / 2
 # FDE per scene: 3 + 6 against 4 + 1.5; per agent: 3 and 1.5
-BY_HAND: list[tuple[type[Metric], float]] = [
-    (d.ADE, (2 + 5 + 3 + 1) / 4),
-    (d.FDE, (3 + 6 + 4 + 1.5) / 4),
-    (d.NextStepError, (1 + 4 + 2 + 0.5) / 4),
-    (d.MinADEScene, 2.0),
-    (d.MinFDEScene, 2.75),
-    (d.MinADEAgent, 1.5),
-    (d.MinFDEAgent, 2.25),
+# the final error of the best by ADE: 3 of sample 0, and 1.5 of sample 1; of 2 m the first one is a miss
+BY_HAND: list[tuple[Kind, float, float]] = [
+    ((d.average, d.mean_over_samples), (2 + 5 + 3 + 1) / 4, (2 + 4 + 3 + 0.5) / 4),
+    ((d.final, d.mean_over_samples), (3 + 6 + 4 + 1.5) / 4, (3 + 4) / 2),
+    ((d.next_step, d.mean_over_samples), (1 + 4 + 2 + 0.5) / 4, (1 + 4 + 2 + 0.5) / 4),
+    ((d.average, d.min_per_scene), 2.0, (3 + 0.5) / 2),  # 6 against 3.5
+    ((d.final, d.min_per_scene), 2.75, 3),  # person 0 alone: sample 0
+    ((d.average, d.min_per_agent), 1.5, (2 + 0.5) / 2),
+    ((d.final, d.min_per_agent), 2.25, 3),
+    ((d.final_of_best, d.mean_over_samples), (3 + 1.5) / 2, 3.0),
+    ((d.missed, d.mean_over_samples), 0.5, 1.0),
 ]
+"""An error and how samples are reduced, its value, and that where person 1's second step is not known."""
 
 
-def value(kind: type[Metric], *batches: tuple[Tensor, Tensor]) -> float:
-    metric = kind()
-    for error, valid in batches:
-        metric.update(error, valid)
-    return float(metric.compute())
+def value(kind: Kind, error: Tensor, valid: Tensor) -> float:
+    above, below = d.scene_sums(error, valid, *kind)
+    assert above.dtype == torch.float64 and above.shape == below.shape == error.shape[:1]
+    return float(above.sum() / below.sum())
 
 
-@pytest.mark.parametrize(("kind", "expected"), BY_HAND)
-def test_values_by_hand(kind: type[Metric], expected: float) -> None:
-    assert value(kind, (ERROR, KNOWN)) == pytest.approx(expected)
+@pytest.mark.parametrize(("kind", "expected", "partly"), BY_HAND)
+def test_values_by_hand(kind: Kind, expected: float, partly: float) -> None:
+    """Also of futures that are known in part, beside padding, which counts for nothing; of nothing none."""
+    assert value(kind, ERROR, KNOWN) == pytest.approx(expected)
+    valid = torch.tensor([[[True, True], [True, False]]])
+    assert value(kind, ERROR, valid) == pytest.approx(partly)
+    error = torch.cat((ERROR, torch.full((1, 2, 1, 2), math.nan)), dim=2)
+    padded = torch.cat((KNOWN, torch.zeros(1, 1, 2, dtype=torch.bool)), dim=1)
+    assert value(kind, error, padded) == pytest.approx(expected)
+    assert math.isnan(value(kind, ERROR, ~KNOWN))
 
 
 def test_the_samples_that_are_best_by_ade_and_by_fde_may_differ() -> None:
     error = torch.tensor([[[[0.0, 5.0]], [[4.0, 4.0]]]])  # one person: sample 0 has ADE 2.5, sample 1 FDE 4
     known = torch.ones(1, 1, 2, dtype=torch.bool)
-    for kind in (d.MinADEScene, d.MinADEAgent):
-        assert value(kind, (error, known)) == 2.5
-    for kind in (d.MinFDEScene, d.MinFDEAgent):
-        assert value(kind, (error, known)) == 4.0
-
-
-def test_partly_known_futures_count_where_they_are_known() -> None:
-    """Person 1's second step is not known: ADE over one step, no FDE, and the best samples change."""
-    valid = torch.tensor([[[True, True], [True, False]]])
-    assert value(d.ADE, (ERROR, valid)) == pytest.approx((2 + 4 + 3 + 0.5) / 4)
-    assert value(d.FDE, (ERROR, valid)) == pytest.approx((3 + 4) / 2)
-    assert value(d.NextStepError, (ERROR, valid)) == pytest.approx((1 + 4 + 2 + 0.5) / 4)
-    assert value(d.MinADEScene, (ERROR, valid)) == pytest.approx((3 + 0.5) / 2)  # 6 against 3.5
-    assert value(d.MinFDEScene, (ERROR, valid)) == pytest.approx(3)  # person 0 alone: sample 0
-    assert value(d.MinADEAgent, (ERROR, valid)) == pytest.approx((2 + 0.5) / 2)
-    assert value(d.MinFDEAgent, (ERROR, valid)) == pytest.approx(3)
-
-
-@pytest.mark.parametrize(("kind", "expected"), BY_HAND)
-def test_padding_counts_for_nothing_whatever_it_holds(kind: type[Metric], expected: float) -> None:
-    error = torch.cat((ERROR, torch.full((1, 2, 1, 2), math.nan)), dim=2)
-    valid = torch.cat((KNOWN, torch.zeros(1, 1, 2, dtype=torch.bool)), dim=1)
-    assert value(kind, (error, valid)) == pytest.approx(expected)
-
-
-@pytest.mark.parametrize("kind", [kind for kind, _ in BY_HAND])
-def test_batches_add_up_by_people_and_reset_forgets(kind: type[Metric]) -> None:
-    generator = torch.Generator().manual_seed(0)
-    error = torch.rand(9, 5, 4, 3, generator=generator)
-    valid = torch.rand(9, 4, 3, generator=generator) < 0.7
-    whole = value(kind, (error, valid))
-    parts = [(error[part], valid[part]) for part in (slice(0, 1), slice(1, 7), slice(7, 9))]
-    assert value(kind, *parts) == pytest.approx(whole)
-    metric = kind()
-    assert math.isnan(float(metric.total / metric.count))  # type: ignore[operator]
-    metric.update(error, valid)
-    metric.reset()
-    metric.update(ERROR, KNOWN)
-    assert float(metric.compute()) == pytest.approx(value(kind, (ERROR, KNOWN)))
-
-
-@pytest.mark.parametrize("kind", [kind for kind, _ in BY_HAND])
-def test_nothing_known_is_nan(kind: type[Metric]) -> None:
-    assert math.isnan(value(kind, (ERROR, ~KNOWN)))
-
-
-def test_small_errors_after_a_large_sum_are_not_lost() -> None:
-    """In float32 a hundred times 1 beside 2^25 is nothing."""
-    known = torch.ones(1, 1, 1, dtype=torch.bool)
-    errors = [float(2**25), *[1.0] * 100]
-    batches = [(torch.full((1, 1, 1, 1), error), known) for error in errors]
-    assert value(d.ADE, *batches) * 101 == pytest.approx(2**25 + 100, abs=0.01)
+    for over in (d.min_per_scene, d.min_per_agent):
+        assert value((d.average, over), error, known) == 2.5
+        assert value((d.final, over), error, known) == 4.0
 
 
 def test_errors_are_distances_of_summed_displacements() -> None:
@@ -122,15 +85,9 @@ def test_sample_distance_by_hand() -> None:
     prediction[0, 1, 0, :, 0], prediction[0, 2, 0, :, 0] = 1.0, 3.0
     prediction[0, :, 1] = torch.randn(3, 2, 2)  # padding
     mask = torch.tensor([[True, False]])
-    metric = d.SampleDistance()
-    assert math.isnan(float(d.SampleDistance().total / metric.count))
-    metric.update(prediction, mask)
-    assert float(metric.compute()) == pytest.approx((2 + 4) / 2)
-    metric.update(torch.ones(1, 3, 2, 2, 2), mask)  # equal samples of as many people halve it
-    assert float(metric.compute()) == pytest.approx(1.5)
-    metric.reset()
-    metric.update(prediction[:, :1], mask)  # a deterministic model
-    assert float(metric.compute()) == 0.0
+    for given, expected in ((prediction, 2 + 4), (torch.ones(1, 3, 2, 2, 2), 0), (prediction[:, :1], 0)):
+        total, count = d.sample_distance(given, mask)
+        assert (float(total), float(count)) == (pytest.approx(expected), 2)
 
 
 class TwoWays(Forecaster):
@@ -154,6 +111,17 @@ def scene(future: list[tuple[float, float]]) -> TensorDict:
         "mask": torch.ones(1, 1, dtype=torch.bool),
     }
     return TensorDict({"agents": TensorDict(people, batch_size=(1, 1))}, batch_size=(1,))
+
+
+def test_scores_add_up_over_batches_and_processes_in_float64() -> None:
+    """In float32 a hundred times 1 beside 2^25 is nothing."""
+    score, other = ForecastScore(0), ForecastScore(0)
+    score.update(TwoWays(), scene([(float(2**25), 0.0)]))
+    for _ in range(50):
+        for one in (score, other):
+            one.update(TwoWays(), scene([(0.0, 1.0)]))
+    score.merge_state(other)  # what processes do at the end
+    assert score.compute()["ade_m"] * 101 == pytest.approx(2**25 + 100, abs=0.01)
 
 
 def test_score_keeps_mode_samples_and_best_apart() -> None:
@@ -231,15 +199,6 @@ def test_baselines_equal_the_published_tables(shared: Path, fold: str, pred_len:
     assert not wrong
 
 
-def test_the_final_error_of_the_best_by_ade_and_misses_by_hand() -> None:
-    """Person 0: ADE 2 and 3, so the FDE of sample 0, 3. Person 1: 5 and 1, so that of sample 1, 1.5."""
-    assert value(d.FinalOfBestADE, (ERROR, KNOWN)) == pytest.approx((3 + 1.5) / 2)
-    assert value(d.MissRate, (ERROR, KNOWN)) == pytest.approx(0.5)  # 3 and 1.5 m at best, against 2 m
-    valid = torch.tensor([[[True, True], [True, False]]])
-    assert value(d.MissRate, (ERROR, valid)) == pytest.approx(1.0)
-    assert value(d.FinalOfBestADE, (ERROR, valid)) == pytest.approx(3.0)
-
-
 def test_calibration_by_hand() -> None:
     """Samples behind the truth, before it, and on both sides of it; a person walks along x."""
     history = torch.stack((torch.arange(8.0), torch.zeros(8)), -1).view(1, 1, 8, 2)
@@ -247,13 +206,13 @@ def test_calibration_by_hand() -> None:
 
     def error(*truths: tuple[float, float], turn: float = 0.0) -> float:
         frame = torch.tensor([math.cos(turn), math.sin(turn)])
-        metric = CalibrationError()
+        counts = torch.zeros(2, 21)
         ends = torch.stack((torch.arange(20.0), torch.arange(20.0)), -1).view(1, 20, 1, 2)
         for truth in truths:
             place = torch.tensor(truth).view(1, 1, 1, 2)
             turned = [rotate(one, frame) for one in (ends, history, place)]
-            metric.update(turned[0], turned[1], turned[2], known)
-        return float(metric.compute())
+            counts = counts + places(turned[0], turned[1], turned[2], known)
+        return float(calibration_error(counts))
 
     # all samples behind: the distribution function is 0 up to the last class, 1 / 20, 2 / 20, ... too low
     behind = sum(k / 20 for k in range(1, 20)) / 19
@@ -264,11 +223,10 @@ def test_calibration_by_hand() -> None:
     hook = torch.stack((torch.zeros(8), torch.arange(8.0)), -1)
     hook[1], hook[6] = torch.tensor([9.0, 0.0]), torch.tensor([-9.0, 0.0])
     here = torch.tensor([1.0, 2.0]).view(1, 1, 1, 2)
-    turned, same = CalibrationError(), CalibrationError()
-    turned.update(here - torch.tensor([5.0, 1.0]), hook.view(1, 1, 8, 2), here, known)
-    assert turned.counts[:, :-1].nonzero().tolist() == [[0, 19], [1, 0]]
-    same.update(here, history, here, known)  # half are ahead, and half are to the side
-    assert same.counts[:, :-1].nonzero().tolist() == [[0, 9], [0, 10], [1, 9], [1, 10]]
+    turned = places(here - torch.tensor([5.0, 1.0]), hook.view(1, 1, 8, 2), here, known)
+    assert turned[:, :-1].nonzero().tolist() == [[0, 19], [1, 0]]
+    same = places(here, history, here, known)  # half are ahead, and half are to the side
+    assert same[:, :-1].nonzero().tolist() == [[0, 9], [0, 10], [1, 9], [1, 10]]
     # one truth between each pair of neighbours is as calibrated as can be
     assert error(*((k + 0.5, k + 0.5) for k in range(-1, 20))) < 0.03
     # a single guess: half are ahead, half behind

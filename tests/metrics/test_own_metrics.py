@@ -94,15 +94,19 @@ def test_a_metric_that_fails_does_not_lose_the_walk(folder: Path, capsys: pytest
 
 def test_metrics_on_evaluate(folder: Path) -> None:
     """Of ordinary scenes and of replays, beside the real people, the same with two workers."""
+    (folder / "all.py").write_text(
+        "from pedzoo.eval.suites.replay import Replay\n\nclass All(Replay):\n    simulated = ('all',)\n"
+    )
     metrics = [f"{folder / 'metrics.py'}:{name}" for name in ("seconds_there", "always_there")]
-    asked = {"episodes": 4, "quick": True, "folds": ["embedded"], "metrics": [*metrics, "spl"]}
-    report = pedzoo.evaluate("go_to_goal", ["door", "replay"], **asked)
-    rows = {(row["table"], row["name"]): row["metrics"] for row in report["rows"]}
-    assert rows["door", "go_to_goal"].keys() >= {"seconds_there", "always_there"}
-    assert rows["replay all", "real"]["seconds_there"] > 0 < rows["replay all", "go_to_goal"]["seconds_there"]
-    assert "always_there" not in rows["replay all", "real"]  # people come and go there
-    assert report["summary"][0]["metrics"]["seconds_there"] == rows["door", "go_to_goal"]["seconds_there"]
-    again = pedzoo.evaluate("go_to_goal", ["door", "replay"], **asked, workers=2)
+    asked = {"episodes": 2, "quick": True, "folds": ["embedded"], "metrics": [*metrics, "spl"]}
+    suites = ["door", f"{folder / 'all.py'}:All"]
+    report = pedzoo.evaluate("go_to_goal", suites, **asked, workers=2)
+    ours, walked, real, _ = (row["metrics"] for row in report["rows"])
+    assert ours.keys() >= {"seconds_there", "always_there"}
+    assert real["seconds_there"] > 0 < walked["seconds_there"]
+    assert "always_there" not in real  # people come and go there
+    assert report["summary"][0]["metrics"]["seconds_there"] == ours["seconds_there"]
+    again = pedzoo.evaluate("go_to_goal", suites, **asked)
     assert [row["metrics"] for row in again["rows"]] == [row["metrics"] for row in report["rows"]]
     shown = Evaluation("go_to_goal", ["door"], EvaluationOptions(metrics=tuple(asked["metrics"]))).shown
     assert shown["door"].columns[-3:] == ["spl", "seconds_there", "always_there"]

@@ -8,11 +8,12 @@ from typing import Any
 
 import pytest
 import torch
+from helpers.walks import made
 from torch import Tensor
 
-from pedzoo.core.batch import ROBOT
+from pedzoo.core.batch import PERSON, ROBOT
 from pedzoo.core.bodies import Fleet, RobotBody
-from pedzoo.metrics import robot_functions as of_robots
+from pedzoo.metrics import robots as of_robots
 from pedzoo.metrics.ratios import summarised
 from pedzoo.metrics.robots import LEGEND, robot_metrics
 from pedzoo.sim.robots.rollout import RobotRollout, joined_robots
@@ -28,35 +29,17 @@ def straight(start: tuple[float, float], velocity: tuple[float, float], points: 
 def rollout_of(paths: list[Tensor], robots: int = 1, **changed: Any) -> Rollout:
     """Return one episode of agents who walk as given; the last ones are robots of 0.3 m."""
     path = torch.stack(paths).unsqueeze(0)
-    agents, points = path.shape[1], path.shape[2] - 1
-    always, never = torch.ones(1, agents, points).bool(), torch.zeros(1, agents, points).bool()
-    radius = torch.full((1, agents), 0.15)
-    radius[:, -robots:] = 0.3
-    kind = torch.zeros(1, agents, dtype=torch.long)
-    kind[:, -robots:] = ROBOT
+    (agents, points), none = (path.shape[1], path.shape[2] - 1), torch.zeros(1, path.shape[1])
+    robot = torch.arange(agents).unsqueeze(0) >= agents - robots
     values: dict[str, Any] = {
-        "trace": path[:, :, 1:],
         "goal": torch.tensor([10.0, 0.0]).expand(1, agents, points, 2),
-        "present": always,
-        "controlled": always,
-        "person": torch.arange(agents).view(1, agents, 1).expand(1, agents, points),
         "planned": torch.full((1, agents, points), 9.7),
-        "agent_contact": never,
-        "wall_contact": never,
-        "reached": torch.zeros(1, agents, points, dtype=torch.long),
-        "overdue": never[..., 0],
-        "failed": torch.zeros(1).bool(),
-        "mask": always[..., 0],
-        "past": path[:, :, :1].expand(1, agents, 29, 2),
-        "pref_speed": torch.full((1, agents), 1.25),
-        "first_path_length": torch.full((1, agents), 10.0),
-        "radius": radius,
-        "kind": kind,
-        "map_id": torch.tensor([-1]),
-        "pose": torch.tensor([[1.0, 1.0, 0.0, 0.0]]),
-        "goals": 1,
+        "pref_speed": none + 1.25,
+        "first_path_length": none + 10.0,
+        "radius": torch.where(robot, 0.3, 0.15),
+        "kind": torch.where(robot, ROBOT, PERSON),
     }
-    return Rollout(**values | changed)
+    return made(path, **values | changed)
 
 
 def robots_of(walked: Rollout, alone: Rollout | None = None, **changed: Any) -> RobotRollout:
@@ -101,20 +84,15 @@ def test_spl_and_stl_of_a_robot_that_arrives() -> None:
 def test_turning_and_standing_by_hand() -> None:
     """It turns left by 0.5 and right by 0.3 rad in place, then stands for 0.2 s, then drives."""
     heading = torch.tensor([[[3.0, 3.5 - 2 * math.pi, 3.2 - 2 * math.pi, *[3.2 - 2 * math.pi] * 3]]])
-    path = torch.zeros(1, 1, 6, 2)
-    path[..., 5, 0] = 0.1
-    there = torch.ones(1, 1, 5).bool()
-    assert of_robots.heading_changes(heading, there).item() == pytest.approx(0.8, abs=1e-5)
-    assert of_robots.seconds_standing(path, heading, there).item() == pytest.approx(0.2)
-    least, final = of_robots.goal_distances(
-        path[:, :, 1:], torch.tensor([0.4, 0.0]).expand(1, 1, 5, 2), there
-    )
-    assert least.item() == pytest.approx(0.3) and final.item() == pytest.approx(0.3)
-
-
-def test_a_robot_that_turns_slowly_in_place_does_not_stand() -> None:
-    heading, there = torch.tensor([[[0.0, 0.1, 0.1]]]), torch.ones(1, 1, 2).bool()
-    assert of_robots.seconds_standing(torch.zeros(1, 1, 3, 2), heading, there).item() == pytest.approx(0.1)
+    path = torch.zeros(6, 2)
+    path[5, 0] = 0.1
+    walked = rollout_of([path], goal=torch.tensor([0.4, 0.0]).expand(1, 1, 5, 2))
+    result = values_of(robots_of(walked, heading=heading))
+    assert result["heading_change_rad"] == pytest.approx(0.8, abs=1e-5)
+    assert result["standing_s"] == pytest.approx(0.2)
+    assert result["least_goal_distance_m"] == pytest.approx(0.3) == result["final_goal_distance_m"]
+    slowly = robots_of(rollout_of([torch.zeros(3, 2)]), heading=torch.tensor([[[0.0, 0.1, 0.1]]]))
+    assert values_of(slowly)["standing_s"] == pytest.approx(0.1)
 
 
 def test_distances_and_spaces_by_hand() -> None:
@@ -291,40 +269,24 @@ def test_numbers_of_two_are_means_of_those_of_each(together: str) -> None:
     else:
         both = joined_robots(each)
     one, other, result = values_of(each[0]), values_of(each[1]), values_of(both)
-    names = ["personal_space", "discomfort", "intrusion_ratio", "nearest_person_m", "social_force_m_per_s2"]
-    names += [
-        "robot_on_person",
-        "person_on_robot",
-        "collision_person",
-        "speed_m_per_s",
-        *one.keys() & {"spl"},
-    ]
-    names += ["final_goal_distance_m", "least_goal_distance_m", "encounters_per_min", "path_m", "duration_s"]
-    names += ["space_intimate", "space_personal", "space_social", "least_person_m", "acceleration_m_per_s2"]
-    for name in names:
-        assert result[name] == pytest.approx((one[name] + other[name]) / 2, abs=1e-5), name
-    assert (
-        one["robot_on_person"] != other["robot_on_person"]
-        or one["nearest_person_m"] != other["nearest_person_m"]
+    names = (
+        "personal_space discomfort intrusion_ratio nearest_person_m social_force_m_per_s2 robot_on_person "
+        "person_on_robot collision_person speed_m_per_s final_goal_distance_m least_goal_distance_m "
+        "encounters_per_min path_m duration_s space_intimate space_personal space_social least_person_m "
+        "acceleration_m_per_s2"
     )
+    for name in names.split():
+        assert result[name] == pytest.approx((one[name] + other[name]) / 2, abs=1e-5), name
+    assert one["nearest_person_m"] != other["nearest_person_m"]
 
 
 def test_each_robot_is_as_far_from_people_as_its_own_body() -> None:
-    distance = torch.tensor([[[[1.0]], [[1.0]]]])  # 0.9 m and 0.4 m from the bodies
-    assert of_robots.in_space(distance, torch.tensor([[0.1, 0.6]]), "intimate").flatten().tolist() == [
-        False,
-        True,
-    ]
-
-
-@pytest.mark.parametrize("ahead", [0.5, -0.5])
-def test_who_drives_into_whom_is_asked_pair_by_pair(ahead: float) -> None:
-    apart = torch.tensor([[[1.0, 0.0]], [[0.0, 2.0]]])
-    robot, person = (
-        torch.tensor([[[ahead, 9.0]], [[-9.0, 0.2]]]),
-        torch.tensor([[[-0.3, 9.0]], [[9.0, -0.1]]]),
-    )
-    assert of_robots.drives_into(apart, robot, person)[:, 0].tolist() == [ahead > 0, True]
+    """A person is 1 m from both: 0.9 m and 0.4 m from the bodies."""
+    paths = [straight((0, y), (1, 0), 9) for y in (1.0, 0.0, 2.0)]
+    walked = rollout_of(paths, robots=2, radius=torch.tensor([[0.15, 0.1, 0.6]]))
+    result = values_of(robots_of(walked))
+    assert result["space_intimate"] == result["space_personal"] == 0.5
+    assert result["least_person_m"] == pytest.approx((0.9 + 0.4) / 2, abs=1e-5)
 
 
 def test_what_happens_after_the_episode_does_not_count() -> None:

@@ -61,7 +61,7 @@ def touched(result: Rollout) -> float:
 
 
 def arrived(result: Rollout) -> float:
-    good = arrived_in_time(result.reached, result.goals, result.overdue, result.failed, result.mask)
+    good = arrived_in_time(result)
     return float(good.double().mean())
 
 

@@ -18,8 +18,8 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS
 from pedzoo.data.own_files import OwnFiles
 from pedzoo.data.tracks import WALKED, Tracks, brisk, check_walks, distance, rows_apart, say
-from pedzoo.eval.rollout import Progress, prepare, walk
-from pedzoo.metrics.realism.crowds import CrowdSums, PersonSums, added, crowd, main_axis, measured, together
+from pedzoo.eval.rollout import Progress, walked
+from pedzoo.metrics.realism.crowds import CrowdSums, added, crowd, main_axis, measured, together
 from pedzoo.metrics.realism.features import (
     Clips,
     SampledRollout,
@@ -51,12 +51,7 @@ class NothingToScoreError(UserError):
 
 
 class CrowdView(NamedTuple):
-    """A crowd as it is, or over coarse positions.
-
-    Attributes:
-        crowd: Samples of features, and contacts.
-        clips: For the classifier.
-    """
+    """A crowd as it is, or over coarse positions: samples and contacts, and clips for the classifier."""
 
     crowd: CrowdSums
     clips: Clips
@@ -79,7 +74,7 @@ class ScoredCrowd(NamedTuple):
     name: str
     fine: CrowdView
     coarse: CrowdView
-    sums: dict[str, PersonSums]
+    sums: dict[str, Tensor]
     walks: ScoredSteps
     people: RecordedPeople
     twin: Tensor
@@ -95,8 +90,7 @@ def scored_crowd(
     name: str,
     parts: Iterable[Rollout],
     scenario: PreparedReplay,
-    start: Tensor,
-    goal: Tensor,
+    goal: Tensor | None = None,
     twin: Tensor | None = None,
     rounds: int = 1,
 ) -> ScoredCrowd:
@@ -105,34 +99,36 @@ def scored_crowd(
     Args:
         name: Its row.
         parts: Only one of them has to be in memory at a time.
-        scenario: Where they walked.
-        start: Where the lines of people begin (P, 2), metres.
-        goal: Their exits (P, 2), metres.
+        scenario: Where they walked; lines begin where its people do.
+        goal: Their exits (P, 2), metres; None for those of the scenario.
         twin: The recorded people that they are; None for the recorded people themselves.
         rounds: How often the scenes are walked.
     """
-    people, first = scenario.persons, 0
+    people, first, cat = scenario.persons, 0, torch.cat
+    start, goal = people.start, people.goal if goal is None else goal
     views: tuple[list[tuple[CrowdSums, Clips]], ...] = ([], [])
     sums, rows, axis = [], [], main_axis(start, goal)
     for part in parts:
         steps = every_step(part)
         for view, seen in zip(views, (to_millimetres(steps), coarse(to_millimetres(steps))), strict=True):
             around = surroundings(seen)
-            walked = crowd(part, seen, around, first, scenario.scenes, start, goal)
-            view.append((walked, clips(seen, around, start, goal)))
+            sides = crowd(part, seen, around, first, scenario.scenes, start, goal)
+            view.append((sides, clips(seen, around, start, goal)))
         sums.append(measured(steps, len(start), axis))
         rows.append(_scored_rows(steps, first, scenario))
         first += len(part.failed)
-    fine, rough = map(_joined, views)
+    both = (zip(*view, strict=True) for view in views)
+    fine, rough = (
+        CrowdView(together(sides), Clips(*map(cat, zip(*some, strict=True)))) for sides, some in both
+    )
     twin = torch.arange(len(start)) if twin is None else twin
-    walks = ScoredSteps(*(torch.cat(values) for values in zip(*rows, strict=True)))
+    walks = ScoredSteps(*map(cat, zip(*rows, strict=True)))
     return ScoredCrowd(name, fine, rough, added(sums), walks, people, twin, rounds)
 
 
 def recorded_crowd(scenario: PreparedReplay) -> ScoredCrowd:
     """Return the recorded crowd."""
-    people = scenario.persons
-    return scored_crowd("real", scenario.real_parts(), scenario, people.start, people.goal)
+    return scored_crowd("real", scenario.real_parts(), scenario)
 
 
 def policy_crowd(
@@ -149,13 +145,8 @@ def policy_crowd(
         UserError: Unknown policy or setting.
     """
     rounds = rounds if has_noise(load_policy(policy)) else 1
-    episodes, people = rounds * scenario.scenes, scenario.persons
-    walks, env = prepare(policy, scenario, physics, episodes, seed)
-    try:
-        parts = walk(walks, env, episodes, progress=progress)
-        return scored_crowd(policy, parts, scenario, people.start, people.goal, rounds=rounds)
-    finally:
-        env.physics.close()
+    parts = walked(policy, scenario, physics, rounds * scenario.scenes, seed, progress=progress)
+    return scored_crowd(policy, parts, scenario, rounds=rounds)
 
 
 def file_crowd(path: str, real: PreparedReplay, dt: float | None = None) -> ScoredCrowd:
@@ -202,7 +193,7 @@ def file_crowd(path: str, real: PreparedReplay, dt: float | None = None) -> Scor
         xy,
         name,
     )
-    return scored_crowd(name, made.real_parts(), made, people.start, goal, twin=twin)
+    return scored_crowd(name, made.real_parts(), made, goal, twin)
 
 
 def twins(
@@ -295,8 +286,3 @@ def _scored_rows(steps: SampledRollout, first: int, scenario: PreparedReplay) ->
     frame = scenes.origin[scene] + step - 1 + apart
     person = steps.person[episode, slot, step]
     return ScoredSteps((episode + first) // scenario.scenes, person, frame, steps.xy[episode, slot, step])
-
-
-def _joined(parts: list[tuple[CrowdSums, Clips]]) -> CrowdView:
-    crowds, pieces = zip(*parts, strict=True)
-    return CrowdView(together(crowds), Clips(*(torch.cat(values) for values in zip(*pieces, strict=True))))

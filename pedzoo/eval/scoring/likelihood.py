@@ -17,14 +17,13 @@ from torch import Tensor
 
 from pedzoo.core.types import GOAL_RADIUS, OBS_LEN
 from pedzoo.data.tracks import Tracks
-from pedzoo.eval.rollout import Progress, prepare, walk
+from pedzoo.eval.rollout import Progress, walked
 from pedzoo.metrics.realism.distances import displacement
 from pedzoo.metrics.realism.features import every_step
 from pedzoo.metrics.realism.wosac import (
     CONTACTS,
     MEASURED,
     ROLLOUTS,
-    LogSums,
     Ranges,
     composite,
     contact_likelihood,
@@ -79,15 +78,13 @@ class JointRollouts(NamedTuple):
     """K rollouts of all windows.
 
     Attributes:
-        values: Of `step_values` (K, W, A, S), NaN where a person is not scored.
-        contacts: Of `CONTACTS` (K, W, A) bool.
+        values: Of `step_values` (K, W, A, S), NaN where a person is not scored, and of `CONTACTS` (K, W, A).
         xy: Positions (K, W, A, S, 2), metres; the exit once a person has left.
         scored: Which steps count (K, W, A, S) bool.
         people: Which people were simulated (W, A) bool.
     """
 
     values: dict[str, Tensor]
-    contacts: dict[str, Tensor]
     xy: Tensor
     scored: Tensor
     people: Tensor
@@ -104,34 +101,40 @@ def windows_of(real: PreparedReplay) -> JointWindows:
     begins = []
     for number in people.recording.unique().tolist():
         last = int(people.last[people.recording == number].max())
-        frames = torch.arange(OBS_LEN - 1, max(last - STEPS, OBS_LEN) + 1, STEPS)
-        begins.append(torch.stack((torch.full_like(frames, number), frames), 1))
-    windows = torch.cat(begins)
-    if len(windows) > MOST:
-        windows = windows[torch.linspace(0, len(windows) - 1, MOST).round().long()]
+        begins += [(number, begin) for begin in range(OBS_LEN - 1, max(last - STEPS, OBS_LEN) + 1, STEPS)]
+    if len(begins) > MOST:
+        begins = [begins[i] for i in torch.linspace(0, len(begins) - 1, MOST).round().long().tolist()]
     count = people.last - people.first + 1
     of_row = torch.arange(len(count)).repeat_interleave(count)
     frame = torch.arange(len(xy)) - (count.cumsum(0) - count)[of_row] + people.first[of_row]
-    cut = [_cut(windows[i], of_row, frame, xy, people) for i in range(len(windows))]
-    windows = windows[torch.tensor([len(part.frame) > 0 for part in cut])]
-    parts, places = without_goals([part for part in cut if len(part.frame)])
-    parts = _with_roles(parts, people)
-    script = Script(parts, places, *_scenes(parts, len(windows)))
-    tables = real.tables[windows[:, 0]]
-    home = real.home[windows[:, 0]]
+    cut, kept = [], []
+    for number, begin in begins:  # frames count from the first of a window's history, agents are row numbers
+        at = frame - (begin - OBS_LEN + 1)
+        rows = (people.recording[of_row] == number) & (at >= 0) & (at < OBS_LEN + STEPS)
+        # people who are there in one row only have no velocity
+        rows &= torch.bincount(of_row[rows], minlength=len(count))[of_row] > 1
+        if rows.any():
+            cut.append(Tracks("window", at[rows].numpy(), of_row[rows].numpy(), xy[rows].double().numpy()))
+            kept.append((number, begin))
+    parts, places = without_goals(cut)
+    parts, (number, begin) = _with_roles(parts, people), torch.tensor(kept).T
+    script = Script(parts, places, *_scenes(parts, len(kept)))
     scenario = PreparedReplay(
-        scenario=real.scenario, planner=real.planner, tables=tables, script=script, home=home
+        scenario=real.scenario,
+        planner=real.planner,
+        tables=real.tables[number],
+        script=script,
+        home=real.home[number],
     )
-    who = script.people_in_slots(torch.arange(len(windows)), torch.full((len(windows),), OBS_LEN - 1))
+    who = script.people_in_slots(torch.arange(len(kept)), torch.full((len(kept),), OBS_LEN - 1))
     who = torch.where((who >= 0) & parts.controlled[who], who, -1)
-    return JointWindows(scenario, windows[:, 1], windows[:, 0], who, parts.goal[who].float())
+    return JointWindows(scenario, begin, number, who, parts.goal[who].float())
 
 
-def walked(windows: JointWindows, parts: Iterable[Rollout]) -> JointRollouts:
+def joint_rollouts(windows: JointWindows, parts: Iterable[Rollout]) -> JointRollouts:
     """Return what happened in rollouts of all windows, round after round, in parts of some episodes."""
-    count, bank = len(windows.begin), windows.scenario.bank
+    count, bank, first = len(windows.begin), windows.scenario.bank, 0
     columns: dict[str, list[Tensor]] = {}
-    first = 0
     for part in parts:
         window = (first + torch.arange(len(part.failed))) % count
         first += len(window)
@@ -142,48 +145,26 @@ def walked(windows: JointWindows, parts: Iterable[Rollout]) -> JointRollouts:
         there = steps.person == own
         values = {name: _full(value, torch.nan) for name, value in step_values(steps, wall).items()}
         for name in CONTACTS:
-            touches = getattr(part, name) & part.underway & (part.person == own)
-            values[name] = touches.any(2)
-        xy = torch.where(there.unsqueeze(3), steps.xy, goal)
-        values |= {"x": _full(xy[..., 0]), "y": _full(xy[..., 1])}
+            values[name] = (getattr(part, name) & part.underway & (part.person == own)).any(2)
+        values["xy"] = _full(torch.where(there.unsqueeze(3), steps.xy, goal))
         values["scored"] = _full(steps.scored & there, False)
         for name, value in values.items():
             columns.setdefault(name, []).append(value)
-    rounds = {name: torch.cat(value) for name, value in columns.items()}
-    rounds = {name: value.view(-1, count, *value.shape[1:]) for name, value in rounds.items()}
-    return JointRollouts(
-        {name: rounds[name] for name in MEASURED},
-        {name: rounds[name] for name in CONTACTS},
-        torch.stack((rounds["x"], rounds["y"]), -1),
-        rounds["scored"],
-        windows.person >= 0,
-    )
+    rounds = {name: torch.cat(value).unflatten(0, (-1, count)) for name, value in columns.items()}
+    return JointRollouts(rounds, rounds.pop("xy"), rounds.pop("scored"), windows.person >= 0)
 
 
 def _full(value: Tensor, missing: float | None = None) -> Tensor:
-    """Return values (E, A, 2 + S') of the S steps (E, A, S); absent ones are ``missing``, or as the last."""
-    value = value[..., 2 : 2 + STEPS]
-    fill = value[..., -1:].expand(*value.shape[:-1], STEPS - value.shape[-1])
-    return torch.cat((value, fill if missing is None else torch.full_like(fill, missing)), -1)
-
-
-def _cut(window: Tensor, of_row: Tensor, frame: Tensor, xy: Tensor, people: RecordedPeople) -> Tracks:
-    """Return the rows of one window; frames count from the first of its history, agents are row numbers."""
-    number, begin = window.tolist()
-    at = frame - (begin - OBS_LEN + 1)
-    keep = (people.recording[of_row] == number) & (at >= 0) & (at < OBS_LEN + STEPS)
-    # people who are there in one row only have no velocity
-    rows = torch.bincount(of_row[keep], minlength=len(people.first))
-    keep &= rows[of_row] > 1
-    agent = of_row[keep].numpy()
-    return Tracks("window", at[keep].numpy(), agent, xy[keep].double().numpy())
+    """Return values (E, A, 2 + S', ...) of S steps (E, A, S, ...); absent are ``missing``, or the last."""
+    value = value[:, :, 2 : 2 + STEPS]
+    fill = value[:, :, -1:].expand(-1, -1, STEPS - value.shape[2], *value.shape[3:])
+    return torch.cat((value, fill if missing is None else torch.full_like(fill, missing)), 2)
 
 
 def _with_roles(parts: RecordedPeople, people: RecordedPeople) -> RecordedPeople:
     """Return the people of windows with the exits that they have in the recording."""
     who = parts.agent
-    goal = people.goal[who]
-    role = people.what[who].clone()
+    goal, role = people.goal[who], people.what[who]
     taken = (parts.first == 0) & (parts.last >= OBS_LEN)
     role = torch.where(~taken & (role == CONTROLLED), SHORT, role)
     there = (goal - parts.start).norm(dim=1) <= GOAL_RADIUS
@@ -206,16 +187,13 @@ def _scenes(parts: RecordedPeople, windows: int) -> tuple[Tensor, ScriptScenes]:
     for number in range(windows):
         mine = (parts.recording == number).nonzero()[:, 0]
         slot[mine] = slots(parts.first[mine], gone[mine])
-    tables = []
-    for number in range(windows):
-        here = torch.where(parts.recording == number, slot, -1)
-        tables.append(table(here, parts.first, gone, end + 1, int(slot.max()) + 1))
+    here = [torch.where(parts.recording == number, slot, -1) for number in range(windows)]
+    tables = [table(one, parts.first, gone, end + 1, int(slot.max()) + 1) for one in here]
     number = torch.arange(windows)
     begin = torch.full_like(number, OBS_LEN - 1)
     no_lead, others = torch.full_like(number, -1), torch.ones_like(number, dtype=torch.bool)
     ends = begin + STEPS + 1, begin, begin + STEPS
-    scenes = ScriptScenes(number, begin, *ends, no_lead, others)
-    return torch.stack(tables), scenes
+    return torch.stack(tables), ScriptScenes(number, begin, *ends, no_lead, others)
 
 
 def bins(against: str) -> Ranges:
@@ -226,27 +204,21 @@ def bins(against: str) -> Ranges:
 
 @cache
 def _bins() -> dict[str, Ranges]:
-    text = (files("pedzoo.eval.scoring") / BINS_FILE).read_text()
-    folds = yaml.safe_load(text)["folds"]
-    return {fold: {name: (low, high) for name, (low, high) in ends.items()} for fold, ends in folds.items()}
+    return yaml.safe_load((files("pedzoo.eval.scoring") / BINS_FILE).read_text())["folds"]
 
 
 def recorded_windows(windows: JointWindows) -> JointRollouts:
     """Return what people really did in the windows."""
-    return walked(windows, windows.scenario.real_parts())
+    return joint_rollouts(windows, windows.scenario.real_parts())
 
 
 def policy_windows(
     policy: str, windows: JointWindows, seed: int, physics: str, progress: Progress | None = None
 ) -> JointRollouts:
     """Return what a policy does in them: `ROLLOUTS` times if it has noise, else once."""
-    rounds = ROLLOUTS if has_noise(load_policy(policy)) else 1
-    episodes = rounds * len(windows.begin)
-    walks, env = prepare(policy, windows.scenario, physics, episodes, seed)
-    try:
-        return walked(windows, walk(walks, env, episodes, progress=progress))
-    finally:
-        env.physics.close()
+    episodes = len(windows.begin) * (ROLLOUTS if has_noise(load_policy(policy)) else 1)
+    parts = walked(policy, windows.scenario, physics, episodes, seed, progress=progress)
+    return joint_rollouts(windows, parts)
 
 
 def likelihood(mine: JointRollouts, real: JointRollouts, against: str) -> dict[str, Tensor]:
@@ -259,17 +231,16 @@ def likelihood(mine: JointRollouts, real: JointRollouts, against: str) -> dict[s
     """
     ends, true = bins(against), {name: value[0] for name, value in real.values.items()}
     scored = real.people & real.scored[0].any(2)
-    sums: dict[str, LogSums] = {}
-    for name, value in real.contacts.items():
-        sums[name] = contact_likelihood(mine.contacts[name], value[0], scored)
+    sums = {name: contact_likelihood(mine.values[name], true[name], scored) for name in CONTACTS}
     for name in MEASURED:
         sums[name] = measured_likelihood(mine.values[name], true[name], ends[name])
-    weights = _weights(len(real.people))
+    windows = len(real.people)
+    weights = torch.cat((torch.ones(1, windows, dtype=torch.float64), drawn_people(windows, RESAMPLES)))
     error = displacement(mine.xy, real.xy[0], real.scored[0])
     result = composite(sums, weights)
-    result["ade_8s_m"] = _mean(error.mean(0), weights)
-    best = error[:BEST_OF].amin(0)
-    result[f"min_ade_{BEST_OF}_8s_m"] = _mean(best, weights)
+    for name, value in (("ade_8s_m", error.mean(0)), (f"min_ade_{BEST_OF}_8s_m", error[:BEST_OF].amin(0))):
+        known = (~value.isnan()).sum(1).double()
+        result[name] = weights @ value.nan_to_num().sum(1) / (weights @ known)
     return result
 
 
@@ -280,44 +251,22 @@ def others_likelihood(real: JointRollouts, windows: JointWindows, against: str) 
     recorded people. These are the nearest in speed, distance to the exit, distance to the nearest other and
     to the nearest wall when the window begins, in units of their standard deviations.
     """
-    first = torch.stack(
-        [real.values[name][0, ..., 0] for name in ("speed", "nearest_distance", "wall_distance")]
-        + [(windows.goal - real.xy[0, ..., 0, :]).norm(dim=-1)],
-        -1,
-    )
+    first = [real.values[name][0, ..., 0] for name in ("speed", "nearest_distance", "wall_distance")]
+    first.append((windows.goal - real.xy[0, ..., 0, :]).norm(dim=-1))
     window, slot = (real.people & real.scored[0, ..., 0]).nonzero().unbind(1)
     agent = windows.scenario.persons.agent[windows.person[window, slot]]
-    value = first[window, slot].nan_to_num(20.0)
+    value = torch.stack(first, -1)[window, slot].nan_to_num(20.0)
     value = value / value.std(0).clamp_min(1e-6)
     apart = torch.cdist(value, value).masked_fill(agent.unsqueeze(1) == agent, torch.inf)
     near = apart.topk(min(ROLLOUTS, len(agent)), largest=False).indices.T
-    shape = (len(near), *real.people.shape)
-
-    def of_others(true: Tensor, missing: float | bool) -> Tensor:
-        result = torch.full((*shape, *true.shape[2:]), missing, dtype=true.dtype)
-        result[:, window, slot] = true[window[near], slot[near]]
-        return result
-
-    mine = JointRollouts(
-        {name: of_others(value[0], torch.nan) for name, value in real.values.items()},
-        {name: of_others(value[0], False) for name, value in real.contacts.items()},
-        real.xy.expand(len(near), *real.xy.shape[1:]),
-        real.scored,
-        real.people,
-    )
+    others = {}
+    for name, (true,) in real.values.items():
+        missing = False if true.dtype == torch.bool else torch.nan
+        others[name] = torch.full((len(near), *true.shape), missing, dtype=true.dtype)
+        others[name][:, window, slot] = true[window[near], slot[near]]
+    mine = real._replace(values=others, xy=real.xy.expand(len(near), *real.xy.shape[1:]))
     result = likelihood(mine, real, against)
     return {key: value for key, value in result.items() if key.startswith("likelihood")}
-
-
-def _weights(windows: int) -> Tensor:
-    once = torch.ones(1, windows, dtype=torch.float64)
-    return torch.cat((once, drawn_people(windows, RESAMPLES)))
-
-
-def _mean(value: Tensor, weights: Tensor) -> Tensor:
-    """Return the mean (R,) over people of values (W, A), NaN for none, for weights of windows (R, W)."""
-    known = ~value.isnan()
-    return weights @ value.nan_to_num().sum(1) / (weights @ known.sum(1).double())
 
 
 def ranges(walks: Sequence[JointRollouts]) -> dict[str, tuple[float, float]]:

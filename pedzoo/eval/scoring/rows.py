@@ -7,21 +7,13 @@ taken over in it. The same people are drawn in both crowds.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from pedzoo.eval.scoring.crowds import CrowdView, ScoredCrowd, blocks_of
-from pedzoo.metrics.realism.crowds import (
-    CrowdSums,
-    compared,
-    contact_intervals,
-    distances,
-    only,
-    resampled_distances,
-    spreads,
-)
+from pedzoo.metrics.realism.crowds import compared, contact_intervals, only, ratios
 from pedzoo.metrics.realism.distances import closed_loop_error, halves, padded, sums
 from pedzoo.metrics.realism.features import Clips
 from pedzoo.metrics.realism.two_sample import FOLDS, Verdict, auc, nearest_parts, two_sample
@@ -45,11 +37,8 @@ _ONCE_ONLY = ("_share", "_per_min", "_excess", "speed_std", "density_speed")
 """Measures that coarse positions do not have: contacts come from the paths themselves."""
 
 
-class Resampled(NamedTuple):
-    """Weights of people: the first row counts each once, the others are resamples (1 + R, P)."""
-
-    mine: Tensor
-    theirs: Tensor
+Weights = tuple[Tensor, Tensor]
+"""Of two crowds' people (1 + R, P) each: the first row counts each once, the others are resamples."""
 
 
 def row(side: ScoredCrowd, real: ScoredCrowd, more: Mapping[str, Tensor], windows: int = 0) -> dict[str, Any]:
@@ -69,8 +58,8 @@ def row(side: ScoredCrowd, real: ScoredCrowd, more: Mapping[str, Tensor], window
         verdict = _verdict(side, real, mine.clips, theirs.clips)
         values[f"{prefix}classifier_auc"] = auc(verdict, *drawn)
         telling[f"{prefix}classifier_auc"] = verdict.telling
-    values |= {name: sums.of(drawn.mine) for name, sums in side.sums.items()}
-    values |= same_people(side, real, drawn.mine)
+    values |= {name: ratios(both, drawn[0]) for name, both in side.sums.items()}
+    values |= same_people(side, real, drawn[0])
     exact = {name: percentile_interval(value[1:], windows) for name, value in more.items()}
     exact |= contact_intervals(side.fine.crowd, real.fine.crowd, block, blocks) | _shares(side, block, blocks)
     values |= more
@@ -86,21 +75,21 @@ def real_rows(real: ScoredCrowd) -> list[dict[str, Any]]:
     beaten, chiefly in speed, nearest distance and lateral deviation.
     """
     drawn, (block, _, blocks) = _drawn(real, real), _blocks(real, real)
-    own = {name: sums.of(drawn.mine) for name, sums in real.sums.items()}
+    own = {name: ratios(both, drawn[0]) for name, both in real.sums.items()}
     values = _of_view(real.fine, real.fine, drawn, "")
     own |= {key: values[key] for key in values if key.endswith(("_share", "_per_min"))}
-    together = same_people(real, real, drawn.mine)
+    together = same_people(real, real, drawn[0])
     own |= {key: together[key] for key in together if key.startswith("companions")}
     count, seen = int(real.seen.sum()), real.seen
     first = torch.zeros(SPLITS, len(seen), dtype=torch.float64)
     first[:, seen] = halves(count, SPLITS)
-    splits = Resampled(first, seen.double() - first)
+    splits = first, seen.double() - first
     floor: dict[str, Tensor] = {}
     for prefix, name in _VIEWS.items():
         view = getattr(real, name)
         floor |= _of_view(view, view, splits, prefix, exact=False)
-        floor[f"{prefix}classifier_auc"] = _halves_auc(view.clips, first[:TESTS], splits.theirs[:TESTS])
-    floor |= {name: sums.of(first) for name, sums in real.sums.items()}
+        floor[f"{prefix}classifier_auc"] = _halves_auc(view.clips, first[:TESTS], splits[1][:TESTS])
+    floor |= {name: ratios(both, first) for name, both in real.sums.items()}
     exact = contact_intervals(real.fine.crowd, real.fine.crowd, block, blocks)
     exact |= _shares(real, block, blocks)
     return [values_row(real.name, count, 1, own, blocks, exact), halves_row(count, floor)]
@@ -114,23 +103,14 @@ def _shares(side: ScoredCrowd, block: Tensor, blocks: int) -> dict[str, Interval
     }
 
 
-def crowd_values(mine: CrowdSums, real: CrowdSums, drawn: Resampled, exact: bool = True) -> dict[str, Tensor]:
-    """Return the numbers of `compared` (1 + R,); the first is ``exact`` if it counts each person once."""
-    distance = resampled_distances(mine, real, *drawn)
-    if exact:
-        for name, value in distances(mine, real).items():
-            distance[name][:1] = value
-    return compared(mine, real, *drawn, distance, spreads(real))
-
-
 def _of_view(
-    mine: CrowdView, theirs: CrowdView, drawn: Resampled, prefix: str, exact: bool = True
+    mine: CrowdView, theirs: CrowdView, drawn: Weights, prefix: str, exact: bool = True
 ) -> dict[str, Tensor]:
-    """Return `crowd_values` of a view, with its prefix."""
+    """Return the numbers of `compared` of a view, with its prefix."""
     real = only(theirs.crowd, theirs.crowd.minutes > 0)
     return {
         f"{prefix}{key}": value
-        for key, value in crowd_values(mine.crowd, real, drawn, exact).items()
+        for key, value in compared(mine.crowd, real, *drawn, exact).items()
         if not (prefix and any(part in key for part in _ONCE_ONLY))
     }
 
@@ -168,18 +148,17 @@ def _blocks(side: ScoredCrowd, real: ScoredCrowd) -> tuple[Tensor, Tensor, int]:
     return own, block, max(blocks, others)
 
 
-def _drawn(side: ScoredCrowd, real: ScoredCrowd) -> Resampled:
+def _drawn(side: ScoredCrowd, real: ScoredCrowd) -> Weights:
+    """Return the weights of both crowds' people, by resampled blocks of time."""
     own, block, _ = _blocks(side, real)
-    blocks, others = (int(one.max()) + 1 for one in (block, own))
-    times = drawn_people(blocks, RESAMPLES)
-    theirs = times[:, block]
-    mine = times[:, own] if bool((side.twin >= 0).any()) else drawn_people(others, RESAMPLES, seed=1)[:, own]
-    seen = (side.seen, real.seen)
-    whole = [
+    times = theirs = drawn_people(int(block.max()) + 1, RESAMPLES)
+    if not bool((side.twin >= 0).any()):
+        times = drawn_people(int(own.max()) + 1, RESAMPLES, seed=1)
+    mine, theirs = (
         torch.cat((torch.ones(1, len(who), dtype=torch.float64), weights)) * who
-        for weights, who in zip((mine, theirs), seen, strict=True)
-    ]
-    return Resampled(*whole)
+        for weights, who in ((times[:, own], side.seen), (theirs[:, block], real.seen))
+    )
+    return mine, theirs
 
 
 def same_people(side: ScoredCrowd, real: ScoredCrowd, weights: Tensor) -> dict[str, Tensor]:

@@ -140,11 +140,9 @@ def score(
     if dt is not None:
         check_dt(dt, "the scored files", "--dt")
     fold = "all" if own else against.recording
-    walks = {
-        name: name if is_recording(name) or own else for_fold(name, against.recording) for name in crowds
-    }
-    for name, weights in walks.items():
-        if not is_recording(name):
+    walks = {name: name if own or is_recording(name) else for_fold(name, fold) for name in crowds}
+    for weights in walks.values():
+        if not is_recording(weights):
             load_policy(weights)  # misspelt names are refused before anything is measured
     gate = _gate(opening)
     prepared = against.prepared(stops)
@@ -162,53 +160,38 @@ def score(
         except NothingToScoreError as error:
             files[name] = None
             notes.append(f"nothing is scored: {error}")
-    rows = real_rows(real)
+    rows, windows, joined, count = real_rows(real), None, None, 0
     if gate is not None:
         rows[0]["metrics"] |= through(real.walks, gate)
-    windows = joint.windows_of(prepared) if likelihood else None
-    recorded = joint.recorded_windows(windows) if windows else None
-    if windows and recorded:
-        count = len(windows.begin)
-        rows.append(
-            values_row(joint.OTHERS, count, 1, joint.others_likelihood(recorded, windows, fold), count)
-        )
+    if likelihood:
+        windows = joint.windows_of(prepared)
+        joined, count = joint.recorded_windows(windows), len(windows.begin)
+        others = joint.others_likelihood(joined, windows, fold)
+        rows.append(values_row(joint.OTHERS, count, 1, others, count))
     for name, weights in walks.items():
-        if is_recording(name):
-            side = files.pop(name)
-            if side is None:
-                rows.append(values_row(name, 0, 1, {}))
-                continue
-            strangers = int((side.twin < 0).sum())
-            if strangers:
-                notes.append(f"{name}: {strangers} of {len(side.twin)} people are none of the recorded ones")
-        else:
-            side = policy_crowd(weights, prepared, rollouts, seed, physics, progress)
-        more: dict[str, Tensor] = {}
-        if windows and recorded and not is_recording(name):
+        is_file, more = is_recording(name), {}
+        side = files[name] if is_file else policy_crowd(weights, prepared, rollouts, seed, physics, progress)
+        if side is None:
+            rows.append(values_row(name, 0, 1, {}))
+            continue
+        if strangers := int((side.twin < 0).sum()):
+            notes.append(f"{name}: {strangers} of {len(side.twin)} people are none of the recorded ones")
+        if windows and joined and not is_file:
             simulated = joint.policy_windows(weights, windows, seed, physics, progress)
-            more = joint.likelihood(simulated, recorded, fold)
-        result = row(side._replace(name=name), real, more, len(windows.begin) if windows else 0)
+            more = joint.likelihood(simulated, joined, fold)
+        result = row(side._replace(name=name), real, more, count)
         if missing := [key for key in HEADLINE if key not in result["metrics"]]:
             notes.append(f"{name}: {result['n']} people walk too little for {', '.join(missing)}")
         if gate is not None:
             result["metrics"] |= through(side.walks, gate)
         if weights != name:
             notes.append(f"{name} is {weights}, which did not see {against.recording}")
-        if not is_recording(name) and not own and has_seen(weights, against.recording):
+        if not is_file and not own and has_seen(weights, against.recording):
             notes.append(f"{name} was trained on {against.recording}: marked *")
             result["case"][SEEN] = "yes"
         rows.append(result)
-    return {
-        "protocol": {
-            "against": against.recording,
-            "version": VERSION,
-            "resamples": RESAMPLES,
-            "stops": stops,
-        },
-        "seeds": [seed],
-        "notes": notes,
-        "rows": rows,
-    }
+    protocol = {"against": against.recording, "version": VERSION, "resamples": RESAMPLES, "stops": stops}
+    return {"protocol": protocol, "seeds": [seed], "notes": notes, "rows": rows}
 
 
 def _gate(opening: Sequence[float]) -> Tensor | None:

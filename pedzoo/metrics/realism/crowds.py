@@ -66,20 +66,10 @@ class CrowdSums(NamedTuple):
     steps_at: Tensor
 
 
-class PersonSums(NamedTuple):
-    """``above.sum() / below.sum()`` is the measure.
-
-    Attributes:
-        above: Of each person (P,) float64.
-        below: Likewise.
-    """
-
-    above: Tensor
-    below: Tensor
-
-    def of(self, weights: Tensor) -> Tensor:
-        """Return the measure (R,) for weights of people (R, P), NaN where nothing is below."""
-        return weights.double() @ self.above / (weights.double() @ self.below)
+def ratios(sums: Tensor, weights: Tensor) -> Tensor:
+    """Return the ratio (R,) of two sums over people (2, P), for weights (R, P); NaN of nothing."""
+    above, below = (weights.double() @ sums.T).unbind(1)
+    return above / below
 
 
 def crowd(
@@ -102,13 +92,13 @@ def crowd(
         start: Where the line of each person begins (P, 2), metres.
         goal: Where it ends (P, 2), metres.
     """
-    people, underway, person = len(start), rollout.underway, steps.person[steps.scored]
-    close = around.close.clamp(max=MOST_CLOSE) + (MOST_CLOSE + 1) * person
+    people, underway = len(start), rollout.underway
+    place = around.close.clamp(max=MOST_CLOSE) + (MOST_CLOSE + 1) * steps.person[steps.scored]
     speed = steps.velocity[steps.scored].norm(dim=1)
-
-    def at(weights: Tensor) -> Tensor:
-        """Return sums (P, C) by person and number of others."""
-        return sums(close, weights, people * (MOST_CLOSE + 1)).view(people, -1)
+    speeds, counts = (
+        sums(place, value, people * (MOST_CLOSE + 1)).view(people, -1)
+        for value in (speed, torch.ones_like(speed))
+    )
 
     def points(when: Tensor) -> Tensor:
         return torch.bincount(rollout.person[when], minlength=people).double()
@@ -123,8 +113,8 @@ def crowd(
         agent_contact=contact(rollout.agent_contact),
         wall_contact=contact(rollout.wall_contact),
         round=(steps.scored.nonzero()[:, 0] + first) // scenes,
-        speeds_at=at(speed),
-        steps_at=at(torch.ones_like(speed)),
+        speeds_at=speeds,
+        steps_at=counts,
     )
 
 
@@ -148,50 +138,32 @@ def only(crowd: CrowdSums, seen: Tensor) -> CrowdSums:
     return crowd._replace(samples=samples, round=crowd.round[keep["speed"]])
 
 
-def spreads(real: CrowdSums) -> dict[str, float]:
-    """Return the standard deviation of every feature in the real crowd: the unit of distances.
+def spread(samples: Samples) -> float:
+    """Return the standard deviation of a feature in the real crowd, the unit of its distances.
 
     It is NaN for fewer than two samples: a person who walks alone is near nobody.
     """
-    values = {name: samples.value.double() for name, samples in real.samples.items()}
-    return {name: float(value.std()) if len(value) > 1 else math.nan for name, value in values.items()}
+    return float(samples.value.double().std()) if len(samples.value) > 1 else math.nan
 
 
-def distances(first: CrowdSums, second: CrowdSums) -> dict[str, Tensor]:
-    """Return the exact Wasserstein-1 distance (1,) of every feature, each person counting once."""
-    return {
-        name: wasserstein(*values).view(1) if all(map(len, values)) else values[0].new_tensor([math.nan])
-        for name in FEATURES
-        for values in [[side.samples[name].value.double() for side in (first, second)]]
-    }
+def distance(first: Samples, second: Samples, mine: Tensor, theirs: Tensor, exact: bool) -> Tensor:
+    """Return the Wasserstein-1 distance of a feature (R,), NaN without samples.
 
-
-def resampled_distances(
-    first: CrowdSums, second: CrowdSums, mine: Tensor, theirs: Tensor
-) -> dict[str, Tensor]:
-    """Return the Wasserstein-1 distance (R,) of every feature, NaN without samples.
-
-    Weights of people are (R, P) for the first crowd, and (R, Q) for the second.
+    Weights of people are (R, P) for the first crowd, and (R, Q) for the second. ``exact``: the first weights
+    count each person once, and no grid is needed.
     """
-    result = {}
-    for name in FEATURES:
-        one, other = first.samples[name], second.samples[name]
-        result[name] = torch.full((len(mine),), torch.nan, dtype=torch.float64)
-        if len(one.value) and len(other.value):
-            edges = grid(one.value, other.value)
-            both = zip((one, other), (mine, theirs), strict=True)
-            ours, real = (counted(samples, edges, weights.shape[1]) for samples, weights in both)
-            result[name] = resampled(ours, real, edges, mine, theirs)
+    if not (len(first.value) and len(second.value)):
+        return torch.full((len(mine),), torch.nan, dtype=torch.float64)
+    edges = grid(first.value, second.value)
+    ours, real = counted(first, edges, mine.shape[1]), counted(second, edges, theirs.shape[1])
+    result = resampled(ours, real, edges, mine, theirs)
+    if exact:
+        result[0] = wasserstein(first.value.double(), second.value.double())
     return result
 
 
 def compared(
-    crowd: CrowdSums,
-    real: CrowdSums,
-    mine: Tensor,
-    theirs: Tensor,
-    distance: dict[str, Tensor],
-    spread: dict[str, float],
+    crowd: CrowdSums, real: CrowdSums, mine: Tensor, theirs: Tensor, exact: bool = True
 ) -> dict[str, Tensor]:
     """Return every number of a crowd beside the real one, of R resamples (R,) each, NaN for none.
 
@@ -212,15 +184,14 @@ def compared(
         real: The recorded one.
         mine: How often each person counts in the first (R, P).
         theirs: In the second.
-        distance: Of every feature (R,), of the same resamples.
-        spread: Of every feature, see `spreads`.
+        exact: Whether the first weights count each person once.
     """
     result: dict[str, Tensor] = {}
     for name, unit in FEATURES.items():
-        result[f"w1_{name}_{unit}"] = distance[name]
-        result[f"w1_{name}"] = distance[name] / (spread[name] or math.nan)
-    normalised = torch.stack([result[f"w1_{name}"] for name in FEATURES])
-    result["realism"] = normalised.nanmean(0)
+        one, other = crowd.samples[name], real.samples[name]
+        result[f"w1_{name}_{unit}"] = distance(one, other, mine, theirs, exact)
+        result[f"w1_{name}"] = result[f"w1_{name}_{unit}"] / (spread(other) or math.nan)
+    result["realism"] = torch.stack([result[f"w1_{name}"] for name in FEATURES]).nanmean(0)
     for kind in ("agent_contact", "wall_contact"):
         own = mine @ getattr(crowd, kind).T / (mine @ crowd.minutes).unsqueeze(1)
         excess = own - theirs @ getattr(real, kind).T / (theirs @ real.minutes).unsqueeze(1)
@@ -302,8 +273,8 @@ def _between(value: Tensor, weights: Tensor) -> Tensor:
     return variance.clamp_min(0).sqrt().nanmean(1)
 
 
-def measured(steps: SampledRollout, people: int, axis: Tensor) -> dict[str, PersonSums]:
-    """Return the measures of one rollout, by the names of their columns.
+def measured(steps: SampledRollout, people: int, axis: Tensor) -> dict[str, Tensor]:
+    """Return two sums (2, P) of one rollout for each measure, which is their ratio; by names of columns.
 
     * ``standing_share``: of scored steps, those slower than 0.1 m/s.
     * ``company_share``: those with a companion, a person within 1.5 m in each of the last 8 steps (2.8 s)
@@ -317,34 +288,33 @@ def measured(steps: SampledRollout, people: int, axis: Tensor) -> dict[str, Pers
         people: P.
         axis: Unit vector along which most people walk (2,).
     """
-    parts = []
     size = max(1, _AT_ONCE // (steps.person.shape[1] ** 2 * steps.person.shape[2]))
-    for first in range(0, len(steps.person), size):
-        some = SampledRollout(*(value[first : first + size] for value in steps))
-        parts.append(_measured(some, people, axis))
-    return added(parts)
+    some = (SampledRollout(*part) for part in zip(*(value.split(size) for value in steps), strict=True))
+    return added([_measured(part, people, axis) for part in some])
 
 
-def _measured(steps: SampledRollout, people: int, axis: Tensor) -> dict[str, PersonSums]:
+def added(parts: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
+    """Return the sums of several rollouts of the same people."""
+    return {name: torch.stack([part[name] for part in parts]).sum(0) for name in parts[0]}
+
+
+def _measured(steps: SampledRollout, people: int, axis: Tensor) -> dict[str, Tensor]:
     """Return the measures of a few episodes E; pairs are (E, S, A, A)."""
     scored, there = steps.scored, steps.person >= 0
     person = steps.person[scored]
     whole = sums(person, torch.ones(len(person)), people)
-
-    def share(when: Tensor) -> PersonSums:
-        """Return the share of scored steps (E, A, S)."""
-        return PersonSums(sums(person, when[scored], people), whole)
-
     xy, here = steps.xy.transpose(1, 2), there.transpose(1, 2)
     apart = xy.unsqueeze(2) - xy.unsqueeze(3)
     pairs = here.unsqueeze(2) & here.unsqueeze(3) & ~torch.eye(here.shape[2], dtype=torch.bool)
     distance = apart.norm(dim=4).masked_fill(~pairs, torch.inf)
-    return {
-        "standing_share": share(steps.velocity.norm(dim=3) < STANDS),
-        "company_share": share(_accompanied(steps, apart, distance).transpose(1, 2)),
-        "crowdes_collision": share((distance < TOUCHING).any(3).transpose(1, 2)),
-        "lane_order": lane_order(steps, pairs, axis, people),
+    shares = {
+        "standing_share": steps.velocity.norm(dim=3) < STANDS,
+        "company_share": _accompanied(steps, apart, distance).transpose(1, 2),
+        "crowdes_collision": (distance < TOUCHING).any(3).transpose(1, 2),
     }
+    result = {name: (sums(person, when[scored], people), whole) for name, when in shares.items()}
+    result["lane_order"] = lane_order(steps, pairs, axis, people)
+    return {name: torch.stack(both) for name, both in result.items()}
 
 
 def _accompanied(steps: SampledRollout, apart: Tensor, distance: Tensor) -> Tensor:
@@ -353,18 +323,16 @@ def _accompanied(steps: SampledRollout, apart: Tensor, distance: Tensor) -> Tens
     if distance.shape[1] < TOGETHER:
         return result
     person, last = steps.person.transpose(1, 2), TOGETHER - 1
-    same = person[:, last:] == person[:, :-last]
-    same = same.unsqueeze(2) & same.unsqueeze(3)
-    for back in range(1, last):  # no other person was in their slots meanwhile
-        between = person[:, last - back : person.shape[1] - back] == person[:, last:]
-        same &= between.unsqueeze(2) & between.unsqueeze(3)
+    # no other person was in their slots meanwhile
+    same = (person.unfold(1, TOGETHER, 1) == person[:, last:].unsqueeze(-1)).all(-1)
     near = (distance <= NEAR).unfold(1, TOGETHER, 1).all(-1)
     drift = (apart[:, last:] - apart[:, :-last]).norm(dim=4)
-    result[:, last:] = (same & near & (drift < DRIFT)).any(3)
+    together = same.unsqueeze(2) & same.unsqueeze(3) & near & (drift < DRIFT)
+    result[:, last:] = together.any(3)
     return result
 
 
-def lane_order(steps: SampledRollout, pairs: Tensor, axis: Tensor, people: int) -> PersonSums:
+def lane_order(steps: SampledRollout, pairs: Tensor, axis: Tensor, people: int) -> tuple[Tensor, Tensor]:
     """Return how far walkers are sorted into lanes: 0 as in a mixed crowd, 1 if no strip has both ways.
 
     Strips of 0.6 m lie along the axis. Of all pairs of people who walk in one strip at a moment, s walk the
@@ -388,7 +356,7 @@ def lane_order(steps: SampledRollout, pairs: Tensor, axis: Tensor, people: int) 
     above = (alike & strips).sum(3) - mixed.squeeze(3) * strips.sum(3)
     below = (1 - mixed.squeeze(3)) * strips.sum(3)
     person = steps.person.transpose(1, 2)[walks]
-    return PersonSums(*(sums(person, value[walks], people) for value in (above, below)))
+    return sums(person, above[walks], people), sums(person, below[walks], people)
 
 
 def main_axis(start: Tensor, goal: Tensor) -> Tensor:
@@ -398,13 +366,3 @@ def main_axis(start: Tensor, goal: Tensor) -> Tensor:
     weight = way.norm(dim=1)
     half = torch.atan2((weight * angle.sin()).sum(), (weight * angle.cos()).sum()) / 2
     return torch.stack((half.cos(), half.sin())).float()
-
-
-def added(parts: list[dict[str, PersonSums]]) -> dict[str, PersonSums]:
-    """Return the sums of several rollouts of the same people."""
-    return {
-        name: PersonSums(
-            *(torch.stack(values).sum(0) for values in zip(*(p[name] for p in parts), strict=True))
-        )
-        for name in parts[0]
-    }

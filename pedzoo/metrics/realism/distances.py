@@ -20,24 +20,14 @@ _AT_ONCE = 4_000_000
 
 
 class Samples(NamedTuple):
-    """Values of a feature.
-
-    Attributes:
-        value: (N,) float64.
-        person: Person of each value (N,) long, 0 to P - 1.
-    """
+    """Values of a feature (N,) float64, and the person of each (N,) long, 0 to P - 1."""
 
     value: Tensor
     person: Tensor
 
 
 class CumulativeCounts(NamedTuple):
-    """Number of each person's samples below some edges: all that resampling needs.
-
-    Attributes:
-        until: Samples up to each edge, itself included (P, G) float64.
-        before: Without it (P, G).
-    """
+    """Each person's samples (P, G) float64 up to each edge, itself included, and before it."""
 
     until: Tensor
     before: Tensor
@@ -86,13 +76,7 @@ def grid(first: Tensor, second: Tensor, size: int = EDGES) -> Tensor:
 
 
 def counted(samples: Samples, edges: Tensor, people: int) -> CumulativeCounts:
-    """Return how many samples of each of P ``people`` lie below ``edges`` (G,), and on them.
-
-    Raises:
-        ValueError: A value lies beyond the last edge.
-    """
-    if len(samples.value) and float(samples.value.max()) > float(edges[-1]):
-        raise ValueError(f"a value of {float(samples.value.max())} lies beyond the last edge {edges[-1]:g}")
+    """Return how many samples of each of P ``people`` lie below ``edges`` (G,) of `grid`, and on them."""
     shape, result = (people, len(edges) + 1), []
     for right in (False, True):  # the first edge that is not below the value; the first above it
         place = torch.searchsorted(edges, samples.value.double(), right=right)
@@ -147,12 +131,12 @@ def closed_loop_error(walk: Tensor, true: Tensor, shared: Tensor) -> Tensor:
 
 
 def padded(xy: Tensor, walk: Tensor, walks: int) -> tuple[Tensor, Tensor]:
-    """Return all positions (N, 2) as walks (W, L, 2), zero after each one's end, and their lengths (W,)."""
+    """Return all rows (N, D) as walks (W, L, D), zero after each one's end, and their lengths (W,)."""
     length = torch.bincount(walk, minlength=walks)
     order = walk.argsort(stable=True)
     first = length.cumsum(0) - length
     place = torch.arange(len(walk)) - first[walk[order]]
-    result = xy.new_zeros(walks, int(length.max()) if walks else 0, 2)
+    result = xy.new_zeros(walks, int(length.max()) if walks else 0, *xy.shape[1:])
     result[walk[order], place] = xy[order]
     return result, length
 

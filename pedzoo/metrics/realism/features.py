@@ -120,17 +120,11 @@ def every_step(rollout: Rollout) -> SampledRollout:
         rollout.person[..., points].where(rollout.present[..., points], -1)
         for points in (slice(1), slice(last, None, WINDOW))
     )
-    before = first.where(rollout.controlled[..., :1], -1)
-    person = torch.cat((before, first, person), dim=2)
+    person = torch.cat((first.where(rollout.controlled[..., :1], -1), first, person), dim=2)
     xy = torch.cat((rollout.past[:, :, -1 - WINDOW :: WINDOW], rollout.trace[:, :, last::WINDOW]), dim=2)
-    known = torch.zeros_like(person, dtype=torch.bool)
-    known[..., 1:] = (person[..., 1:] == person[..., :-1]) & (person[..., 1:] >= 0)
-    velocity = torch.zeros_like(xy)
-    velocity[:, :, 1:] = xy.diff(dim=2) / STEP_SECONDS
-    scored = torch.zeros_like(known)
-    walks = rollout.controlled & (rollout.reached < rollout.goals)
-    scored[..., 2:] = walks[..., last::WINDOW]
-    return SampledRollout(xy, person, velocity, known, scored & known, rollout.radius)
+    known = _later((person[..., 1:] == person[..., :-1]) & (person[..., 1:] >= 0))
+    walks = (rollout.controlled & (rollout.reached < rollout.goals))[..., last::WINDOW]
+    return SampledRollout(xy, person, _velocity(xy), known, _later(walks, 2) & known, rollout.radius)
 
 
 def coarse(steps: SampledRollout) -> SampledRollout:
@@ -139,57 +133,40 @@ def coarse(steps: SampledRollout) -> SampledRollout:
     A position is the mean of those before, at and after its step, of the same person. Steps next to a
     person's first or last one have no such mean: others see them as they are, and they are not scored.
     """
-    person = steps.person
-    same = torch.zeros_like(steps.known)
+    person, same, xy = steps.person, torch.zeros_like(steps.known), steps.xy.clone()
     same[..., 1:-1] = steps.known[..., 1:-1] & steps.known[..., 2:]
-    mean = steps.xy.clone()
-    mean[:, :, 1:-1] = (steps.xy[:, :, :-2] + steps.xy[:, :, 1:-1] + steps.xy[:, :, 2:]) / 3
-    xy = torch.where(same.unsqueeze(3), mean, steps.xy)
-    known = torch.zeros_like(same)
-    known[..., 1:] = same[..., 1:] & same[..., :-1] & (person[..., 1:] == person[..., :-1])
-    return _moved(steps, xy)._replace(known=known, scored=steps.scored & known)
+    xy[:, :, 1:-1] = (steps.xy[:, :, :-2] + steps.xy[:, :, 1:-1] + steps.xy[:, :, 2:]) / 3
+    xy = torch.where(same.unsqueeze(3), xy, steps.xy)
+    known = _later(same[..., 1:] & same[..., :-1] & (person[..., 1:] == person[..., :-1]))
+    return steps._replace(xy=xy, velocity=_velocity(xy), known=known, scored=steps.scored & known)
 
 
 def to_millimetres(steps: SampledRollout) -> SampledRollout:
     """Return the steps with positions rounded to 1 mm: else a file's decimals tell two crowds apart."""
-    return _moved(steps, (steps.xy.double() * 1000).round().div(1000).float())
+    xy = (steps.xy.double() * 1000).round().div(1000).float()
+    return steps._replace(xy=xy, velocity=_velocity(xy))
 
 
-def _moved(steps: SampledRollout, xy: Tensor) -> SampledRollout:
-    """Return the steps at other positions (E, A, S, 2)."""
-    velocity = torch.zeros_like(xy)
-    velocity[:, :, 1:] = xy.diff(dim=2) / STEP_SECONDS
-    return steps._replace(xy=xy, velocity=velocity)
+def _velocity(xy: Tensor) -> Tensor:
+    """Return velocities (E, A, S, 2) of positions, 0 in the first step."""
+    return functional.pad(xy.diff(dim=2) / STEP_SECONDS, (0, 0, 1, 0))
 
 
-class _Rows(NamedTuple):
-    """The scored steps: episode, slot, step and person of each row (M,)."""
-
-    episode: Tensor
-    slot: Tensor
-    step: Tensor
-    person: Tensor
-
-    @classmethod
-    def of(cls, steps: SampledRollout) -> "_Rows":
-        episode, slot, step = steps.scored.nonzero().unbind(1)
-        return cls(episode, slot, step, steps.person[episode, slot, step])
-
-    def before(self, value: Tensor) -> Tensor:
-        """Return values (E, A, S, ...) one step earlier."""
-        return value[self.episode, self.slot, (self.step - 1).clamp_min(0)]
+def _later(flags: Tensor, steps: int = 1) -> Tensor:
+    """Return flags (E, A, S) of the steps after the first ones, which have none."""
+    return functional.pad(flags, (steps, 0))
 
 
 def surroundings(steps: SampledRollout) -> Surroundings:
     """Return the surroundings of every scored step; others count whether scored or played back."""
-    rows = _Rows.of(steps)
+    episode, slot, step = steps.scored.nonzero().unbind(1)
     xy, velocity, there, known = (
         value.transpose(1, 2).flatten(0, 1)  # (E x S, A): people present at once
         for value in (steps.xy, steps.velocity, steps.person >= 0, steps.known)
     )
-    radius = steps.radius.unsqueeze(1).expand(-1, steps.xy.shape[2], -1).flatten(0, 1)
-    moment = rows.episode * steps.xy.shape[2] + rows.step
-    return others_of(xy, velocity, there, known, radius, moment, rows.slot)
+    length = steps.xy.shape[2]
+    radius = steps.radius.repeat_interleave(length, 0)
+    return others_of(xy, velocity, there, known, radius, episode * length + step, slot)
 
 
 def others_of(
@@ -214,44 +191,30 @@ def others_of(
         slot: Slot of each row (M,) long.
         smooth: Times between 0 and 10 s are those of `touch_seconds`, which have gradients.
     """
-    size, parts = max(1, _AT_ONCE // xy.shape[1]), []
-    for when, own in zip(moment.split(size), slot.split(size), strict=True):
-        parts.append(_others(xy, velocity, there, known, radius, when, own, smooth))
+    people, parts = xy.shape[1], []
+    size = max(1, _AT_ONCE // people)
+    for now, me in zip(moment.split(size), slot.split(size), strict=True):
+        own, body = me.unsqueeze(1), radius[now].to(xy)
+        reach = body + body.gather(1, own)
+        with torch.no_grad():
+            away, moves = (value[now] - value[now, me].unsqueeze(1) for value in (xy, velocity))
+            others = there[now].scatter(1, own, False)
+            apart = torch.hypot(away[..., 0], away[..., 1]).masked_fill(~others, math.inf)
+            padded = functional.pad(apart, (0, max(0, 2 - people)), value=math.inf)
+            distance, two = padded.topk(2, largest=False)
+            seconds = collision_seconds(away, moves, reach).masked_fill(~(others & known[now]), HORIZON)
+            seconds, first = seconds.min(1)
+        absent, at = distance.isinf().unsqueeze(2), (now.unsqueeze(1), two.clamp_max(people - 1))
+        place = (xy[at] - xy[now, me].unsqueeze(1)).masked_fill(absent, math.inf)
+        moving = (velocity[at] - velocity[now, me].unsqueeze(1)).masked_fill(absent, 0.0)
+        if smooth:
+            meets = ((seconds > 0) & (seconds < HORIZON)).nonzero()[:, 0]
+            mine, them = (now[meets], me[meets]), (now[meets], first[meets])
+            reached = reach[meets, first[meets]]
+            touch = touch_seconds(xy[them] - xy[mine], velocity[them] - velocity[mine], reached)
+            seconds = seconds.to(xy).index_put((meets,), touch)
+        parts.append(Surroundings(place, moving, seconds, (apart < CLOSE).sum(1)))
     return Surroundings(*(torch.cat(values) for values in zip(*parts, strict=True)))
-
-
-def _others(
-    xy: Tensor,
-    velocity: Tensor,
-    there: Tensor,
-    known: Tensor,
-    radius: Tensor,
-    moment: Tensor,
-    slot: Tensor,
-    smooth: bool,
-) -> Surroundings:
-    """Return `others_of` for as many rows as are compared at once."""
-    own, people = slot.unsqueeze(1), xy.shape[1]
-    body = radius[moment].to(xy)
-    reach = body + body.gather(1, own)
-    with torch.no_grad():
-        both = (*xy.detach().unbind(-1), *velocity.detach().unbind(-1))
-        x, y, vx, vy = (value - value.gather(1, own) for value in (value[moment] for value in both))
-        others = there[moment].scatter(1, own, False)
-        apart = x.square().addcmul_(y, y).sqrt_().masked_fill_(~others, math.inf)
-        distance, two = functional.pad(apart, (0, max(0, 2 - people)), value=math.inf).topk(2, largest=False)
-        absent = distance.isinf().unsqueeze(2)
-        when = collision_seconds(x, y, vx, vy, reach).masked_fill_(~(others & known[moment]), HORIZON)
-        seconds, first = when.min(1)
-    at = moment.unsqueeze(1), two.clamp_max(people - 1)
-    place = (xy[at] - xy[moment, slot].unsqueeze(1)).masked_fill(absent, math.inf)
-    moving = (velocity[at] - velocity[moment, slot].unsqueeze(1)).masked_fill(absent, 0.0)
-    if smooth:
-        meets = ((seconds > 0) & (seconds < HORIZON)).nonzero()[:, 0]
-        me, them = (moment[meets], slot[meets]), (moment[meets], first[meets])
-        touch = touch_seconds(xy[them] - xy[me], velocity[them] - velocity[me], reach[meets, first[meets]])
-        seconds = seconds.to(xy).index_put((meets,), touch)
-    return Surroundings(place, moving, seconds, (apart < CLOSE).sum(1))
 
 
 def step_features(
@@ -290,12 +253,18 @@ def step_features(
 
 def features(steps: SampledRollout, around: Surroundings, start: Tensor, goal: Tensor) -> dict[str, Samples]:
     """Return the samples of `step_features` of a rollout, of lines from ``start`` to ``goal`` (P, 2)."""
-    rows = _Rows.of(steps)
-    person = rows.person
-    before = rows.before(steps.velocity).where(rows.before(steps.known).unsqueeze(1), math.nan)
+    person, before, known = steps.person[steps.scored], *_before(steps)
+    before = before.where(known.unsqueeze(1), math.nan)
     offset = steps.xy[steps.scored] - start[person]
     values = step_features(steps.velocity[steps.scored], before, around, offset, (goal - start)[person])
     return {name: Samples(value, person[which]) for name, (value, which) in values.items()}
+
+
+def _before(steps: SampledRollout) -> tuple[Tensor, Tensor]:
+    """Return the velocities one step before the scored ones (M, 2), and which are known (M,) bool."""
+    episode, slot, step = steps.scored.nonzero().unbind(1)
+    at = episode, slot, (step - 1).clamp_min(0)
+    return steps.velocity[at], steps.known[at]
 
 
 def turns(before: Tensor, now: Tensor) -> Tensor:
@@ -313,18 +282,17 @@ def clips(steps: SampledRollout, around: Surroundings, start: Tensor, goal: Tens
         start: Where the policy took each person over (P, 2), metres.
         goal: Their exits (P, 2), metres.
     """
-    rows = _Rows.of(steps)
-    person, now = rows.person, steps.velocity[steps.scored]
+    episode, slot, step = steps.scored.nonzero().unbind(1)
+    person, now = steps.person[steps.scored], steps.velocity[steps.scored]
     if not len(person):
         return Clips(torch.zeros(0, LENGTH * len(CHANNELS)), person)
     way, away = (goal - start)[person], goal[person] - steps.xy[steps.scored]
-    change = (now - rows.before(steps.velocity)) / STEP_SECONDS
-    change = change.where(rows.before(steps.known).unsqueeze(1), 0.0)
+    before, known = _before(steps)
+    change = ((now - before) / STEP_SECONDS).where(known.unsqueeze(1), 0.0)
     value = clip_steps(now, change, around, way, away)
     row = torch.arange(len(person))  # rows of one slot are in the order of time
     begins = torch.ones_like(row, dtype=torch.bool)
-    begins[1:] = torch.stack([of.diff() for of in (person, rows.slot, rows.episode)]).any(0)
-    begins[1:] |= rows.step.diff() != 1
+    begins[1:] = torch.stack([of.diff() for of in (person, slot, episode)]).any(0) | (step.diff() != 1)
     since = row - torch.where(begins, row, 0).cummax(0).values
     last = row[since >= LENGTH - 1]
     return Clips(value[last.unsqueeze(1) + torch.arange(1 - LENGTH, 1)].flatten(1), person[last])

@@ -82,7 +82,9 @@ def two_sample(simulated: Clips, real: Clips, parts: Tensor, real_parts: Tensor)
         UserError: scikit-learn is not installed.
     """
     need("score", "a score of realism")
-    simulated, real = _thinned(simulated), _thinned(real)
+    simulated, real = (
+        Clips(*(value[:: max(1, -(-len(one.person) // MOST))] for value in one)) for one in (simulated, real)
+    )
     rows = torch.cat((simulated.value, real.value)).double().numpy()
     label = np.concatenate((np.ones(len(simulated.person)), np.zeros(len(real.person))))
     part = torch.cat((parts[simulated.person], real_parts[real.person])).numpy()
@@ -194,8 +196,3 @@ def auc(verdict: Verdict, mine: Tensor, theirs: Tensor) -> Tensor:
     above, below = sums
     before = below.cumsum(1) - below / 2
     return (above * before).sum(1) / (above.sum(1) * below.sum(1))
-
-
-def _thinned(one: Clips) -> Clips:
-    every = -(-len(one.person) // MOST) if len(one.person) else 1
-    return Clips(one.value[::every], one.person[::every])

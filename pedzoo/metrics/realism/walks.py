@@ -6,7 +6,7 @@ that the policy moves, or should have moved.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import torch
@@ -14,9 +14,10 @@ from torch import Tensor
 
 from pedzoo.core.types import STEP_SECONDS, TRACE_SECONDS
 from pedzoo.metrics.arrival import stuck
-from pedzoo.metrics.door import flow
+from pedzoo.metrics.door import flow, passing_seconds
 from pedzoo.metrics.realism.distances import closed_loop_error, dtw, padded, sums, wasserstein
 from pedzoo.metrics.realism.features import SampledRollout, every_step
+from pedzoo.metrics.statistics import quantiles
 from pedzoo.sim.recorded_people import NEAR, TOGETHER
 from pedzoo.sim.rollout import Rollout
 
@@ -75,7 +76,7 @@ class Walks(NamedTuple):
     Attributes:
         episode: (W,) long.
         person: (W,) long.
-        deadlock: Which walks had a `deadlocked` person, as in `pedzoo.metrics.arrival` (W,) bool.
+        deadlock: In which walks the person was once `stuck`, see `pedzoo.metrics.arrival` (W,) bool.
         seconds: From when the policy took over until within 0.3 m of the goal; NaN for never. A replay takes
             out people who need more than twice the recorded time.
         ade: Mean distance to the recorded positions of the same times, metres; NaN without any.
@@ -89,33 +90,18 @@ class Walks(NamedTuple):
     ade: Tensor
     dtw: Tensor
 
-    def by_person(self, value: Tensor, scenes: int, people: int) -> Tensor:
-        """Return values (W,) as a table (K, P) of rounds of ``scenes``, NaN where there was no walk."""
+    def by_person(self, scenes: int, people: int) -> dict[str, Tensor]:
+        """Return success, deadlock, seconds, ade and dtw as tables (K, P) of rounds of ``scenes``.
+
+        NaN where there was no walk.
+        """
         rounds = int(self.episode.max()) // scenes + 1
-        table = torch.full((rounds, people), torch.nan, dtype=torch.float64)
-        table[self.episode // scenes, self.person] = value.double()
-        return table
-
-
-class WalksByPerson(NamedTuple):
-    """Walks of P people in K rounds, (K, P) each, NaN for no walk; ``real_seconds`` is (P,)."""
-
-    success: Tensor
-    deadlock: Tensor
-    seconds: Tensor
-    ade: Tensor
-    dtw: Tensor
-    real_seconds: Tensor
-
-    @classmethod
-    def of(cls, walks: Walks, real_seconds: Tensor, scenes: int) -> WalksByPerson:
-        """Return those of walks in rounds of ``scenes``, beside the recorded times (P,)."""
-        success = ~walks.seconds.isnan()
-        success, deadlock, seconds, ade, warped = (
-            walks.by_person(value, scenes, len(real_seconds))
-            for value in (success, walks.deadlock, walks.seconds, walks.ade, walks.dtw)
-        )
-        return cls(success, deadlock, seconds, ade, warped, real_seconds)
+        values = self._asdict() | {"success": ~self.seconds.isnan()}
+        tables = {}
+        for name in ("success", "deadlock", "seconds", "ade", "dtw"):
+            tables[name] = torch.full((rounds, people), torch.nan, dtype=torch.float64)
+            tables[name][self.episode // scenes, self.person] = values[name].double()
+        return tables
 
 
 def tracks_of(parts: Sequence[Rollout], people: int) -> RecordedWalks:
@@ -167,17 +153,18 @@ def walks_of(
     )
 
 
-def of_people(tables: WalksByPerson, weights: Tensor) -> dict[str, Tensor]:
-    """Return values that are means or medians over people, for weights (R, P), (R,) each."""
-    ratio = (tables.seconds / tables.real_seconds).nanmedian(0).values
-    walks = weights @ (~tables.success.isnan()).sum(0).double()
-    result = {
-        "success": weights @ tables.success.nansum(0) / walks,
-        "deadlock": weights @ tables.deadlock.nansum(0) / walks,
-        "time_ratio_median": _median(ratio, weights),
-        "dtw_m": person_mean(tables.dtw.nanmean(0), weights),
-    }
-    return result | person_errors(tables.ade, weights)
+def of_people(tables: Mapping[str, Tensor], real_seconds: Tensor, weights: Tensor) -> dict[str, Tensor]:
+    """Return means and medians over people (R,), for weights (R, P).
+
+    ``tables`` are those of `Walks.by_person`; ``real_seconds`` (P,) is how long the recorded walks took.
+    """
+    walks = weights @ (~tables["success"].isnan()).sum(0).double()
+    result = {name: weights @ tables[name].nansum(0) / walks for name in ("success", "deadlock")}
+    ratio = (tables["seconds"] / real_seconds).nanmedian(0).values
+    (person,) = (~ratio.isnan()).nonzero(as_tuple=True)
+    result["time_ratio_median"] = quantiles(ratio[person], person, weights, (0.5,))[:, 0]
+    result["dtw_m"] = person_mean(tables["dtw"].nanmean(0), weights)
+    return result | person_errors(tables["ade"], weights)
 
 
 def person_errors(error: Tensor, weights: Tensor) -> dict[str, Tensor]:
@@ -207,16 +194,6 @@ def _seconds(rollout: Rollout, number: Tensor, count: int) -> Tensor:
 def person_mean(value: Tensor, weights: Tensor) -> Tensor:
     """Return the weighted mean (R,) of the values (P,) that are not NaN."""
     return weights @ value.nan_to_num() / (weights @ (~value.isnan()).double())
-
-
-def _median(value: Tensor, weights: Tensor) -> Tensor:
-    """Return the weighted lower median (R,) of the values (P,) that are not NaN."""
-    order = value.argsort()[: int((~value.isnan()).sum())]
-    if not len(order):
-        return torch.full((len(weights),), torch.nan, dtype=torch.float64)
-    until = weights[:, order].cumsum(1)
-    place = torch.searchsorted(until, until[:, -1:] / 2).squeeze(1)
-    return value[order][place].where(until[:, -1] > 0, torch.nan)
 
 
 def companions(real: ScoredSteps) -> Tensor:
@@ -261,29 +238,24 @@ def through(walks: ScoredSteps, opening: Tensor) -> dict[str, float]:
         walks: Scored steps; people who leave have to be seen behind the opening.
         opening: Centre x and y, unit normal x and y of its wall, clear width (5,); metres.
     """
-    rounds = [_through(one.person, one.frame, one.xy, opening) for one in walks.rounds()]
+    rounds = [_through(one, opening) for one in walks.rounds()]
     names = dict.fromkeys(name for one in rounds for name in one)
     return {name: sum(one[name] for one in rounds if name in one) / len(rounds) for name in names}
 
 
-def _through(person: Tensor, frame: Tensor, xy: Tensor, opening: Tensor) -> dict[str, float]:
-    people, who = person.unique(return_inverse=True)
-    order = torch.argsort(who * (int(frame.max()) + 1) + frame)
-    who, frame, off = who[order], frame[order].double(), xy[order].double() - opening[:2]
-    ahead = off @ opening[2:4].double()
-    beside = off[:, 1] * opening[2] - off[:, 0] * opening[3]
-    crossed = (ahead[1:] >= 0) != (ahead[:-1] >= 0)
-    at = ahead[:-1] / (ahead[:-1] - ahead[1:])  # share of the step that is before the line
-    between = (beside[:-1] + at * beside.diff()).abs()
-    crossed &= (who[1:] == who[:-1]) & (between <= opening[4] / 2)
-    count = torch.bincount(who[1:][crossed], minlength=len(people))
-    last = torch.full((len(people),), -torch.inf, dtype=torch.float64)
-    when = (frame[:-1] + at * frame.diff())[crossed] * STEP_SECONDS
-    last.scatter_reduce_(0, who[1:][crossed], when, "amax")
-    passed = last[count % 2 == 1].sort().values
+def _through(walks: ScoredSteps, opening: Tensor) -> dict[str, float]:
+    people, who = walks.person.unique(return_inverse=True)
+    place, length = padded(torch.cat((walks.xy, walks.frame.unsqueeze(1)), 1).double(), who, len(people))
+    there = torch.arange(1, place.shape[1]) < length.unsqueeze(1)
+    gate = opening.double().unsqueeze(0)
+    at = passing_seconds(place[None, ..., :2], there.unsqueeze(0), gate)[0] / TRACE_SECONDS  # in steps
+    (got,) = at.isfinite().nonzero(as_tuple=True)
+    step = (at[got].ceil().long() - 1).clamp(0, place.shape[1] - 2)
+    frame, after = place[got, step, 2], place[got, step + 1, 2]
+    passed = (frame + (at[got] - step) * (after - frame)).sort().values * STEP_SECONDS
     result = {"opening_through_share": len(passed) / len(people)}
     if len(passed) > 1 and passed[-1] > passed[0]:
-        number, room = flow(passed.unsqueeze(0), opening.unsqueeze(0))
+        number, room = flow(passed.unsqueeze(0), gate)
         result["specific_flow_per_m_s"] = float(number / room)
         for name, share in HEADWAYS.items():
             result[f"opening_headway_{name}_s"] = float(passed.diff().quantile(share))

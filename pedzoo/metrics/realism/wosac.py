@@ -48,12 +48,7 @@ Ranges = Mapping[str, tuple[float, float]]
 
 
 class LogSums(NamedTuple):
-    """Log likelihoods of a feature.
-
-    Attributes:
-        total: Sum over the people and steps of each window (W,).
-        count: How many these are (W,).
-    """
+    """Log likelihoods of a feature: the sum over people and steps of each window, and their number (W,)."""
 
     total: Tensor
     count: Tensor

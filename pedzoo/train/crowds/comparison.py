@@ -177,9 +177,7 @@ def _nearest_two(walk: CrowdWalk, velocity: Tensor, where: tuple[Tensor, ...]) -
         apart = functional.pad(apart, (0, max(0, 2 - people)), value=torch.inf)
         distance, nearest = apart.topk(2, largest=False)
         reach = torch.full_like(away[..., 0], 2 * BODY_RADIUS)
-        # copies: collision_seconds works in place
-        x, y, vx, vy = (value.clone() for value in (*away.unbind(2), *moves.unbind(2)))
-        seconds = collision_seconds(x, y, vx, vy, reach).masked_fill(absent, HORIZON)
+        seconds = collision_seconds(away, moves, reach).masked_fill(absent, HORIZON)
         seconds, first = seconds.min(1)
     two = nearest.clamp_max(people - 1).unsqueeze(2).expand(-1, -1, 2)
     one = first.view(-1, 1, 1).expand(-1, 1, 2)
