@@ -38,13 +38,7 @@ RELATIVE, ABSOLUTE = 1e-3, 1e-5
 
 
 class RepeatedReport(NamedTuple):
-    """An evaluation of a card, and the same one done now.
-
-    Attributes:
-        before: The card's report.
-        now: Today's; None where it cannot be made here.
-        why: Why not.
-    """
+    """A card's report, and that of today; None where it cannot be made here, and why not."""
 
     before: Report
     now: Report | None
@@ -118,12 +112,9 @@ def measure(
 
 
 def measure_robot(name: str, people: str, robot: str) -> Report:
-    """Return the report for a robot's card: every scene of the suite ``robots``, among its own people.
+    """Return the report for the card of a robot's weights ``name``, in every scene of the suite ``robots``.
 
-    Args:
-        name: The weights.
-        people: Policy of the people in its training.
-        robot: Its body.
+    ``people`` is the policy of the people in its training, ``robot`` its body.
     """
     protocol = {"suites": ["robots"], "episodes": ROBOT_EPISODES, "people": [people], "robot": robot}
     return _for_card(report_of("evaluate", Job(name, protocol, [SEED])), name)
@@ -163,49 +154,40 @@ def compare(before: Report, now: Report) -> list[ComparedNumber]:
     the card's interval: on another machine a rounded digit sends an episode another way.
     """
     walks = before["command"] == "evaluate"
-    today = {_case(row): row for row in now["rows"]}
-    result = []
+    today, result = {_case(row): row for row in now["rows"]}, []
     for row in before["rows"]:
-        numbers, other = {"n": row["n"], **row["metrics"]}, today.get(_case(row))
+        other = today.get(_case(row))
         others = {"n": other["n"], **other["metrics"]} if other else {}
-        for metric, card in numbers.items():
+        for metric, card in {"n": row["n"], **row["metrics"]}.items():
             value, interval = others.get(metric), row["ci95"].get(metric) if walks else None
-            same = _same(card, value, interval, chance=walks and metric != "n")
+            same: bool | None = False
+            if value is not None and math.isclose(card, value, rel_tol=RELATIVE, abs_tol=ABSOLUTE):
+                same = True
+            elif value is not None and interval:
+                same = interval[0] <= value <= interval[1]
+            elif value is not None and walks and metric != "n":
+                same = None
             result.append(ComparedNumber(_case(row), metric, card, value, interval, same))
     return result
 
 
-_ROW = ("table", "case", "n", "cases", "metrics", "ci95")
-
-
 def _for_card(report: Report, name: str) -> Report:
     """Return a report with rows called ``name``, without what a card does not need, and digits beyond six."""
+
+    def short(value: Any) -> Any:
+        return float(f"{value:.6g}") if isinstance(value, float | int) else [short(end) for end in value]
+
     rows = []
     for row in report["rows"]:
-        short = {"name": name, **only(row, _ROW)}
-        short["metrics"] = {key: _short(value) for key, value in row["metrics"].items()}
-        short["ci95"] = {key: [_short(end) for end in ends] for key, ends in row["ci95"].items()}
-        rows.append(short)
+        rows.append({"name": name, **only(row, ("table", "case", "n", "cases"))})
+        for kind in ("metrics", "ci95"):
+            rows[-1][kind] = {key: short(value) for key, value in row[kind].items()}
     return report | {"rows": rows}
-
-
-def _short(value: float) -> float:
-    return float(f"{value:.6g}")
 
 
 def _case(row: Report) -> str:
     """Return whose numbers a row has: a table's of the closed loop, or a fold's."""
     return str(row.get("table") or " ".join(map(str, row["case"].values())))
-
-
-def _same(card: float, now: float | None, interval: Sequence[float] | None, chance: bool) -> bool | None:
-    if now is None:
-        return False
-    if math.isclose(card, now, rel_tol=RELATIVE, abs_tol=ABSOLUTE):
-        return True
-    if interval:
-        return interval[0] <= now <= interval[1]
-    return None if chance else False
 
 
 class Job(NamedTuple):
@@ -269,27 +251,22 @@ def _forecasts(job: Job) -> tuple[Report, list[Report]]:
 
 
 def _walks(job: Job) -> tuple[Report, list[Report]]:
-    asked: dict[str, Any] = {
-        key: tuple(value) if isinstance(value, list) else value
-        for key, value in only(job.protocol, EvaluationOptions._fields).items()
-    }
-    options = EvaluationOptions(**asked)._replace(root=job.root)
+    asked = only(job.protocol, EvaluationOptions._fields)
+    lists = {key: tuple(value) for key, value in asked.items() if isinstance(value, list)}
+    options = EvaluationOptions(**asked | lists)._replace(root=job.root)
     still = job.protocol.get("deterministic", False)
     evaluation = Evaluation([job.model], job.protocol["suites"], options, job.seeds, still)
     tell = job.progress or (lambda *_: None)
     evaluation.run(job.workers, progress=lambda step: tell(about(job.protocol), step.units, step.total))
     result = evaluation.report()
     # a folder is not the same on another machine, and what was not asked for needs no word
-    protocol = {
-        key: list(value) if isinstance(value, tuple) else value
-        for key, value in result["protocol"].items()
-        if key != "root" and value
-    }
+    known = {key: value for key, value in result["protocol"].items() if key != "root" and value}
+    lists = {key: list(value) for key, value in known.items() if isinstance(value, tuple)}
     rows = []
     for row in result["summary"]:
         shown = evaluation.shown[row["case"]["suite"]].columns
         rows.append(row | {key: only(row[key], shown) for key in ("metrics", "ci95")})
-    return protocol, rows
+    return known | lists, rows
 
 
 class _Forecast(TypedDict):

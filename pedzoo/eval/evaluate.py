@@ -1,6 +1,7 @@
 """The closed-loop evaluation: policies on suites of cases, in units that workers share."""
 
-from collections.abc import Sequence
+import time
+from collections.abc import Iterable, Sequence
 from contextlib import closing
 from functools import partial
 from inspect import isabstract
@@ -8,13 +9,13 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from pedzoo.core.errors import UserError, as_integer, at_least_one
+from pedzoo.core.errors import UserError, as_integer, at_least_one, known_arguments
 from pedzoo.core.machine import usable
 from pedzoo.core.registry import SUITES
 from pedzoo.eval.parallel import Backend, finished
 from pedzoo.eval.results import SuiteColumns, summary
-from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, OwnRecordings, Suite, WorkUnit, check_names
-from pedzoo.eval.work_units import Journal, Progress, ProgressMeter, Rows, digest, work
+from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite, WorkUnit
+from pedzoo.eval.work_units import Journal, Progress, ProgressReport, Rows, digest, work
 from pedzoo.metrics.closed_loop import NAMES, named
 from pedzoo.sim.arrival import check_deadline
 from pedzoo.sim.make import physics_class
@@ -25,31 +26,22 @@ SUITE_NAMES = ("door", "goals", "encounters", "replay")
 _IF_GIVEN = ("people", "robot", "own", "keep_episodes", "clearance", "deadline")
 """Options that a protocol names only where they are given."""
 
+_LISTS = ("maps", "metrics", "folds", "people")
+"""Options that may be one name, or several."""
 
+
+@known_arguments(EvaluationOptions)
 def evaluate(
     policies: Sequence[str],
     suites: Sequence[str] = SUITE_NAMES,
-    episodes: int | None = None,
+    *,
     seeds: Sequence[int] = (0,),
-    quick: bool = False,
     deterministic: bool = False,
-    physics: str | None = None,
-    maps: Sequence[str | Path] = (),
-    root: str | Path | None = None,
-    rollouts: int | None = None,
-    device: str = "cpu",
-    metrics: Sequence[str] = (),
-    folds: Sequence[str] = (),
-    people: Sequence[str] = (),
-    robot: str | None = None,
-    own: OwnRecordings | None = None,
-    keep_episodes: int = 0,
-    clearance: float | None = None,
-    deadline: float | None = None,
     workers: int = 1,
     backend: Backend = "processes",
     resume: str | Path | None = None,
     progress: Progress | None = None,
+    **options: Any,
 ) -> dict[str, Any]:
     """Evaluate policies in closed loop and return the report that ``pedzoo evaluate`` prints and writes.
 
@@ -57,30 +49,13 @@ def evaluate(
         policies: Names with settings, or mixed crowds, as of `pedzoo.policies.load.load_policy`; for the
             suite ``robots`` as of `pedzoo.policies.load.load_robot_policy`.
         suites: ``door``, ``goals``, ``encounters`` and ``replay``; ``robots``; or ``file.py:Class``.
-        episodes: Per case and seed; None for the suites' own numbers. Not of recordings: see ``rollouts``.
         seeds: Of the scenes. Their episodes count as one sample.
-        quick: A tenth of the episodes, and of the time of recordings.
         deterministic: Models walk with noise zero.
-        physics: ``compiled``, ``torch``, ``bullet`` or ``file.py:Class`` for all suites; None for their own.
-        maps: Floor plans on which ``goals`` is walked too: every episode of five more cases draws one.
-        root: Folder with recordings; None for the variable ``PEDZOO_DATA``.
-        rollouts: Of a policy with noise, on recordings; None for 3, or 1 if quick.
-        device: Where scenes and policies are, such as ``cuda``.
-        metrics: More columns of all tables: names of metrics, or ``path/to/file.py:f``.
-        folds: Of recordings that ``replay`` walks, as ``zara1`` or ``file.py:Class:fold``; none for all that
-            are found.
-        people: Policies of the people beside robots, with settings, and ``replay``, with settings of the
-            scenario, for recorded people who do not react.
-        robot: The body of robots, ``diff_drive:radius=0.35``.
-        own: Recordings of one's own, which ``replay`` walks instead of folds.
-        keep_episodes: So many episodes of every row keep their positions, for ``pedzoo report``.
-        clearance: Metres that planned ways keep from walls; None for the suites' own. Not of robots.
-        deadline: Seconds that people have for every goal; by default four times as many as their way takes
-            freely, at least 20. Not of robots and recordings.
         workers: Processes; the report is the same for any number.
         backend: What they are: ``processes`` of this machine, or ``ray``.
         resume: A file of finished parts: those are not done again.
         progress: Called whenever there is something to tell.
+        options: Fields of `pedzoo.eval.suite.EvaluationOptions`: ``episodes``, ``quick``, ``physics``, ...
 
     Returns:
         ``protocol``; ``seeds``; ``notes``; ``rows``, one per policy and case; and ``summary``, one row per
@@ -90,31 +65,14 @@ def evaluate(
     Raises:
         UserError: An unknown name, or a setting that cannot be, before anything has walked.
     """
-    options = EvaluationOptions(
-        episodes=episodes,
-        quick=quick,
-        physics=physics,
-        maps=_texts(maps),
-        root=None if root is None else str(root),
-        rollouts=rollouts,
-        device=device,
-        metrics=_texts(metrics),
-        folds=_texts(folds),
-        people=_texts(people),
-        robot=robot,
-        own=own,
-        keep_episodes=keep_episodes,
-        clearance=clearance,
-        deadline=deadline,
-    )
-    evaluation = Evaluation(policies, suites, options, seeds, deterministic, resume)
+    for key in _LISTS & options.keys():
+        given = options[key]
+        options[key] = tuple(map(str, (given,) if isinstance(given, str | Path) else given))
+    if options.get("root") is not None:
+        options["root"] = str(options["root"])
+    evaluation = Evaluation(policies, suites, EvaluationOptions(**options), seeds, deterministic, resume)
     evaluation.run(workers, backend, progress)
     return evaluation.report()
-
-
-def _texts(given: str | Path | Sequence[str | Path]) -> tuple[str, ...]:
-    """Return one or several names or paths as texts."""
-    return tuple(map(str, (given,) if isinstance(given, str | Path) else given))
 
 
 class Evaluation:
@@ -138,23 +96,13 @@ class Evaluation:
         resume: str | Path | None = None,
     ) -> None:
         """Say what is to be done; wrong names are refused here. Arguments and errors as of `evaluate`."""
-        options = options or EvaluationOptions()
-        usable(options.device)
-        if options.own and options.folds:
-            raise UserError("--data.files are instead of --data.fold: leave one of them out")
-        if (kept := as_integer("keep_episodes", options.keep_episodes)) < 0:
-            raise UserError(f"keep_episodes {kept}: expected 0 or more")
-        options = options._replace(keep_episodes=kept)
-        for key in ("episodes", "rollouts"):
-            if (number := getattr(options, key)) is not None:
-                options = options._replace(**{key: at_least_one(key, number)})
-        self.options = options
-        self._policies = check_names("policies", policies)
+        self.options = options = _checked(options or EvaluationOptions())
+        self._policies = _names("policies", policies, "['orca', 'go_to_goal']")
         self._seeds = tuple(dict.fromkeys(as_integer("seeds", seed) for seed in seeds))
         if not self._seeds:
             raise UserError("no seeds: expected at least one")
         self._deterministic = deterministic
-        self._suites = [_suite(name) for name in dict.fromkeys(check_names("suites", suites))]
+        self._suites = [_suite(name) for name in _names("suites", suites, "['door', 'goals']")]
         _check_use(options, self._suites)
         given = {"device": options.device, "metrics": options.metrics, "keep_episodes": options.keep_episodes}
         self._columns = (*(name for name in options.metrics if name in NAMES), *named(options.metrics))
@@ -173,29 +121,39 @@ class Evaluation:
         self._digests = [digest(unit) if resume else "" for unit in self.units]
         self.journal = Path(resume) if resume else None
         self._journal = Journal(self.journal)
-        self._rows: dict[int, Rows] = {
-            number: self._journal.done[known]
-            for number, known in enumerate(self._digests)
-            if known in self._journal.done
-        }
+        done = self._journal.done
+        self._rows: dict[int, Rows] = {i: done[key] for i, key in enumerate(self._digests) if key in done}
         self.resumed = len(self._rows)
-        self.others = len(self._journal.done.keys() - set(self._digests))
+        self.others = len(done.keys() - set(self._digests))
 
     def run(self, workers: int = 1, backend: Backend = "processes", progress: Progress | None = None) -> None:
         """Do all units that are not done. Finished ones survive an interruption. See `evaluate`."""
-        meter = ProgressMeter(self.units, set(self._rows), progress)
         missing = [number for number in range(len(self.units)) if number not in self._rows]
         units = [self.units[number] for number in missing]
-        alone = workers == 1 and backend == "processes"
-        do = (lambda unit: work(unit, partial(meter.within, unit))) if alone else work
+        weights = [unit.case.episodes * len(unit.seeds) * unit.case.effort for unit in self.units]
+        start, total, before = time.perf_counter(), sum(weights), sum(weights[one] for one in self._rows)
+
+        def tell(number: int, share: float = 0.0, seconds: float | None = None) -> None:
+            if progress is None:
+                return
+            done = share * weights[number] + sum(weights[one] for one in self._rows)
+            mine, passed = done - before, time.perf_counter() - start
+            left = passed / mine * (total - done) if mine > 0 else None
+            counts = done / total, len(self._rows), len(self.units)
+            progress(ProgressReport(self.units[number].label, *counts, seconds, left))
+
+        def told(unit: WorkUnit) -> Rows:
+            return work(unit, partial(tell, self.units.index(unit)))
+
         if units:
-            meter.within(units[0], 0.0)
+            tell(missing[0])
+        do = told if workers == 1 and backend == "processes" else work
         with closing(finished(units, do, workers, backend, lambda unit: unit.group)) as results:
             for place, rows in results:
                 number = missing[place]
                 self._rows[number] = rows
                 self._journal.add(self._digests[number], rows)
-                meter.ended(number, rows[0]["seconds"]["wall"])
+                tell(number, seconds=rows[0]["seconds"]["wall"])
 
     @property
     def done(self) -> int:
@@ -226,11 +184,29 @@ class Evaluation:
     @property
     def shown(self) -> dict[str, SuiteColumns]:
         """What tables show of each suite."""
-        result = {}
-        for suite in self._suites:
-            columns = list(dict.fromkeys((*suite.columns, *self._columns)))
-            result[suite.name] = SuiteColumns(suite.headline, columns, suite.counted, suite.legend)
-        return result
+        return {
+            suite.name: SuiteColumns(
+                suite.headline,
+                list(dict.fromkeys((*suite.columns, *self._columns))),
+                suite.counted,
+                suite.legend,
+            )
+            for suite in self._suites
+        }
+
+
+def _names(what: str, given: Sequence[str], example: str) -> list[str]:
+    """Return ``given`` without repetitions; a single name need not be in a list."""
+    names = [given] if isinstance(given, str) else given
+    if not isinstance(names, Iterable):
+        raise UserError(f"{what} {given!r}: expected a name, or a list of names, as {example}")
+    names = list(names)
+    if not names:
+        raise UserError(f"no {what}: expected at least one")
+    for name in names:
+        if not isinstance(name, str):
+            raise UserError(f"{what}: {name!r} is no name: expected one list of names, as {example}")
+    return list(dict.fromkeys(names))
 
 
 def _suite(name: str) -> Suite:
@@ -261,16 +237,28 @@ def _cases(suite: Suite, options: EvaluationOptions) -> list[EvaluationCase]:
     return cases
 
 
+def _checked(options: EvaluationOptions) -> EvaluationOptions:
+    """Return options whose numbers are Python's own; errors as of `evaluate`."""
+    usable(options.device)
+    if options.own and options.folds:
+        raise UserError("--data.files are instead of --data.fold: leave one of them out")
+    if (kept := as_integer("keep_episodes", options.keep_episodes)) < 0:
+        raise UserError(f"keep_episodes {kept}: expected 0 or more")
+    numbers = {"episodes": options.episodes, "rollouts": options.rollouts}
+    known = {key: at_least_one(key, number) for key, number in numbers.items() if number is not None}
+    return options._replace(keep_episodes=kept, **known)
+
+
 def _check_use(options: EvaluationOptions, suites: Sequence[Suite]) -> None:
+    """Refuse options that no suite takes; errors as of `evaluate`."""
     robots = any("robot" in suite.accepted_options for suite in suites)
-    if options.clearance is not None:
-        if robots:
-            raise UserError("clearance: ways beside robots keep that of the bodies: leave it or robots out")
-        if options.clearance < 0:
-            raise UserError(f"clearance {options.clearance}: expected at least 0 m")
+    if robots and options.clearance is not None:
+        raise UserError("clearance: ways beside robots keep that of the bodies: leave it or robots out")
+    if robots and options.deadline is not None:
+        raise UserError("deadline: robots have their own times: leave it or robots out")
+    if options.clearance is not None and options.clearance < 0:
+        raise UserError(f"clearance {options.clearance}: expected at least 0 m")
     if options.deadline is not None:
-        if robots:
-            raise UserError("deadline: robots have their own times: leave it or robots out")
         check_deadline(options.deadline)
     for key in ("episodes", "maps", "rollouts", "folds", "people", "robot", "own"):
         if getattr(options, key) and not any(key in suite.accepted_options for suite in suites):

@@ -10,7 +10,7 @@ from collections.abc import Callable, Generator, Hashable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from functools import cache, partial
+from functools import cache
 from multiprocessing import active_children, get_context, parent_process
 from pathlib import Path
 from pickle import PicklingError
@@ -39,8 +39,8 @@ def finished(
 ) -> Generator[tuple[int, R], None, None]:
     """Do all jobs, each once, and yield the number and result of each as soon as it is there.
 
-    A job has one thread of torch, and the caller's exploration type and gradient mode. So results are equal
-    to the bit for any number of workers, as long as a job draws random numbers from seeds that it brings.
+    A job has one thread of torch. So results are equal to the bit for any number of workers, as long as a job
+    draws random numbers from seeds that it brings, and sets modes that it needs, as that without gradients.
     Its warnings are given in the caller's process. Closing the iterator, an error and Ctrl-C end all workers.
 
     Args:
@@ -114,12 +114,8 @@ def _there(
     jobs: Sequence[J], work: Callable[[J], R], queue: JobQueue, count: int, start: Callable[..., Any]
 ) -> Generator[tuple[int, R], None, None]:
     """Keep every worker busy, yield the results, show the jobs' warnings and raise their errors."""
-    from tensordict.nn.probabilistic import interaction_type  # torchrl's own takes 1.3 s more
-
-    kind = interaction_type()  # without one, a worker is ready 1.6 s earlier: it needs no tensordict
-    does = work if kind is None else partial(_exploring, kind, work)
     try:
-        payload = cloudpickle.dumps((jobs, does, torch.is_grad_enabled()))
+        payload = cloudpickle.dumps((jobs, work))
     except (TypeError, AttributeError, PicklingError) as error:
         raise UserError(
             f"other processes cannot be sent these jobs or their function: {error}; use workers=1, or give "
@@ -183,22 +179,14 @@ def _sent() -> tuple[Any, ...]:
         ) from error
 
 
-def _exploring(kind: Any, work: Callable[[Any], Any], job: Any) -> Any:
-    from tensordict.nn.probabilistic import set_interaction_type
-
-    with set_interaction_type(kind):
-        return work(job)
-
-
 def _do(number: int) -> bytes:
     """Do a job; return its pickled result, its error, and what it warned of: text, category, file, line."""
     result, error = b"", None
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("default")
         try:
-            jobs, work, gradients = _sent()
-            with torch.set_grad_enabled(gradients):
-                result = cloudpickle.dumps(work(jobs[number]))
+            jobs, work = _sent()
+            result = cloudpickle.dumps(work(jobs[number]))
         except Exception as raised:  # the caller gets any error of a job
             error, note = raised, "".join(traceback.format_exception(raised)).rstrip()
             try:
@@ -256,9 +244,8 @@ class _Process:
         """Return how the process ended."""
         self.executor.shutdown()
         code = error.code if isinstance(error, SystemExit) else self.process and self.process.exitcode
-        if isinstance(code, int) and code < 0:
-            return f"killed by {signal.Signals(-code).name}"
-        return f"gone with exit code {code}"
+        killed = isinstance(code, int) and code < 0
+        return f"killed by {signal.Signals(-code).name}" if killed else f"gone with exit code {code}"
 
 
 @contextmanager

@@ -9,14 +9,7 @@ from pedzoo.core.registry import METRICS
 
 
 class SuiteColumns(NamedTuple):
-    """What tables show of a suite.
-
-    Attributes:
-        headline: Metrics in the first table.
-        columns: Metrics in its own.
-        counted: What ``n`` is a number of.
-        legend: What its metrics are, where `LEGEND` does not know, or knows otherwise.
-    """
+    """What tables show of a suite, as of `pedzoo.eval.suite.Suite`."""
 
     headline: Sequence[str]
     columns: Sequence[str]
@@ -95,22 +88,12 @@ def mean_interval(values: Sequence[float], intervals: Sequence[Sequence[float]])
     confidence limits about effect measures", Statistics in Medicine 27, 2008.
     """
     mean = sum(values) / len(values)
-    below, above = (
-        math.sqrt(sum((value - ends[side]) ** 2 for value, ends in zip(values, intervals, strict=True)))
-        for side in (0, 1)
-    )
-    return mean - below / len(values), mean + above / len(values)
+    below, above = (math.dist(values, side) / len(values) for side in zip(*intervals, strict=True))
+    return mean - below, mean + above
 
 
 class ResultTable(NamedTuple):
-    """A table.
-
-    Attributes:
-        title: What it shows.
-        head: Names of columns.
-        rows: Cells, the first ones are names.
-        names: How many of the first columns are names.
-    """
+    """A table: its title, names of columns, rows of cells, and how many of the first columns are names."""
 
     title: str
     head: list[str]
@@ -140,18 +123,15 @@ def pages(report: Mapping[str, Any], shown: Mapping[str, SuiteColumns]) -> list[
 
 def protocol_line(report: Mapping[str, Any], shown: Mapping[str, SuiteColumns]) -> str:
     """Return the protocol in a line: suites with their episodes, physics and warm starts, noise and seeds."""
-    counts: dict[str, dict[str, int]] = {}
-    physics: dict[str, dict[str, None]] = {}
-    for row in report["rows"]:
-        suite = row["case"]["suite"]
-        counts.setdefault(suite, {})[case_label(row)] = row["n"]
-        physics.setdefault(suite, {})[row["case"]["physics"]] = None
     parts, protocol = [], report["protocol"]
-    for suite, cases in counts.items():
+    for suite in dict.fromkeys(row["case"]["suite"] for row in report["rows"]):
+        mine = [row for row in report["rows"] if row["case"]["suite"] == suite]
+        cases = {case_label(row): row["n"] for row in mine}
         size = f"{len(cases)} x {min(cases.values())}" if len(cases) > 1 else str(*cases.values())
         if len(set(cases.values())) > 1:
             size = f"{len(cases)} cases, {sum(cases.values())}"
-        where = f"{' and '.join(physics[suite])}, warm start {protocol['warm_start'][suite]}"
+        physics = " and ".join(dict.fromkeys(row["case"]["physics"] for row in mine))
+        where = f"{physics}, warm start {protocol['warm_start'][suite]}"
         parts.append(f"{suite} {size} {shown[suite].counted} ({where})")
     noise = "none" if protocol["deterministic"] else "sampled"
     seeds = " ".join(map(str, report["seeds"]))

@@ -1,19 +1,18 @@
 """The interface of suites: cases on which policies are evaluated, and the units of that work."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
-from pedzoo.core.errors import UserError
 from pedzoo.core.spec import Spec
 from pedzoo.eval.comparison import row
 from pedzoo.eval.packed_episodes import packed_episodes
-from pedzoo.eval.rollout import ShareDone, joined, prepare, walk
+from pedzoo.eval.rollout import ShareDone, walked
+from pedzoo.maps.bank import MapBank
 from pedzoo.metrics.ratios import Ratio
 from pedzoo.policies.load import load_policy
-from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import CLEARANCE, make_scenario, prepare_scenario
-from pedzoo.sim.rollout import Rollout
+from pedzoo.sim.rollout import Rollout, joined
 from pedzoo.sim.scenario import PreparedScenario
 
 QUICK = 10
@@ -23,8 +22,6 @@ KEPT = 6
 """Scenarios that a process keeps; more than the cases that share a floor plan."""
 
 _kept: dict[tuple[str, str, float], PreparedScenario] = {}
-
-_EXAMPLES = {"policies": "['orca', 'go_to_goal']", "suites": "['door', 'goals']"}
 
 
 class OwnRecordings(NamedTuple):
@@ -44,7 +41,28 @@ class OwnRecordings(NamedTuple):
 
 
 class EvaluationOptions(NamedTuple):
-    """Options of an evaluation by which suites differ; `pedzoo.evaluate` explains them."""
+    """Options of an evaluation by which suites differ.
+
+    Attributes:
+        episodes: Per case and seed; None for the suites' own numbers. Not of recordings: see ``rollouts``.
+        quick: A tenth of the episodes, and of the time of recordings.
+        physics: ``compiled``, ``torch``, ``bullet`` or ``file.py:Class`` for all suites; None for their own.
+        maps: Floor plans on which ``goals`` is walked too: every episode of five more cases draws one.
+        root: Folder with recordings; None for the variable ``PEDZOO_DATA``.
+        rollouts: Of a policy with noise, on recordings; None for 3, or 1 if quick.
+        device: Where scenes and policies are, such as ``cuda``.
+        metrics: More columns of all tables: names of metrics, or ``path/to/file.py:f``.
+        folds: Of recordings that ``replay`` walks, as ``zara1`` or ``file.py:Class:fold``; none for all that
+            are found.
+        people: Policies of the people beside robots, with settings, and ``replay``, with settings of the
+            scenario, for recorded people who do not react.
+        robot: The body of robots, ``diff_drive:radius=0.35``.
+        own: Recordings of one's own, which ``replay`` walks instead of folds.
+        keep_episodes: So many episodes of every row keep their positions, for ``pedzoo report``.
+        clearance: Metres that planned ways keep from walls; None for the suites' own. Not of robots.
+        deadline: Seconds that people have for every goal; by default four times as many as their way takes
+            freely, at least 20. Not of robots and recordings.
+    """
 
     episodes: int | None = None
     quick: bool = False
@@ -148,7 +166,7 @@ class Suite(ABC):
         counted: What ``n`` of its rows are.
         headline: Metrics of the first table.
         columns: Metrics of the suite's own table.
-        legend: What metrics are that `pedzoo.eval.results.LEGEND` does not know, or knows otherwise.
+        legend: What metrics are that `pedzoo.eval.results.legend` does not know, or knows otherwise.
     """
 
     accepted_options: ClassVar[tuple[str, ...]] = ("episodes", "maps", "rollouts", "folds")
@@ -156,17 +174,9 @@ class Suite(ABC):
     counted: ClassVar[str] = "episodes"
     headline: ClassVar[tuple[str, ...]] = ("success", "agent_contacts_per_min")
     columns: ClassVar[tuple[str, ...]] = (
-        "success",
-        "episode_success",
-        "deadlock",
-        "failed",
-        "agent_contacts_per_min",
-        "wall_contacts_per_min",
-        "time_ratio",
-        "path_ratio",
-        "least_distance_m",
-        "intervention_share",
-        "intervention_m",
+        *("success", "episode_success", "deadlock", "failed"),
+        *("agent_contacts_per_min", "wall_contacts_per_min", "time_ratio", "path_ratio", "least_distance_m"),
+        *("intervention_share", "intervention_m"),
     )
     legend: ClassVar[Mapping[str, str]] = {}
 
@@ -222,12 +232,17 @@ class Suite(ABC):
         case = unit.case
         scenario = prepared(case.scenario, case.inputs, case.clearance)
         parts = list(walk_unit(unit, scenario, unit.seeds, case.episodes, tell))
-        rollout = joined([part for part, _ in parts])
+        rollout = joined(parts)
         result = row(unit.policy, rollout, self.more(rollout), unit.metrics)
-        for person in result["per_agent"]:
-            seed, person["episode"] = divmod(person["episode"], case.episodes)
-            person["seed"] = unit.seeds[seed]
-        return [result | kept_episodes(unit, *parts[0])]
+        with_seeds(result, unit.seeds, case.episodes)
+        return [result | kept_episodes(unit, parts[0], scenario.bank)]
+
+
+def with_seeds(row: dict[str, Any], seeds: Sequence[int], episodes: int) -> None:
+    """Say of which seed's episodes each entry of ``per_agent`` is; every seed has so many ``episodes``."""
+    for one in row["per_agent"]:
+        seed, one["episode"] = divmod(one["episode"], episodes)
+        one["seed"] = seeds[seed]
 
 
 def prepared(name: str | Spec, inputs: str = "", clearance: float = CLEARANCE) -> PreparedScenario:
@@ -257,54 +272,31 @@ def walk_unit(
     seeds: Sequence[int],
     episodes: int,
     tell: ShareDone | None = None,
-) -> Iterator[tuple[Rollout, PedestrianEnv]]:
-    """Yield episodes in parts, each with its environment: large crowds do not fit into memory at once.
+) -> Iterator[Rollout]:
+    """Yield episodes in parts: large crowds do not fit into memory at once.
 
     ``episodes`` are those of every seed; ``tell`` is called with the share that is done.
     """
+    case, still = unit.case, unit.deterministic
+    where = {"device": unit.device, "clearance": case.clearance, "deadline": case.deadline}
     for number, seed in enumerate(seeds):
-        case = unit.case
-        where = {"device": unit.device, "clearance": case.clearance, "deadline": case.deadline}
-        policy, env = prepare(unit.walks, scenario, case.physics, episodes, seed, **where)
 
-        def share(name: str, done: int, total: int, number: int = number) -> None:
+        def progress(name: str, done: int, total: int, number: int = number) -> None:
             if tell:
                 tell((number + done / total) / len(seeds))
 
-        try:
-            for part in walk(policy, env, episodes, unit.deterministic, share):
-                yield part, env
-        finally:
-            env.physics.close()
+        yield from walked(unit.walks, scenario, case.physics, episodes, seed, still, progress, **where)
 
 
-def kept_episodes(unit: WorkUnit, rollout: Rollout, env: PedestrianEnv) -> dict[str, Any]:
+def kept_episodes(unit: WorkUnit, rollout: Rollout, bank: MapBank) -> dict[str, Any]:
     """Return the positions of a row's first episodes; nothing where none were asked for.
 
     Args:
         unit: Says how many.
         rollout: Of its first seed.
-        env: Where they were; its bank has the floor plans.
+        bank: Its floor plans.
     """
     if not unit.keep_episodes:
         return {}
-    episodes, plans = packed_episodes(rollout, env.bank, unit.keep_episodes, unit.seeds[0])
+    episodes, plans = packed_episodes(rollout, bank, unit.keep_episodes, unit.seeds[0])
     return {"episodes": episodes, "plans": plans}
-
-
-def check_names(what: str, given: Sequence[str]) -> list[str]:
-    """Return ``given`` without repetitions; a single name need not be in a list.
-
-    Raises:
-        UserError: There is nothing, or something that is no text.
-    """
-    names = [given] if isinstance(given, str) else given
-    if not isinstance(names, Iterable):
-        raise UserError(f"{what} {given!r}: expected a name, or a list of names, as {_EXAMPLES[what]}")
-    names = list(names)
-    if not names:
-        raise UserError(f"no {what}: expected at least one")
-    for name in names:
-        if not isinstance(name, str):
-            raise UserError(f"{what}: {name!r} is no name: expected one list of names, as {_EXAMPLES[what]}")
-    return list(dict.fromkeys(names))

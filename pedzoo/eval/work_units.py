@@ -26,13 +26,8 @@ from pedzoo.policies.crowd_names import parts
 Rows = list[dict[str, Any]]
 
 _CODE_FILES = (".py", ".csv", ".yaml", ".png")
-_OF_OTHERS = tuple(
-    path.resolve()
-    for path in (
-        ROOT / "pedzoo",
-        *(Path(sysconfig.get_path(kind)) for kind in ("stdlib", "purelib", "platlib")),
-    )
-)
+_INSTALLED = (Path(sysconfig.get_path(kind)) for kind in ("stdlib", "purelib", "platlib"))
+_OF_OTHERS = tuple(path.resolve() for path in (ROOT / "pedzoo", *_INSTALLED))
 """Folders whose code is no user's: versions stand for it."""
 
 _IGNORED_PACKAGES = ("cli", "train", "viz", "configs")
@@ -60,16 +55,20 @@ def digest(unit: WorkUnit) -> str:
     It depends on the unit itself, pedzoo's code, the versions of its dependencies, and the files that the
     unit names. These are weights, or a policy, suite, scenario or physics from a file.
     """
-    known = {**unit._asdict(), "case": unit.case._asdict()}
-    walking = [_model_sum(policy) for who in (unit.walks, unit.case.people) for policy in parts(who)]
-    named = unit.case.suite, unit.case.scenario, unit.case.physics, unit.case.robot, *unit.metrics
-    files = [*walking, *map(_file_sum, named)]
-    return fingerprint(known, files)
+    case, known = unit.case, {**unit._asdict(), "case": unit.case._asdict()}
+    walking = [_model_sum(policy) for who in (unit.walks, case.people) for policy in parts(who)]
+    named = case.suite, case.scenario, case.physics, case.robot, *unit.metrics
+    return fingerprint(known, [*walking, *map(_file_sum, named)])
 
 
 def fingerprint(*known: Any) -> str:
     """Return the digest of some work: of all that describes it, pedzoo's code and the versions it uses."""
-    return _sum_of([*known, _code_sum(), _versions()])
+    used = {name: version for name, version in _versions().items() if name not in ("commit", "pedzoo")}
+    return _sum_of([*known, _code_sum(), used])
+
+
+def _sum_of(value: Any) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
 
 def _model_sum(policy: str) -> str:
@@ -99,24 +98,17 @@ def _file_sum(what: str | Spec) -> str:
     return _sum_of(sorted((file.name, digest) for file, digest in known.items()))
 
 
-def _sum_of(value: Any) -> str:
-    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
-
-
-class _WithoutTexts(ast.NodeTransformer):
-    """Removes docstrings, also those of attributes."""
-
-    def visit_Expr(self, node: ast.Expr) -> ast.AST | None:  # ast's name
-        return None if isinstance(node.value, ast.Constant) else node
-
-
 def code_sum(content: bytes) -> str:
     """Return the sha256 of what code does: docstrings, comments and layout do not change it."""
     try:
-        content = ast.dump(_WithoutTexts().visit(ast.parse(content))).encode()
+        tree = ast.parse(content)
     except (SyntaxError, ValueError):
-        pass  # no Python: as it is
-    return hashlib.sha256(content).hexdigest()
+        return hashlib.sha256(content).hexdigest()  # no Python: as it is
+    for node in ast.walk(tree):
+        if isinstance(body := getattr(node, "body", None), list):  # without docstrings, also of attributes
+            texts = [one for one in body if isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant)]
+            body[:] = [one for one in body if one not in texts]
+    return hashlib.sha256(ast.dump(tree).encode()).hexdigest()
 
 
 def _imported(file: Path, content: bytes) -> Iterator[Path]:
@@ -134,10 +126,9 @@ def _imported(file: Path, content: bytes) -> Iterator[Path]:
                 for one in names:
                     yield from _files_of(".".join(filter(None, (module, one.name))), file, level)
             case ast.Call(args=args) if ast.unparse(node.func).endswith(("import_module", "__import__")):
-                for one in args:
-                    if isinstance(one, ast.Constant) and isinstance(one.value, str):
-                        name = one.value.lstrip(".")
-                        yield from _files_of(name, file, len(one.value) - len(name))
+                for one in (one.value for one in args if isinstance(one, ast.Constant)):
+                    if isinstance(one, str):
+                        yield from _files_of(one.lstrip("."), file, len(one) - len(one.lstrip(".")))
 
 
 def _files_of(name: str, importer: Path, level: int = 0) -> Iterator[Path]:
@@ -174,9 +165,7 @@ def _code_sum() -> str:
     return result.hexdigest()
 
 
-@cache
-def _versions() -> dict[str, str]:
-    return {name: result for name, result in versions().items() if name not in ("commit", "pedzoo")}
+_versions = cache(versions)
 
 
 def _entry(line: bytes) -> tuple[str, Rows] | None:
@@ -228,11 +217,7 @@ class Journal:
                 raise UserError(f"cannot write {str(path)!r}: {error.strerror}") from error
 
     def add(self, digest: str, rows: Rows) -> None:
-        """Append a finished unit.
-
-        Raises:
-            UserError: The file cannot be written.
-        """
+        """Append a finished unit; a `UserError` if the file cannot be written."""
         if self.path is None:
             return
         line = json.dumps({"unit": digest, "rows": rows}, allow_nan=False) + "\n"
@@ -267,34 +252,3 @@ class ProgressReport(NamedTuple):
 
 
 Progress = Callable[[ProgressReport], None]
-
-
-class ProgressMeter:
-    """Reports how far an evaluation is, and estimates how long the rest takes."""
-
-    def __init__(self, units: list[WorkUnit], done: set[int], progress: Progress | None) -> None:
-        """Start with all ``units``, of which those numbered ``done`` are finished."""
-        self._units, self._done, self._progress = units, set(done), progress
-        self._weights = [unit.case.episodes * len(unit.seeds) * unit.case.effort for unit in units]
-        self._before = sum(self._weights[number] for number in done)
-        self._start = time.perf_counter()
-
-    def within(self, unit: WorkUnit, share: float) -> None:
-        """Tell that a share of a unit is done."""
-        number = self._units.index(unit)
-        self._tell(number, share * self._weights[number], None)
-
-    def ended(self, number: int, seconds: float) -> None:
-        """Tell that a unit is done, which took so long."""
-        self._done.add(number)
-        self._tell(number, 0.0, seconds)
-
-    def _tell(self, number: int, more: float, seconds: float | None) -> None:
-        if self._progress is None:
-            return
-        done = more + sum(self._weights[one] for one in self._done)
-        total, mine = sum(self._weights), done - self._before
-        passed = time.perf_counter() - self._start
-        left = passed / mine * (total - done) if mine > 0 else None
-        label, units = self._units[number].label, len(self._units)
-        self._progress(ProgressReport(label, done / total, len(self._done), units, seconds, left))

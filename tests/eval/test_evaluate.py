@@ -25,7 +25,7 @@ from pedzoo.eval import trained_on
 from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.results import SuiteColumns, cell, markdown, mean_interval, pages, summary
 from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, WorkUnit
-from pedzoo.eval.suites.goals import CELLS, POOL
+from pedzoo.eval.suites.scenes import CELLS, POOL
 from pedzoo.eval.work_units import Journal, ProgressReport, code_sum, digest, work
 from pedzoo.maps.formats import write_ros
 from pedzoo.maps.plans import flat
@@ -176,11 +176,8 @@ def test_workers_end_when_a_part_cannot_be_kept(small: str, monkeypatch: pytest.
         finally:
             ended.append(1)
 
-    def full(*_: Any) -> None:
-        raise UserError("cannot write")
-
     monkeypatch.setattr(module, "finished", results)
-    monkeypatch.setattr(Journal, "add", full)
+    monkeypatch.setattr(Journal, "add", lambda *_: (_ for _ in ()).throw(UserError("cannot write")))
     with pytest.raises(UserError, match="cannot write") as caught:
         pedzoo.evaluate(["go_to_goal"], [small])
     assert ended and caught.traceback  # though the caught error holds on to the iterator
@@ -330,24 +327,28 @@ HELD_OUT = {
 """The folds that weights did not see."""
 
 
-def test_weights_that_saw_a_fold_make_way_for_others(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("policy", "fold", "walks", "seen"),
+    [
+        ("a.zara1:noise=step", "hotel", "a.hotel:noise=step", True),
+        ("a.zara1", "zara1", "a.zara1", False),
+        ("a.zara1", "univ", "a.zara1", True),
+        ("a.zara1", "embedded", "a.zara1", False),
+        ("a.hotel", "hotel", "a.hotel", False),
+        ("a.zara1_destination", "hotel", "a.zara1_destination", True),
+        ("a.eth_ucy:noise=none", "hotel", "a.hotel:noise=none", True),
+        ("b.eth_ucy", "zara2", "b.eth_ucy", True),
+        ("b.indoor:noise=step", "hotel", "b.indoor_hotel:noise=step", True),
+        ("b.indoor", "zara1", "b.indoor", True),
+        ("orca:radius=0.3", "hotel", "orca:radius=0.3", False),
+    ],
+)
+def test_weights_that_saw_a_fold_make_way_for_others(
+    policy: str, fold: str, walks: str, seen: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(trained_on, "weight_files", lambda: {name: Path(name) for name in HELD_OUT})
     monkeypatch.setattr(trained_on, "read_config", lambda path: {"training": {"fold": HELD_OUT[str(path)]}})
-    for policy, fold, walks in (
-        ("a.zara1:noise=step", "hotel", "a.hotel:noise=step"),
-        ("a.zara1", "zara1", "a.zara1"),
-        ("a.zara1", "univ", "a.zara1"),
-        ("a.zara1_destination", "hotel", "a.zara1_destination"),
-        ("a.eth_ucy:noise=none", "hotel", "a.hotel:noise=none"),
-        ("b.eth_ucy", "hotel", "b.eth_ucy"),
-        ("b.indoor:noise=step", "hotel", "b.indoor_hotel:noise=step"),
-        ("b.indoor", "zara1", "b.indoor"),
-        ("orca:radius=0.3", "hotel", "orca:radius=0.3"),
-    ):
-        assert trained_on.for_fold(policy, fold) == walks
-    assert trained_on.has_seen("a.zara1", "univ") and trained_on.has_seen("b.eth_ucy", "zara2")
-    for policy, fold in (("a.hotel", "hotel"), ("orca", "hotel"), ("a.zara1", "embedded")):
-        assert not trained_on.has_seen(policy, fold)
+    assert (trained_on.for_fold(policy, fold), trained_on.has_seen(policy, fold)) == (walks, seen)
 
 
 def test_own_weights_are_known_by_checkpoint_or_card(tmp_path: Path) -> None:
@@ -382,35 +383,26 @@ def test_a_journal_is_on_the_disk_and_refuses_other_files(
     assert file.read_text() == "something else\n"
 
 
-@pytest.mark.parametrize(
-    "torn",
-    [
-        b'{"unit": "two", "ro',
-        b"\0" * 4096,
-        b"\xff\xfe",
-        b"[" * 100_000,
-        b'{"unit": "two", "rows": 7}',
-        b'{"unit": 2, "rows": []}',
-        b'{"unit": "two", "rows": [1' + b"0" * 5000 + b"]}",
-        b"null",
-        b"",
-    ],
+TORN = (
+    *(b'{"unit": "two", "ro', b"\0" * 4096, b"\xff\xfe", b"[" * 100_000, b'{"unit": "two", "rows": 7}'),
+    *(b'{"unit": 2, "rows": []}', b'{"unit": "two", "rows": [1' + b"0" * 5000 + b"]}", b"null", b""),
 )
+
+
+@pytest.mark.parametrize("torn", TORN)
 @pytest.mark.parametrize("place", [0, 1, 2])
 def test_a_journal_does_again_what_is_torn(
     torn: bytes, place: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    file = tmp_path / "parts"
+    file, units = tmp_path / "parts", ["one", "two", "three"]
     journal = Journal(file)
-    for unit in ("one", "two", "three"):
+    for unit in units:
         journal.add(unit, [{"n": unit}])
     lines = file.read_bytes().splitlines(keepends=True)
     lines[place] = torn + b"\n"
     file.write_bytes(b"".join(lines))
-    again = Journal(file)
-    left = ["one", "two", "three"]
-    lost = left.pop(place)
-    assert again.done == {unit: [{"n": unit}] for unit in left}
+    again, lost = Journal(file), units.pop(place)
+    assert again.done == {unit: [{"n": unit}] for unit in units}
     assert "1 finished part" in (error := capsys.readouterr().err) and "once more" in error
     again.add(lost, [{"n": lost}])
     assert set(Journal(file).done) == {"one", "two", "three"} and not capsys.readouterr().err

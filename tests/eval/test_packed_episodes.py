@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from helpers.episodes import unpacked_plan, unpacked_tracks
+from helpers.walks import made
 
 from pedzoo.core.geometry import move_to_map
 from pedzoo.eval.evaluate import evaluate
@@ -51,34 +52,16 @@ def test_touches_are_runs_of_points(walked: tuple[Rollout, MapBank]) -> None:
     assert packed["values"]["agent_contacts"] == 2
 
 
-def test_fifty_people_for_a_minute_take_less_than_200_kb(walked: tuple[Rollout, MapBank]) -> None:
+def test_fifty_people_for_a_minute_take_less_than_100_kb() -> None:
     people, points = 50, 600
     torch.manual_seed(0)
-    turns = 0.1 * torch.randn(1, people, points).cumsum(2)
-    steps = 0.13 * torch.stack((turns.cos(), turns.sin()), -1)
-    shape = (1, people, points)
-    one = {key: torch.zeros(shape, dtype=torch.bool) for key in ("agent_contact", "wall_contact")}
-    crowd = replace(
-        walked[0].episodes(slice(0, 1)),
-        trace=steps.cumsum(2),
-        goal=torch.zeros(*shape, 2),
-        present=torch.ones(shape, dtype=torch.bool),
-        controlled=torch.ones(shape, dtype=torch.bool),
-        person=torch.arange(people)[None, :, None].expand(shape),
-        reached=torch.zeros(shape, dtype=torch.long),
-        mask=torch.ones(1, people, dtype=torch.bool),
-        overdue=torch.zeros(1, people, dtype=torch.bool),
-        past=torch.zeros(1, people, 29, 2),
-        radius=torch.full((1, people), 0.15),
-        kind=torch.zeros(1, people, dtype=torch.long),
-        **one,
-    )
+    turns = 0.1 * torch.randn(1, people, points + 1).cumsum(2)
+    crowd = made((0.13 * torch.stack((turns.cos(), turns.sin()), -1)).cumsum(2))
     packed = packed_episode(crowd, 0)
     assert len(packed["people"]) == people and packed["counts"] == [points + 1] * people
     assert len(json.dumps(packed)) < 100_000
-    np.testing.assert_allclose(
-        unpacked_tracks(packed)[7], move_to_map(crowd.path, crowd.pose)[0, 7], atol=6e-4
-    )
+    expected = move_to_map(crowd.path, crowd.pose)[0, 7]
+    np.testing.assert_allclose(unpacked_tracks(packed)[7], expected, atol=6e-4)
 
 
 def test_large_plans_are_kept_in_coarser_cells() -> None:

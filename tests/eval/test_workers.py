@@ -25,7 +25,6 @@ import cloudpickle
 import pytest
 import torch
 from helpers.errands import answer, fail, pause, process_of
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from pedzoo.core.errors import UserError
 from pedzoo.eval import parallel
@@ -71,32 +70,41 @@ def test_two_workers_give_what_one_gives_and_leave_nothing(
     opened = set(os.listdir("/proc/self/fd"))
     jobs, together = [(seed, str(tmp_path)) for seed in range(9)], {}
     try:
-        with set_exploration_type(ExplorationType.MEAN), pytest.warns(UserWarning, match="is odd") as caught:
+        with pytest.warns(UserWarning, match="is odd") as caught:
             for number, result in finished(jobs, answer, 2, backend, group=lambda job: job[0] // 2):
                 time.sleep(0 if together else 0.5)  # a busy caller loses no result
                 together[number] = result
         if backend == "processes":
             assert set(os.listdir("/proc/self/fd")) == opened
             assert not any(Path(file.read_text()).exists() for file in tmp_path.glob("lock*"))
-        with set_exploration_type(ExplorationType.MEAN), pytest.warns(UserWarning, match="is odd"):
+        with pytest.warns(UserWarning, match="is odd"):
             alone = dict(finished(jobs, answer))
         assert torch.get_num_threads() == 2
     finally:
         torch.set_num_threads(1)
     assert together == alone
-    assert sorted(alone) == list(range(9)) and alone[0]["state"] == (1, True, "MEAN", str(tmp_path))
+    assert sorted(alone) == list(range(9)) and alone[0]["state"] == (1, str(tmp_path))
     assert {str(one.message) for one in caught} == {f"job {seed} is odd" for seed in range(9)}
     done = Counter((tmp_path / "done").read_text().split())
     assert done == {str(seed): 2 for seed in range(9)}  # once alone, once together
 
 
-def test_workers_are_processes_that_end_with_the_iterator() -> None:
+@pytest.mark.parametrize("how", ["closed", "ctrl-c"])
+def test_workers_are_processes_that_end_with_the_iterator(how: str) -> None:
     results = finished([0, 0, 100, 100], pause, 2)
     processes = {next(results)[1] for _ in range(2)}
     assert os.getpid() not in processes and all(map(is_alive, processes))
     shared = os.listdir("/dev/shm")  # torch puts a number of the process into the names of shared tensors
     assert not [name for name in shared if any(f"_{process}_" in name for process in processes)]
-    results.close()
+    if how == "closed":
+        results.close()
+    else:
+        everybody = [*processes, os.getpid()]
+        press = threading.Timer(0.3, lambda: [os.kill(one, signal.SIGINT) for one in everybody])
+        press.start()
+        with pytest.raises(KeyboardInterrupt):
+            next(results)
+        press.join()
     assert not any(map(is_alive, processes))
 
 
@@ -111,7 +119,7 @@ def test_a_killed_worker_is_named_while_others_are_busy() -> None:
 def test_errors_of_a_worker_can_be_sent_and_say_where_they_were(monkeypatch: pytest.MonkeyPatch) -> None:
     """In this process: `fail` is what a worker does, and a module is gone before it loads the function."""
     jobs = ["user", "own"]
-    monkeypatch.setattr(parallel, "_payload", cloudpickle.dumps((jobs, fail, True)))
+    monkeypatch.setattr(parallel, "_payload", cloudpickle.dumps((jobs, fail)))
     parallel._sent.cache_clear()
     expected = (UserError, "no map 'x': expected a file"), (RuntimeError, "OwnError: cannot be rebuilt")
     for number, (kind, message) in enumerate(expected):
@@ -137,25 +145,14 @@ def test_ray_tells_of_errors_and_deaths_and_its_cluster_stays() -> None:
     ray.init(address="local", num_cpus=2, include_dashboard=False, log_to_driver=False)
     try:
         with pytest.raises(UserError, match=r"^no map 'x': expected a file"):
-            list(finished(["long", "user"], fail, 2, "ray"))
-        with pytest.raises(RuntimeError, match=r"^worker 1 of 2 is dead: .*\(in job 1, 'kill'\)"):
-            list(finished(["long", "kill"], fail, 2, "ray"))
+            list(finished(["user"], fail, 1, "ray"))
+        with pytest.raises(RuntimeError, match=r"^worker 0 of 1 is dead: .*\(in job 0, 'kill'\)"):
+            list(finished(["kill"], fail, 1, "ray"))
         with pytest.raises(UserError, match=r"^workers 3: the Ray cluster has 2 processors"):
             list(finished(range(3), process_of, 3, "ray"))
         assert ray.is_initialized()
     finally:
         ray.shutdown()
-
-
-def test_ctrl_c_ends_all_workers() -> None:
-    results = finished([0, 0, 100, 100], pause, 2)
-    processes = {next(results)[1] for _ in range(2)}
-    press = threading.Timer(0.3, lambda: [os.kill(one, signal.SIGINT) for one in [*processes, os.getpid()]])
-    press.start()
-    with pytest.raises(KeyboardInterrupt):
-        next(results)
-    press.join()
-    assert not any(map(is_alive, processes))
 
 
 EARLY = """
@@ -236,11 +233,8 @@ def test_one_worker_goes_from_group_to_group() -> None:
 
 def test_a_worker_stays_with_its_group_and_then_helps() -> None:
     queue = JobQueue(list("abacaba"))  # a: 0 2 4 6, b: 1 5, c: 3
-    assert queue.take() == (0, "a")
-    assert queue.take() == (1, "b")
-    assert queue.take("b") == (5, "b")
-    assert queue.take("b") == (3, "c")
-    assert queue.take("c") == (2, "a")  # nothing but a is left
+    assert [queue.take(), queue.take(), queue.take("b")] == [(0, "a"), (1, "b"), (5, "b")]
+    assert [queue.take("b"), queue.take("c")] == [(3, "c"), (2, "a")]  # nothing but a is left
     assert [queue.take("a"), queue.take("a"), queue.take("a")] == [(4, "a"), (6, "a"), None]
 
 

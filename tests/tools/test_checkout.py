@@ -14,7 +14,7 @@ from pedzoo.core import registry
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import EXTRAS
 from pedzoo.core.paths import CARD, config_names, shipped, weight_files
-from pedzoo.core.registry import ROOT, SUITES, Registry, folder_of
+from pedzoo.core.registry import ROOT, SUITES, Registry
 from pedzoo.eval.cards import about
 from pedzoo.models.zoo.card import read_card
 from tools import kills
@@ -41,13 +41,13 @@ def test_a_second_folder_of_drop_ins() -> None:
     assert {"door", "table2"} <= set(SUITES.names())
     assert SUITES.describe("table2").startswith("Table II")
     assert SUITES.get("table2").__module__ == "tools.paper.suites"
-    assert SUITES.get("door").__module__ == "pedzoo.eval.suites.door"
+    assert SUITES.get("door").__module__ == "pedzoo.eval.suites.scenes"
     nowhere = Registry("suite", "pedzoo.eval.suites", "tools.nowhere")
-    assert "door" in nowhere.names() and "table2" not in nowhere.names()
+    assert "replay" in nowhere.names() and "table2" not in nowhere.names()
 
 
 def test_cards_name_no_suite_of_a_checkout() -> None:
-    package = {path.stem for path in folder_of("pedzoo.eval.suites").glob("*.py")}
+    package = {*Registry("suite", "pedzoo.eval.suites", "pedzoo.eval.suites.scenes").names()}
     for name in weight_files():
         for report in read_card(shipped("checkpoints") / name / CARD).evaluations:
             suites = report["protocol"].get("suites", [])

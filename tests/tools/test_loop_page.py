@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from pedzoo.cli.main import main
 from pedzoo.core.paths import CARD, shipped
 from pedzoo.eval.suite import EvaluationOptions
-from pedzoo.eval.suites.goals import DRAWN
+from pedzoo.eval.suites.scenes import DRAWN
 from pedzoo.metrics.arrival import seconds_per_goal
 from pedzoo.metrics.ratios import summarised
 from pedzoo.models.zoo.card import ModelCard, read_card, write_card

@@ -29,7 +29,7 @@ from pedzoo.eval.forecast import BASELINES, FLOOR, BlockSums, forecast_row
 from pedzoo.eval.results import ResultTable, mean_interval
 from pedzoo.eval.suites.replay import digest_of
 from pedzoo.eval.work_units import fingerprint
-from pedzoo.metrics.forecast import NegativeLogLikelihood
+from pedzoo.metrics.forecast import negative_log_likelihood
 from pedzoo.metrics.statistics import FEWEST, Interval
 from pedzoo.models.base import known_displacements, true_displacements
 from pedzoo.models.zoo.loading import load
@@ -306,11 +306,12 @@ def line_likelihood(data: TrajectoryDataModule) -> tuple[float, dict[str, Interv
     data.setup("fit")
     data.setup("test")
     scale = strayed(data)
-    metric, sums, loader = NegativeLogLikelihood(), BlockSums(data.sets["test"]), data.test_dataloader()
+    above, below, sums, loader = 0.0, 0, BlockSums(data.sets["test"]), data.test_dataloader()
     for draw, batch in zip(loader.sampler, loader, strict=True):
-        metric.update(log_density(batch, scale), known_displacements(batch))
-        sums.add(draw.scenes, {NATS: metric.latest})
-    return float(metric.compute()), sums.intervals()
+        nats, steps = negative_log_likelihood(log_density(batch, scale), known_displacements(batch))
+        sums.add(draw.scenes, {NATS: (nats, steps)})
+        above, below = above + float(nats.sum()), below + int(steps.sum())
+    return above / below, sums.intervals()
 
 
 def strayed(data: TrajectoryDataModule) -> Tensor:

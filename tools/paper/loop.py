@@ -11,7 +11,7 @@ from pedzoo.core.paths import weight_files
 from pedzoo.core.spec import parse
 from pedzoo.data.datasets.eth_ucy import SCENES
 from pedzoo.eval.results import ResultTable, cell
-from pedzoo.eval.suites.goals import DRAWN
+from pedzoo.eval.suites.scenes import DRAWN
 from pedzoo.metrics.realism.crowds import TAIL
 from pedzoo.models.zoo.card import read_config
 from pedzoo.models.zoo.store import find

@@ -50,11 +50,9 @@ def outcome_ratios(rollout: Rollout) -> dict[str, Ratio]:
     Errors are those of `pair_at_door`.
     """
     _, pair, meets = pair_at_door(rollout)
-    arrived = arrival.arrived_in_time(
-        rollout.reached, rollout.goals, rollout.overdue, rollout.failed, rollout.mask
-    )
-    stuck = arrival.deadlocked(rollout.trace, rollout.goal, rollout.scored)
-    near = contacts.least_distance(contacts.nearest(rollout.trace, rollout.present), rollout.scored).amin(1)
+    arrived = arrival.arrived_in_time(rollout)
+    stuck = arrival.stuck(rollout.trace, rollout.goal, rollout.scored).any(2)
+    near = contacts.least_distance(rollout).amin(1)
     both = door.of_pair(rollout.scored, pair).all(1) & meets.unsqueeze(1)
     sweep = bearing_sweep(door.of_pair(rollout.trace, pair), both)
     body = door.of_pair(rollout.radius, pair).mean(1)

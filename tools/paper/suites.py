@@ -12,9 +12,9 @@ from torch import Tensor
 from pedzoo.core.spec import Spec, parse
 from pedzoo.eval.rollout import joined, prepare, walk
 from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, ShareDone, Suite, WorkUnit, prepared
-from pedzoo.eval.suites.goals import CELLS, EPISODES, GIVEN, POOL, Goals
 from pedzoo.eval.suites.replay import Replay, digest_of
 from pedzoo.eval.suites.robots import APARTMENTS, ROBOT, Robots
+from pedzoo.eval.suites.scenes import CELLS, EPISODES, GIVEN, POOL, Goals
 from pedzoo.maps.plans import load_plan
 from pedzoo.metrics import arrival, contacts
 from pedzoo.metrics.closed_loop import closed_loop
@@ -75,10 +75,8 @@ class Table2(Suite):
 
     def more(self, rollout: Rollout) -> dict[str, Ratio]:
         """Return ``seconds_per_goal``, of episodes in which every person reaches all goals in time."""
-        reached, goals, mask = rollout.reached, rollout.goals, rollout.mask
-        arrived = arrival.arrived_in_time(reached, goals, rollout.overdue, rollout.failed, mask)
-        last = arrival.episode_seconds(arrival.finish_seconds(reached, goals), arrived, mask)
-        return {"seconds_per_goal": ratio(*arrival.seconds_per_goal(last, reached, mask))}
+        last = arrival.episode_seconds(rollout)
+        return {"seconds_per_goal": ratio(*arrival.seconds_per_goal(last, rollout.reached, rollout.mask))}
 
 
 # Figure 4

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.eval.results import ResultTable, cell
-from pedzoo.eval.suites.goals import CELLS
+from pedzoo.eval.suites.scenes import CELLS
 from tools.paper.base import Walked, interval_text
 from tools.paper.published import DEFAULT_STEPS_PER_GOAL, IGIBSON_STEP, TABLE_2_GOALS, TABLE_2_STEPS
 from tools.paper.suites import SPEEDS

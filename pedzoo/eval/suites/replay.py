@@ -1,7 +1,8 @@
 """Recorded crowds: people walk from their real entry to their real exit, beside the real ones."""
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from itertools import chain, product
 from pathlib import Path
 from typing import Any, ClassVar, cast
 
@@ -9,7 +10,6 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.registry import DATASETS
 from pedzoo.core.spec import Spec
 from pedzoo.data.recordings import Fold, find_fold, open_fold
-from pedzoo.eval.packed_episodes import packed_episodes
 from pedzoo.eval.realism import REAL, reference_rows, replay_row
 from pedzoo.eval.results import SEEN
 from pedzoo.eval.scoring.rows import HALVES, SPLITS
@@ -30,7 +30,6 @@ from pedzoo.metrics.realism.crowds import TAIL
 from pedzoo.metrics.realism.features import FEATURES
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.walker import has_noise
-from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.scenarios.replay import PreparedReplay
 
 EMBEDDED = "embedded"
@@ -60,25 +59,17 @@ class Replay(Suite):
     """
 
     simulated: ClassVar[tuple[str, ...]] = SIMULATED
-    accepted_options: ClassVar[tuple[str, ...]] = ("rollouts", "folds", "own")
-    warm_start: ClassVar[str] = "recorded"
-    counted: ClassVar[str] = "people"
-    headline: ClassVar[tuple[str, ...]] = ("realism", "success")
-    columns: ClassVar[tuple[str, ...]] = (
-        "realism",
-        "success",
-        "deadlock",
-        "time_ratio_median",
-        "closed_loop_ade_m",
-        "dtw_m",
+    accepted_options = ("rollouts", "folds", "own")
+    warm_start = "recorded"
+    counted = "people"
+    headline = ("realism", "success")
+    columns = (
+        *("realism", "success", "deadlock", "time_ratio_median", "closed_loop_ade_m", "dtw_m"),
         *(f"w1_{name}" for name in FEATURES),
         "density_speed_rmse_m_per_s",
         *(f"acceleration_{name}_ratio" for name in TAIL),
-        "agent_contact_excess",
-        "agent_contact_excess_per_min",
-        "wall_contact_excess_per_min",
-        "intervention_share",
-        "intervention_m",
+        *("agent_contact_excess", "agent_contact_excess_per_min", "wall_contact_excess_per_min"),
+        *("intervention_share", "intervention_m"),
     )
 
     def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
@@ -99,24 +90,23 @@ class Replay(Suite):
             inputs, share = digest_of(fold, options.root), _share(known)
             sources.append((known.name, fold, {"fold": fold} | where, inputs, share))
         result = []
-        for name, together, settings, inputs, share_of_one in sources:
-            for simulated in self.simulated:
-                share = share_of_one if simulated == "one" else 1.0
-                share = round(share * QUICK_SHARE, 3) if options.quick else share
-                first = {"share": share} if share < 1 else {}
-                case = EvaluationCase(
-                    suite=self.name,
-                    name=f"{name} {simulated}",
-                    scenario=Spec("replay", settings | {"simulated": simulated} | first),
-                    physics=options.physics or "compiled",
-                    episodes=_rounds(options)[simulated],
-                    case={"fold": name, "simulated": simulated},
-                    inputs=inputs,
-                    effort=100.0 * share,
-                    table=f"{self.name} {simulated}",
-                    shares=together,
-                )
-                result.append(case)
+        for (name, together, settings, inputs, share_of_one), simulated in product(sources, self.simulated):
+            share = share_of_one if simulated == "one" else 1.0
+            share = round(share * QUICK_SHARE, 3) if options.quick else share
+            first = {"share": share} if share < 1 else {}
+            case = EvaluationCase(
+                suite=self.name,
+                name=f"{name} {simulated}",
+                scenario=Spec("replay", settings | {"simulated": simulated} | first),
+                physics=options.physics or "compiled",
+                episodes=_rounds(options)[simulated],
+                case={"fold": name, "simulated": simulated},
+                inputs=inputs,
+                effort=100.0 * share,
+                table=f"{self.name} {simulated}",
+                shares=together,
+            )
+            result.append(case)
         return result
 
     def notes(self, options: EvaluationOptions, policies: Sequence[str]) -> list[str]:
@@ -164,23 +154,15 @@ class Replay(Suite):
         if unit.walks == REAL:
             real, halves = reference_rows(scenario, unit.metrics)
             if unit.keep_episodes:
-                recorded = next(iter(scenario.real_parts()))
-                episodes, plans = packed_episodes(recorded, scenario.bank, unit.keep_episodes)
-                real |= {"episodes": episodes, "plans": plans}
+                real |= kept_episodes(unit, next(iter(scenario.real_parts())), scenario.bank)
             return [row | {"people": scenario.persons.counts} for row in (real, halves)]
         model = load_policy(unit.walks)
         noise = has_noise(model) and not unit.deterministic
         seeds, rounds = (unit.seeds, case.episodes) if noise else (unit.seeds[:1], 1)
         parts = walk_unit(unit, scenario, seeds, rounds * scenario.scenes, tell)
-        first: dict[str, Any] = {}
-
-        def each() -> Iterator[Rollout]:
-            for part, env in parts:
-                if not first:
-                    first.update({"kept": kept_episodes(unit, part, env)})
-                yield part
-
-        row = replay_row(unit.policy, each(), scenario, model.decision_dt, unit.metrics) | first["kept"]
+        first = next(parts)
+        kept = kept_episodes(unit, first, scenario.bank)
+        row = replay_row(unit.policy, chain([first], parts), scenario, model.decision_dt, unit.metrics) | kept
         if has_seen(unit.walks, _walked_fold(case)):
             row["case"] = row["case"] | {SEEN: "yes"}
         return [row | {"people": scenario.persons.counts}]

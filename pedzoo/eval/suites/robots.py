@@ -1,14 +1,22 @@
 """A robot among people: doors, corridors, crossings, apartments, an office, the open; and recorded crowds."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, cast
+from typing import Any, cast
 
 from pedzoo.core.bodies import RobotBody
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import ROBOTS
 from pedzoo.core.spec import Spec, build, name_of, parse
 from pedzoo.eval.robots import prepared_scenes, robot_rollout, robot_row
-from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, ShareDone, Suite, WorkUnit, kept_episodes
+from pedzoo.eval.suite import (
+    EvaluationCase,
+    EvaluationOptions,
+    ShareDone,
+    Suite,
+    WorkUnit,
+    kept_episodes,
+    with_seeds,
+)
 from pedzoo.eval.suites.replay import digest_of
 from pedzoo.metrics.robots import LEGEND
 from pedzoo.policies.load import load_policy, load_robot_policy
@@ -41,20 +49,13 @@ SCENES: Mapping[str, tuple[str, float]] = {
 class Robots(Suite):
     """Every scene with every kind of people, and the same scenes without the robot."""
 
-    accepted_options: ClassVar[tuple[str, ...]] = ("episodes", "people", "robot")
-    headline: ClassVar[tuple[str, ...]] = ("success", "collision_person", "delay_s")
-    columns: ClassVar[tuple[str, ...]] = (
-        "success",
-        "collision_person",
-        "collision_wall",
-        "timeout",
-        "failed",
-        "stl",
-        "time_s",
-        "delay_s",
-        "intrusion_ratio",
+    accepted_options = ("episodes", "people", "robot")
+    headline = ("success", "collision_person", "delay_s")
+    columns = (
+        *("success", "collision_person", "collision_wall", "timeout", "failed"),
+        *("stl", "time_s", "delay_s", "intrusion_ratio"),
     )
-    legend: ClassVar[Mapping[str, str]] = LEGEND
+    legend = LEGEND
 
     def check(self, policy: str) -> None:
         """Check the name of a robot's policy."""
@@ -125,9 +126,11 @@ class Robots(Suite):
 
     def rows(self, unit: WorkUnit, tell: ShareDone | None = None) -> list[dict[str, Any]]:
         """Drive one unit and return its row."""
-        case, parts, decision_dt = unit.case, [], 0.0
-        first: dict[str, Any] = {}
-        episodes = case.episodes or _recorded(case)
+        case, parts, kept = unit.case, [], {}
+        if not (episodes := case.episodes):  # as many as the recording has scenes
+            script = prepared_scenes(case.scenario, (case.robot,)).script
+            assert script is not None
+            episodes = len(script.scenes.table)
         for number, seed in enumerate(unit.seeds):
 
             def share(done: float, number: int = number) -> None:
@@ -150,19 +153,8 @@ class Robots(Suite):
             except UserError as error:
                 raise UserError(f"{case.name}: robot {case.robot}: {error}") from error
             env.physics.close()
-            decision_dt = env.decision_dt
-            if not parts and unit.keep_episodes:
-                first = kept_episodes(unit, part.walked, env)
             parts.append(part)
-        row = robot_row(unit.policy, joined_robots(parts), decision_dt) | first
-        for robot in row["per_agent"]:
-            seed, robot["episode"] = divmod(robot["episode"], episodes)
-            robot["seed"] = unit.seeds[seed]
+            kept = kept or kept_episodes(unit, part.walked, env.bank)
+        row = robot_row(unit.policy, joined_robots(parts)) | kept
+        with_seeds(row, unit.seeds, episodes)
         return [row]
-
-
-def _recorded(case: EvaluationCase) -> int:
-    """Return how many scenes a recording has."""
-    script = prepared_scenes(case.scenario, (case.robot,)).script
-    assert script is not None
-    return len(script.scenes.table)
