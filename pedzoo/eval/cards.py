@@ -252,7 +252,7 @@ def _forecasts(job: Job) -> tuple[Report, list[Report]]:
 
 def _walks(job: Job) -> tuple[Report, list[Report]]:
     asked = only(job.protocol, EvaluationOptions._fields)
-    lists = {key: tuple(value) for key, value in asked.items() if isinstance(value, list)}
+    lists: dict[str, Any] = {key: tuple(value) for key, value in asked.items() if isinstance(value, list)}
     options = EvaluationOptions(**asked | lists)._replace(root=job.root)
     still = job.protocol.get("deterministic", False)
     evaluation = Evaluation([job.model], job.protocol["suites"], options, job.seeds, still)

@@ -244,8 +244,9 @@ class _Process:
         """Return how the process ended."""
         self.executor.shutdown()
         code = error.code if isinstance(error, SystemExit) else self.process and self.process.exitcode
-        killed = isinstance(code, int) and code < 0
-        return f"killed by {signal.Signals(-code).name}" if killed else f"gone with exit code {code}"
+        if isinstance(code, int) and code < 0:
+            return f"killed by {signal.Signals(-code).name}"
+        return f"gone with exit code {code}"
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """All displacement metrics of a forecaster in one pass over scene batches."""
 
-from typing import cast
+from collections.abc import Callable
+from typing import Any, cast
 
 import torch
 from tensordict import TensorDict
@@ -93,7 +94,7 @@ class ForecastScore(Metric):
         errors = {"ade": d.average, "fde": d.final}
         self._mode = {"ade_m": (d.average,), "fde_m": (d.final,), "next_step_m": (d.next_step,)}
         self._sampled = {f"{name}_sampled_m": (of,) for name, of in errors.items()}
-        self._best = {
+        self._best: dict[str, tuple[Callable[..., Any], ...]] = {
             f"min_{name}_{samples}_{who}_m": (of, over)
             for who, over in (("scene", d.min_per_scene), ("agent", d.min_per_agent))
             for name, of in errors.items()

@@ -124,6 +124,6 @@ def test_wide_bodies_touch_earlier(radii: list | None, expected: float) -> None:
     """2 m apart, 2 m/s towards each other: bodies of 0.15 and 0.5 m touch after 1.35 m."""
     position = torch.tensor([[[[0.0, 0.0]], [[2.0, 0.0]]]])
     velocity = torch.tensor([[[[1.0, 0.0]], [[-1.0, 0.0]]]])
-    there, radius = torch.ones(1, 2, 1, dtype=torch.bool), radii and torch.tensor(radii)
+    there, radius = torch.ones(1, 2, 1, dtype=torch.bool), torch.tensor(radii) if radii else None
     result = time_to_collision(position, velocity, there, radius)
     assert result.flatten().tolist() == pytest.approx([expected, expected])

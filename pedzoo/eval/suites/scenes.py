@@ -125,7 +125,8 @@ class Indoor(Suite):
         people, axis = rollout.mask.shape[1], torch.tensor([1.0, 0.0])
         episodes = (rollout.episodes(slice(one, one + 1)) for one in range(len(rollout.failed)))
         each = [measured(every_step(episode), people, axis) for episode in episodes]
-        return {name: Ratio(*torch.stack([one[name].sum(1) for one in each], 1)) for name in self.legend}
+        sums = {name: torch.stack([one[name].sum(1) for one in each]) for name in self.legend}
+        return {name: Ratio(both[:, 0], both[:, 1]) for name, both in sums.items()}
 
 
 class Queues(Suite):
