@@ -127,8 +127,9 @@ def test_parts_are_known_by_people_and_body(small: None) -> None:
         ).units
 
     first, *_ = units()
-    others = [units(people=("orca:radius=0.3",))[0], units(robot="jackal")[0], units()[1]]
-    assert len({digest(unit) for unit in [first, *others]}) == 4
+    crowd = "orca:share=0.5+social_force:preset=indoor,share=0.5"
+    others = [units(people=(crowd,))[0], units(robot="jackal")[0], units()[1]]
+    assert len({digest(unit) for unit in [first, *others]}) == 4 and others[0].case.people == crowd
     assert digest(first) == digest(units()[0])
     (row,) = work(first._replace(seeds=(0, 4)))
     assert row["n"] == 4 and [robot["seed"] for robot in row["per_agent"]] == [0, 0, 4, 4]
@@ -152,12 +153,6 @@ def test_whatever_is_misspelt_is_refused_before_anything_drives(
         Evaluation(["orca"], ["door"], EvaluationOptions(people=("orca",)))
     with pytest.raises(UserError, match="did you mean 'straight'"):
         Evaluation(["strait"], ["robots"])
-
-
-def test_a_mixed_crowd_walks_beside_the_robot() -> None:
-    crowd = "orca:share=0.5+social_force:preset=indoor,share=0.5"
-    cases = suite.Robots("robots").cases(EvaluationOptions(episodes=1, people=(crowd,)))
-    assert {case.people for case in cases} == {crowd}
 
 
 def test_numbers_of_a_robots_card_are_done_again(monkeypatch: pytest.MonkeyPatch) -> None:

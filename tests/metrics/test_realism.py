@@ -102,7 +102,7 @@ def test_resamples_are_within_the_bound_of_the_exact_distance(shape: str, size: 
     # within a cell that holds shares p and q the distributions' distance is within max(p, q) of that at its
     # ends, for weights of 1; values on edges are exact
     inside = [
-        (side.before[:, 1:] - side.until[:, :-1]).sum(0) / side.until[:, -1].sum() for side in (first, second)
+        (before[:, 1:] - until[:, :-1]).sum(0) / until[:, -1].sum() for until, before in (first, second)
     ]
     bound = float(torch.maximum(*inside) @ edges.diff())
     for weight, value in zip(weights, distance.tolist(), strict=True):

@@ -22,7 +22,6 @@ from pedzoo.eval.rollout import Progress, walked
 from pedzoo.metrics.realism.crowds import CrowdSums, added, crowd, main_axis, measured, together
 from pedzoo.metrics.realism.features import (
     Clips,
-    SampledRollout,
     clips,
     coarse,
     every_step,
@@ -104,7 +103,9 @@ def scored_crowd(
         twin: The recorded people that they are; None for the recorded people themselves.
         rounds: How often the scenes are walked.
     """
-    people, first, cat = scenario.persons, 0, torch.cat
+    assert scenario.script is not None
+    people, scenes, first, cat = scenario.persons, scenario.script.scenes, 0, torch.cat
+    apart = int(people.removal.max()) + 1  # people of two recordings are never there together
     start, goal = people.start, people.goal if goal is None else goal
     views: tuple[list[tuple[CrowdSums, Clips]], ...] = ([], [])
     sums, rows, axis = [], [], main_axis(start, goal)
@@ -115,7 +116,10 @@ def scored_crowd(
             sides = crowd(part, seen, around, first, scenario.scenes, start, goal)
             view.append((sides, clips(seen, around, start, goal)))
         sums.append(measured(steps, len(start), axis))
-        rows.append(_scored_rows(steps, first, scenario))
+        episode, _, step = steps.scored.nonzero().unbind(1)
+        number, scene = (episode + first) // scenario.scenes, (episode + first) % scenario.scenes
+        frame = scenes.origin[scene] + step - 1 + apart * scenes.table[scene]
+        rows.append((number, steps.person[steps.scored], frame, steps.xy[steps.scored]))
         first += len(part.failed)
     both = (zip(*view, strict=True) for view in views)
     fine, rough = (
@@ -273,16 +277,3 @@ def blocks_of(people: RecordedPeople) -> tuple[Tensor, int]:
         block[mine] = before + (taken / length).long()
         before = int(block[mine].max()) + 1
     return block, before
-
-
-def _scored_rows(steps: SampledRollout, first: int, scenario: PreparedReplay) -> ScoredSteps:
-    """Return the scored steps of episodes ``first``, ... of a replay."""
-    assert scenario.script is not None
-    scenes, people = scenario.script.scenes, scenario.persons
-    episode, slot, step = steps.scored.nonzero().unbind(1)
-    scene = (episode + first) % scenario.scenes
-    # people of two recordings are never there together
-    apart = (int(people.removal.max()) + 1) * scenes.table[scene]
-    frame = scenes.origin[scene] + step - 1 + apart
-    person = steps.person[episode, slot, step]
-    return ScoredSteps((episode + first) // scenario.scenes, person, frame, steps.xy[episode, slot, step])

@@ -50,7 +50,7 @@ def row(side: ScoredCrowd, real: ScoredCrowd, more: Mapping[str, Tensor], window
         more: Further values (1 + R,) of resampled windows.
         windows: How many there are.
     """
-    drawn, (block, _, blocks) = _drawn(side, real), _blocks(side, real)
+    drawn, block, blocks = _drawn(side, real)
     values, telling = {}, {}
     for prefix, name in _VIEWS.items():
         mine, theirs = getattr(side, name), getattr(real, name)
@@ -74,7 +74,7 @@ def real_rows(real: ScoredCrowd) -> list[dict[str, Any]]:
     A policy's people are judged beside themselves, and halves are of different people: the bound can be
     beaten, chiefly in speed, nearest distance and lateral deviation.
     """
-    drawn, (block, _, blocks) = _drawn(real, real), _blocks(real, real)
+    drawn, block, blocks = _drawn(real, real)
     own = {name: ratios(both, drawn[0]) for name, both in real.sums.items()}
     values = _of_view(real.fine, real.fine, drawn, "")
     own |= {key: values[key] for key in values if key.endswith(("_share", "_per_min"))}
@@ -140,25 +140,23 @@ def _halves_auc(clips: Clips, first: Tensor, second: Tensor) -> Tensor:
     return torch.cat(result)
 
 
-def _blocks(side: ScoredCrowd, real: ScoredCrowd) -> tuple[Tensor, Tensor, int]:
-    """Return the blocks of time of a crowd's people (P,) and of recorded ones (Q,), and their number."""
+def _drawn(side: ScoredCrowd, real: ScoredCrowd) -> tuple[Weights, Tensor, int]:
+    """Return weights of both crowds' people, by resampled blocks of time, and the side's blocks (P,).
+
+    People of the recording have its blocks: there is one clock.
+    """
     (own, others), (block, blocks) = blocks_of(side.people), blocks_of(real.people)
-    if bool((side.twin >= 0).any()):  # one clock
-        return block[side.twin].where(side.twin >= 0, own.clamp_max(blocks - 1)), block, blocks
-    return own, block, max(blocks, others)
-
-
-def _drawn(side: ScoredCrowd, real: ScoredCrowd) -> Weights:
-    """Return the weights of both crowds' people, by resampled blocks of time."""
-    own, block, _ = _blocks(side, real)
-    times = theirs = drawn_people(int(block.max()) + 1, RESAMPLES)
-    if not bool((side.twin >= 0).any()):
-        times = drawn_people(int(own.max()) + 1, RESAMPLES, seed=1)
+    times = theirs = drawn_people(blocks, RESAMPLES)
+    if bool((side.twin >= 0).any()):
+        own, others = block[side.twin].where(side.twin >= 0, own.clamp_max(blocks - 1)), blocks
+    else:
+        times = drawn_people(others, RESAMPLES, seed=1)
+    first = torch.ones(1, 1, dtype=torch.float64)
     mine, theirs = (
-        torch.cat((torch.ones(1, len(who), dtype=torch.float64), weights)) * who
+        torch.cat((first.expand(1, len(who)), weights)) * who
         for weights, who in ((times[:, own], side.seen), (theirs[:, block], real.seen))
     )
-    return mine, theirs
+    return (mine, theirs), own, max(blocks, others)
 
 
 def same_people(side: ScoredCrowd, real: ScoredCrowd, weights: Tensor) -> dict[str, Tensor]:

@@ -26,13 +26,6 @@ class Samples(NamedTuple):
     person: Tensor
 
 
-class CumulativeCounts(NamedTuple):
-    """Each person's samples (P, G) float64 up to each edge, itself included, and before it."""
-
-    until: Tensor
-    before: Tensor
-
-
 def sums(place: Tensor, value: Tensor, size: int) -> Tensor:
     """Return the sums (size,) float64 of values (N,) by place (N,); of none `bincount` has whole numbers."""
     return torch.zeros(size, dtype=torch.float64).index_add_(0, place, value.double())
@@ -75,26 +68,32 @@ def grid(first: Tensor, second: Tensor, size: int = EDGES) -> Tensor:
     return torch.from_numpy(np.unique(np.concatenate((even, *of_ranks)))).double()
 
 
-def counted(samples: Samples, edges: Tensor, people: int) -> CumulativeCounts:
-    """Return how many samples of each of P ``people`` lie below ``edges`` (G,) of `grid`, and on them."""
+def counted(samples: Samples, edges: Tensor, people: int) -> tuple[Tensor, Tensor]:
+    """Return each person's samples up to each of ``edges`` (G,), itself included, and before it (P, G)."""
     shape, result = (people, len(edges) + 1), []
     for right in (False, True):  # the first edge that is not below the value; the first above it
         place = torch.searchsorted(edges, samples.value.double(), right=right)
         each = torch.bincount(samples.person * shape[1] + place, minlength=shape[0] * shape[1])
         result.append(each.view(shape)[:, :-1].cumsum(1).double())
-    return CumulativeCounts(*result)
+    return result[0], result[1]
 
 
 def resampled(
-    first: CumulativeCounts, second: CumulativeCounts, edges: Tensor, mine: Tensor, theirs: Tensor
+    first: tuple[Tensor, Tensor],
+    second: tuple[Tensor, Tensor],
+    edges: Tensor,
+    mine: Tensor,
+    theirs: Tensor,
 ) -> Tensor:
-    """Return the Wasserstein-1 distance (R,) of two crowds in every resample, NaN where one is empty.
+    """Return the Wasserstein-1 distance (R,) of two crowds, as `counted`, in every resample; NaN of none.
 
     Between two edges the cumulative distributions are taken to differ evenly. The error is at most the larger
     crowd's share between them. ``mine`` and ``theirs`` (R, P): how often each person counts.
     """
-    until = _shares(first.until, first.until, mine) - _shares(second.until, second.until, theirs)
-    before = _shares(first.before, first.until, mine) - _shares(second.before, second.until, theirs)
+    until, before = (
+        mine @ ours / (mine @ first[0][:, -1:]) - theirs @ real / (theirs @ second[0][:, -1:])
+        for ours, real in zip(first, second, strict=True)
+    )
     return (until[:, :-1].abs() + before[:, 1:].abs()) @ edges.diff() / 2
 
 
@@ -103,11 +102,6 @@ def halves(people: int, splits: int = 200) -> Tensor:
     generator = torch.Generator().manual_seed(0)
     rank = torch.rand(splits, people, generator=generator).argsort(1)
     return torch.zeros(splits, people, dtype=torch.float64).scatter_(1, rank[:, : people // 2], 1.0)
-
-
-def _shares(part: Tensor, whole: Tensor, weights: Tensor) -> Tensor:
-    """Return shares (R, G) of the weighted samples; NaN where no person that was drawn has any."""
-    return weights @ part / (weights @ whole[:, -1:])
 
 
 def displacement(simulated: Tensor, true: Tensor, known: Tensor) -> Tensor:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -47,11 +46,8 @@ Ranges = Mapping[str, tuple[float, float]]
 """Ends of the bins of each of `MEASURED`; values beyond count in the last bin."""
 
 
-class LogSums(NamedTuple):
-    """Log likelihoods of a feature: the sum over people and steps of each window, and their number (W,)."""
-
-    total: Tensor
-    count: Tensor
+LogSums = tuple[Tensor, Tensor]
+"""Log likelihoods of a feature: the sum over people and steps of each window, and their number (W,)."""
 
 
 def step_values(steps: SampledRollout, wall: Tensor) -> dict[str, Tensor]:
@@ -90,13 +86,8 @@ def step_values(steps: SampledRollout, wall: Tensor) -> dict[str, Tensor]:
 def measured_likelihood(simulated: Tensor, true: Tensor, ends: tuple[float, float]) -> LogSums:
     """Return how likely the true values (W, A, S) are under histograms of each person's simulated ones.
 
-    A histogram has all rollouts and steps of one person in one window. Fewer than `ROLLOUTS` rollouts count
-    as if they were repeated: of a policy without noise all are equal.
-
-    Args:
-        simulated: (K, W, A, S).
-        true: (W, A, S).
-        ends: Of the bins.
+    A histogram has all rollouts and steps (K, W, A, S) of one person in one window, in bins between ``ends``.
+    Fewer than `ROLLOUTS` rollouts count as if they were repeated: of a policy without noise all are equal.
     """
     times = ROLLOUTS / len(simulated)
     bins, own = _bin(simulated, ends), _bin(true, ends)
@@ -105,21 +96,18 @@ def measured_likelihood(simulated: Tensor, true: Tensor, ends: tuple[float, floa
     counts = torch.bincount(place[there], minlength=true[..., 0].numel() * BINS).double() * times
     counts = counts.view(*true.shape[:2], BINS) + PSEUDO_COUNT
     log = (counts / counts.sum(2, keepdim=True)).log().gather(2, own)
-    return LogSums(log.where(known, 0.0).sum((1, 2)), known.sum((1, 2)).double())
+    return log.where(known, 0.0).sum((1, 2)), known.sum((1, 2)).double()
 
 
 def contact_likelihood(simulated: Tensor, true: Tensor, people: Tensor) -> LogSums:
-    """Return how likely it was that people (W, A) touched something.
+    """Return how likely it was that ``people`` (W, A) bool touched something.
 
-    Args:
-        simulated: Whether they do in each rollout (K, W, A) bool.
-        true: Whether they did (W, A) bool.
-        people: Which people count (W, A) bool.
+    They do in each rollout where ``simulated`` (K, W, A) says so, and did where ``true`` (W, A) does.
     """
     touches = simulated.double().mean(0) * ROLLOUTS + PSEUDO_COUNT
     share = touches / (ROLLOUTS + 2 * PSEUDO_COUNT)
     log = torch.where(true, share, 1 - share).log()
-    return LogSums(log.where(people, 0.0).sum(1), people.sum(1).double())
+    return log.where(people, 0.0).sum(1), people.sum(1).double()
 
 
 def composite(sums: Mapping[str, LogSums], weights: Tensor) -> dict[str, Tensor]:
