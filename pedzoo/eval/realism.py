@@ -31,7 +31,7 @@ from pedzoo.metrics.realism.crowds import (
 )
 from pedzoo.metrics.realism.distances import halves
 from pedzoo.metrics.realism.features import FEATURES, SampledRollout, every_step, surroundings
-from pedzoo.metrics.realism.walks import RecordedWalks, Walks, of_people, tracks_of, walks_of
+from pedzoo.metrics.realism.walks import RecordedWalks, by_person, of_people, tracks_of, walks_of
 from pedzoo.metrics.statistics import drawn_people, wilson
 from pedzoo.sim.recorded_people import RecordedPeople
 from pedzoo.sim.rollout import Rollout
@@ -96,10 +96,10 @@ def replay_row(
         walked.append(walks_of(part, steps, first, scenes, tracks))
         crowds.append(sums)
         first += len(part.failed)
-    walks = Walks(*(torch.cat(values) for values in zip(*walked, strict=True)))
+    walks = {name: torch.cat([part[name] for part in walked]) for name in walked[0]}
     seen = torch.zeros(len(people.agent), dtype=torch.bool)
-    seen[walks.person] = True
-    tables = walks.by_person(scenes, len(seen))
+    seen[walks["person"]] = True
+    tables = by_person(walks, scenes, len(seen))
     mine, real, count = together(crowds), only(everybody, seen), int(seen.sum())
     drawn = _weights(torch.cat((torch.ones(1, count, dtype=torch.float64), drawn_people(count))), seen)
     values = of_people(tables, tracks.seconds, drawn) | compared(mine, real, drawn, drawn)

@@ -42,7 +42,7 @@ from pedzoo.metrics.realism.distances import (
     wasserstein,
 )
 from pedzoo.metrics.realism.features import SampledRollout, every_step, features, surroundings
-from pedzoo.metrics.realism.walks import of_people, tracks_of, walks_of
+from pedzoo.metrics.realism.walks import by_person, of_people, tracks_of, walks_of
 from pedzoo.metrics.realism.wosac import step_values
 from pedzoo.metrics.statistics import drawn_people
 from pedzoo.policies.rule_based.go_to_goal import GoToGoal
@@ -291,11 +291,12 @@ def test_walks_of_two_rounds() -> None:
     assert tracks.scene.tolist() == [0, 1, -1] and tracks.points.tolist() == [3, 4, 0]
     assert tracks.seconds.tolist() == pytest.approx([1.4, 1.9, NAN], nan_ok=True)
     result = walks_of(rollout, every_step(rollout), 4, 2, tracks)
-    assert result.episode.tolist() == [4, 5, 6] and result.person.tolist() == [0, 1, 0]
-    assert result.seconds.tolist() == pytest.approx([NAN, 1.9, 1.4], nan_ok=True)
-    assert result.ade.tolist() == pytest.approx([(0.4 + 0.6 + 0.8) / 3, 0.0, 0.0])
-    assert result.dtw.tolist()[1:] == [0.0, 0.0] and result.dtw[0] > 0.1
-    table = walks_of(rollout, every_step(rollout), 0, 2, tracks).by_person(2, 3)["ade"]
+    result = {name: values.tolist() for name, values in result.items()}
+    assert (result["episode"], result["person"]) == ([4, 5, 6], [0, 1, 0])
+    assert result["seconds"] == pytest.approx([NAN, 1.9, 1.4], nan_ok=True)
+    assert result["ade"] == pytest.approx([(0.4 + 0.6 + 0.8) / 3, 0.0, 0.0])
+    assert result["dtw"][1:] == [0.0, 0.0] and result["dtw"][0] > 0.1
+    table = by_person(walks_of(rollout, every_step(rollout), 0, 2, tracks), 2, 3)["ade"]
     assert table.tolist()[1] == pytest.approx([0.0, NAN, NAN], nan_ok=True) and len(table) == 2
 
 

@@ -70,40 +70,6 @@ class RecordedWalks(NamedTuple):
     points: Tensor
 
 
-class Walks(NamedTuple):
-    """W walks; of several rollouts they can be put one after the other.
-
-    Attributes:
-        episode: (W,) long.
-        person: (W,) long.
-        deadlock: In which walks the person was once `stuck`, see `pedzoo.metrics.arrival` (W,) bool.
-        seconds: From when the policy took over until within 0.3 m of the goal; NaN for never. A replay takes
-            out people who need more than twice the recorded time.
-        ade: Mean distance to the recorded positions of the same times, metres; NaN without any.
-        dtw: Dynamic time warping distance to the recorded walk, metres; NaN likewise.
-    """
-
-    episode: Tensor
-    person: Tensor
-    deadlock: Tensor
-    seconds: Tensor
-    ade: Tensor
-    dtw: Tensor
-
-    def by_person(self, scenes: int, people: int) -> dict[str, Tensor]:
-        """Return success, deadlock, seconds, ade and dtw as tables (K, P) of rounds of ``scenes``.
-
-        NaN where there was no walk.
-        """
-        rounds = int(self.episode.max()) // scenes + 1
-        values = self._asdict() | {"success": ~self.seconds.isnan()}
-        tables = {}
-        for name in ("success", "deadlock", "seconds", "ade", "dtw"):
-            tables[name] = torch.full((rounds, people), torch.nan, dtype=torch.float64)
-            tables[name][self.episode // scenes, self.person] = values[name].double()
-        return tables
-
-
 def tracks_of(parts: Sequence[Rollout], people: int) -> RecordedWalks:
     """Return the tracks of a recorded crowd of P ``people``, given as rollouts of scenes 0, 1, ..."""
     scene = torch.full((people,), -1)
@@ -122,8 +88,15 @@ def tracks_of(parts: Sequence[Rollout], people: int) -> RecordedWalks:
 
 def walks_of(
     rollout: Rollout, steps: SampledRollout, first: int, scenes: int, tracks: RecordedWalks
-) -> Walks:
-    """Return the walks of a rollout.
+) -> dict[str, Tensor]:
+    """Return the walks of a rollout (W,); of several rollouts they can be put one after the other.
+
+    * ``episode`` and ``person``: long.
+    * ``seconds``: from when the policy took over until within 0.3 m of the goal; NaN for never, where
+      ``success`` is false. A replay takes out people who need more than twice the recorded time.
+    * ``deadlock``: whether the person was once `stuck`, see `pedzoo.metrics.arrival`.
+    * ``ade``: mean distance to the recorded positions of the same times, metres; NaN without any.
+    * ``dtw``: dynamic time warping distance to the recorded walk, metres; NaN likewise.
 
     Args:
         rollout: Episodes ``first``, ``first + 1``, ... of a replay; episode i is scene i modulo ``scenes``.
@@ -143,20 +116,32 @@ def walks_of(
     walk = number[steps.scored.nonzero()[:, 0], steps.person[steps.scored]]
     xy, points = padded(steps.xy[steps.scored], walk, count)
     true, others = tracks.xy[person], tracks.points[person]
-    return Walks(
-        episode + first,
-        person,
-        deadlock,
-        _seconds(rollout, number, count),
-        closed_loop_error(xy, true, torch.minimum(points, others)),
-        dtw(xy, points, true, others, torch.arange(count).expand(2, -1)),
-    )
+    seconds = _seconds(rollout, number, count)
+    ade = closed_loop_error(xy, true, torch.minimum(points, others))
+    warped = dtw(xy, points, true, others, torch.arange(count).expand(2, -1))
+    who = {"episode": episode + first, "person": person}
+    return who | {
+        "success": ~seconds.isnan(),
+        "deadlock": deadlock,
+        "seconds": seconds,
+        "ade": ade,
+        "dtw": warped,
+    }
+
+
+def by_person(walks: Mapping[str, Tensor], scenes: int, people: int) -> dict[str, Tensor]:
+    """Return values of `walks_of` as tables (K, P) of rounds of ``scenes``, NaN where there was no walk."""
+    rounds, tables = walks["episode"] // scenes, {}
+    for name in ("success", "deadlock", "seconds", "ade", "dtw"):
+        tables[name] = torch.full((int(rounds.max()) + 1, people), torch.nan, dtype=torch.float64)
+        tables[name][rounds, walks["person"]] = walks[name].double()
+    return tables
 
 
 def of_people(tables: Mapping[str, Tensor], real_seconds: Tensor, weights: Tensor) -> dict[str, Tensor]:
     """Return means and medians over people (R,), for weights (R, P).
 
-    ``tables`` are those of `Walks.by_person`; ``real_seconds`` (P,) is how long the recorded walks took.
+    ``tables`` are those of `by_person`; ``real_seconds`` (P,) is how long the recorded walks took.
     """
     walks = weights @ (~tables["success"].isnan()).sum(0).double()
     result = {name: weights @ tables[name].nansum(0) / walks for name in ("success", "deadlock")}
