@@ -37,42 +37,34 @@ def main(argv: list[str] | None = None) -> int:
             code = _dispatch(argv)
             sys.stdout.flush()
             return code
-    except UserError as error:
-        return _refused(error)
-    except ModuleNotFoundError as error:
-        if (refusal := missing_extra(error)) is None:
-            raise
-        return _refused(refusal)
     except KeyboardInterrupt as stop:
-        print(
-            f"pedzoo: {f'ended by {stop}' if isinstance(stop, EndedBySignal) else 'interrupted'}",
-            file=sys.stderr,
-        )
+        said = f"ended by {stop}" if isinstance(stop, EndedBySignal) else "interrupted"
+        print(f"pedzoo: {said}", file=sys.stderr)
         return exit_code(stop)
     except BrokenPipeError:  # of `| head`: no more is read, not at exit either
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
-    except (MemoryError, OSError, RuntimeError) as error:
-        if (refusal := lacks_memory(error) or _of_a_file(error)) is None:
+    except Exception as error:
+        if (refusal := _refusal(error)) is None:
             raise
-        return _refused(refusal)
+        # in one line, without what a server or a file put there as orders to the terminal
+        readable = "".join(sign if sign.isprintable() else " " for sign in str(refusal))
+        print(f"pedzoo: {' '.join(readable.split())}", file=sys.stderr)
+        return 2
 
 
-def _of_a_file(error: Exception) -> UserError | None:
+def _refusal(error: Exception) -> UserError | None:
+    """Return what is said about an error that a person can do something about; None for ours."""
     name, number = getattr(error, "filename", None), getattr(error, "errno", None)
+    if isinstance(error, UserError):
+        return error
+    if isinstance(error, ModuleNotFoundError):
+        return missing_extra(error)
     if number == errno.ENAMETOOLONG:
         return UserError(f"{name!r:.100}: no file has so long a name")
-    return UserError(f"cannot write {name or 'a file'}: {os.strerror(number)}") if number in NO_ROOM else None
-
-
-def _refused(error: UserError) -> int:
-    print(f"pedzoo: {_readable(str(error))}", file=sys.stderr)
-    return 2
-
-
-def _readable(message: str) -> str:
-    """Return a message in one line, without what a server or a file put there as orders to the terminal."""
-    return " ".join("".join(sign if sign.isprintable() else " " for sign in message).split())
+    if number in NO_ROOM:
+        return UserError(f"cannot write {name or 'a file'}: {os.strerror(number)}")
+    return lacks_memory(error) if isinstance(error, MemoryError | OSError | RuntimeError) else None
 
 
 def _dispatch(argv: list[str]) -> int:

@@ -234,7 +234,9 @@ def _as_jsonargparse_reads(parser: ArgumentParser, argv: list[str]) -> list[str]
         new = value
         if flag in ("--config", "-c") and value:
             new = str(find_config(value))
-        kind, alone = _list_type(hint)
+        options = [one for one in (hint, *get_args(hint)) if one is not type(None)]
+        kind = next((one for one in options if get_origin(one) in (list, tuple)), None)
+        alone = hint is kind or all(one in (hint, kind) for one in options)
         is_list = kind is not None and not value.startswith(("[", "-", "{")) and value != "null"
         if is_list and (alone or "," in value):
             if get_origin(kind) is tuple and ... not in get_args(kind):
@@ -254,13 +256,3 @@ def _check_count(option: str, count: int, value: str, behind: list[str]) -> None
     example = [*given, *further, *given * count][:count]
     expected = f"{count} values with a comma between them, as {option} {','.join(example)}"
     raise UserError(f"{option} {value}: expected {expected}")
-
-
-def _list_type(hint: object) -> tuple[object | None, bool]:
-    """Return the list or tuple type in a type, or None, and whether it is the only choice."""
-    options = (hint, *get_args(hint))
-    for option in options:
-        if get_origin(option) in (list, tuple):
-            others = [one for one in options if one not in (hint, option, type(None))]
-            return option, hint is option or not others
-    return None, False

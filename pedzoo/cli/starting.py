@@ -69,7 +69,11 @@ def expand(command: Command, argv: list[str]) -> ExpandedCommand:
     if weights := named.get("--weights"):
         if configured:
             options = _without_code(architecture_options(weights, configured), argv, weights)
-            return ExpandedCommand(_behind_configs(argv, options))
+            # they win over configs, and not over what else was typed
+            parser = ArgumentParser(add_help=False, allow_abbrev=False)
+            parser.add_argument("--config", "-c", action="append", default=[])
+            known, rest = parser.parse_known_args(argv)
+            return ExpandedCommand([*(f"--config={one}" for one in known.config), *options, *rest])
         options = _without_code(options_of(weights), argv, weights)
         return ExpandedCommand([*options, *argv], beside=config_beside(weights))
     checkpoint = named.get("--ckpt_path")
@@ -78,7 +82,13 @@ def expand(command: Command, argv: list[str]) -> ExpandedCommand:
     if command != "fit" and checkpoint and not configured:
         if config := config_beside(checkpoint):
             return ExpandedCommand(["--config", str(config), *argv], beside=config)
-        _check_checkpoint(checkpoint)
+        # what is no checkpoint is refused: else it would be said that there is no model
+        if Path(checkpoint).suffix != ".ckpt":
+            more = f"; weights are measured by: pedzoo forecast {checkpoint}"
+            more *= checkpoint.endswith(".safetensors")
+            expected = "expected a .ckpt file, as pedzoo fit writes it"
+            raise UserError(f"--ckpt_path {checkpoint}: {expected}{more}")
+        read_checkpoint(checkpoint)
     return ExpandedCommand(argv)
 
 
@@ -87,16 +97,6 @@ def names_typed(argv: list[str]) -> set[str]:
     values = [word.partition("=")[2] if word.startswith("--") else word for word in argv]
     parts = [part for value in values for part in (*split_names(value), *re.split(r"[][{}\"',\s]+", value))]
     return {absolute_name(name) for name in (*values, *parts)}
-
-
-def _check_checkpoint(file: str) -> None:
-    """Refuse what is no checkpoint, where it would be said that there is no model."""
-    if Path(file).suffix != ".ckpt":
-        weights = (
-            f"; weights are measured by: pedzoo forecast {file}" if file.endswith(".safetensors") else ""
-        )
-        raise UserError(f"--ckpt_path {file}: expected a .ckpt file, as pedzoo fit writes it{weights}")
-    read_checkpoint(file)
 
 
 def _without_code(options: list[str], argv: list[str], weights: str) -> list[str]:
@@ -108,14 +108,6 @@ def _without_code(options: list[str], argv: list[str], weights: str) -> list[str
     left = [one for one in options if not (names_code(one) and given(argv, one.partition("=")[0]))]
     refuse_code(left, f"--weights {weights}", "name it yourself, as in --data.fold file.py:Class:fold")
     return left
-
-
-def _behind_configs(argv: list[str], options: list[str]) -> list[str]:
-    """Return a command line with ``options`` that win over its configs, and not over what else was typed."""
-    parser = ArgumentParser(add_help=False, allow_abbrev=False)
-    parser.add_argument("--config", "-c", action="append", default=[])
-    known, rest = parser.parse_known_args(argv)
-    return [*(f"--config={one}" for one in known.config), *options, *rest]
 
 
 class ConfigParser(LightningArgumentParser):

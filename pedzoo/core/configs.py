@@ -1,6 +1,6 @@
 """Config files with the values that they inherit (``base: sgan_goal``), and scenarios as texts."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -8,9 +8,6 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.paths import find_config
 from pedzoo.core.size_limits import check_yaml, read_mapping
 from pedzoo.core.spec import with_settings
-
-BASE = "base"
-"""Key of the config that another one takes over and changes."""
 
 _OF_COURSE = ("scenario", "scenes", "share")
 """A course's own keys. Its other keys are settings of its scenario."""
@@ -60,9 +57,9 @@ def _loaded(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
         circle = " -> ".join(file.stem for file in chain[above.index(chain[-1]) :])
         raise UserError(f"config {str(path)!r} is its own base: {circle}; remove one of these bases")
     settings = read_config(path)
-    if (key := _no_text(settings)) is not None:
+    for key in (one for one in _keys(settings) if not isinstance(one, str)):
         raise UserError(f"config {str(path)!r}: {key!r:.60} stands in the place of an option's name")
-    if (base := settings.pop(BASE, None)) is None:
+    if (base := settings.pop("base", None)) is None:
         return settings
     if not isinstance(base, str):
         raise UserError(f"config {str(path)!r}: expected the name of one config as base, not {base!r:.60}")
@@ -76,13 +73,12 @@ def _loaded(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
     return merged(_loaded(file, chain), settings)
 
 
-def _no_text(settings: Any) -> Any:
-    """Return a key that is no text, such as a number or a date; None where there is none."""
-    if not isinstance(settings, dict):
-        return None
-    other = next((key for key in settings if not isinstance(key, str)), None)
-    inner = (key for value in settings.values() if (key := _no_text(value)) is not None)
-    return next(inner, None) if other is None else other
+def _keys(settings: Any) -> Iterator[Any]:
+    """Yield all keys in settings, at any depth of mappings."""
+    if isinstance(settings, dict):
+        yield from settings
+        for value in settings.values():
+            yield from _keys(value)
 
 
 def _with_scenarios(settings: Any) -> Any:

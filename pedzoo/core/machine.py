@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pedzoo import __version__
 from pedzoo.core.errors import UserError, installed
+from pedzoo.core.registry import ROOT
 
 if TYPE_CHECKING:
     import torch
@@ -27,20 +28,12 @@ def versions() -> dict[str, str]:
             result[package] = version(package)
         except PackageNotFoundError:
             result[package] = "absent"
-    if commit := _commit():
-        result["commit"] = commit
+    if (ROOT / ".git").exists():  # else from a wheel: a surrounding repository is another project's
+        command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty", "--abbrev=12"]
+        with suppress(OSError, subprocess.SubprocessError):
+            done = subprocess.run(command, capture_output=True, text=True, timeout=10, check=True)
+            result["commit"] = done.stdout.strip()
     return result
-
-
-def _commit() -> str:
-    root = Path(__file__).parents[2]
-    if not (root / ".git").exists():
-        return ""  # installed from a wheel: a surrounding repository is another project's
-    try:
-        command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=12"]
-        return subprocess.run(command, capture_output=True, text=True, timeout=10, check=True).stdout.strip()
-    except (OSError, subprocess.SubprocessError):
-        return ""
 
 
 def usable(device: torch.device | str) -> torch.device:
