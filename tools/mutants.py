@@ -113,14 +113,19 @@ def mutants_of(pattern: str) -> list[Mutant]:
     names = [name for name in plugins.operator_names() if OPERATORS.fullmatch(name)]
     result = []
     for path in sorted(file for one in pattern.split() for file in ROOT.glob(one)):
-        tree, skipped = read.get_ast(path.read_text()), _skipped(ast.parse(path.read_text()))
-        nodes = [*_nodes(tree)]
+        inside = [*ast.walk(ast.parse(path.read_text()))]
+        parts = [getattr(node, name, None) for node in inside for name in ("annotation", "returns")]
+        parts += [node for node in inside if isinstance(node, ast.JoinedStr)]
+        skipped = [
+            ((one.lineno, one.col_offset), (one.end_lineno, one.end_col_offset)) for one in parts if one
+        ]
+        nodes = [*_nodes(read.get_ast(path.read_text()))]
         for name in names:
             operator, number = plugins.get_operator(name)(), 0
             for node in nodes:
-                for (line, column), _ in operator.mutation_positions(node):
-                    if not any(_within(one, line, column) for one in skipped):
-                        result.append(Mutant(str(path.relative_to(ROOT)), line, name, number))
+                for place, _ in operator.mutation_positions(node):
+                    if not any(first <= place < last for first, last in skipped):
+                        result.append(Mutant(str(path.relative_to(ROOT)), place[0], name, number))
                     number += 1
     return result
 
@@ -129,17 +134,6 @@ def _nodes(tree: Any) -> Iterator[Any]:
     yield tree
     for child in getattr(tree, "children", ()):
         yield from _nodes(child)
-
-
-def _skipped(tree: ast.AST) -> list[Any]:
-    """Return the nodes of messages and annotations."""
-    nodes = [*ast.walk(tree)]
-    parts = [getattr(node, name, None) for node in nodes for name in ("annotation", "returns")]
-    return [*filter(None, parts), *(node for node in nodes if isinstance(node, ast.JoinedStr))]
-
-
-def _within(node: Any, line: int, column: int) -> bool:
-    return (node.lineno, node.col_offset) <= (line, column) < (node.end_lineno, node.end_col_offset)
 
 
 def killed(copy: Path, tests: list[str], silent: bool = True) -> bool:
@@ -169,22 +163,13 @@ def killed(copy: Path, tests: list[str], silent: bool = True) -> bool:
     return True
 
 
-def changes_nothing(mutant: str) -> bool:
-    """Return whether a mutant, as it is printed, is one of `EQUIVALENT`."""
-    file, _, line = mutant.partition(":")
-    return any(part in line for part in EQUIVALENT.get(file, ()))
-
-
-def _words(tests: str) -> list[str]:
-    return [word.replace("+", " or ") for word in tests.split()]
-
-
 def survivors(module: str, sample: int, seed: int, copy: Path) -> tuple[int, list[str]]:
     """Return how many mutants of a module were tried, and those that no test has seen."""
     mutating: Any = importlib.import_module("cosmic_ray.mutating")
     plugins: Any = importlib.import_module("cosmic_ray.plugins")
     pattern, tests = MODULES[module]
-    if killed(copy, _words(tests), silent=False):
+    words = [word.replace("+", " or ") for word in tests.split()]
+    if killed(copy, words, silent=False):
         raise SystemExit(f"{module}: the tests fail without a mistake")
     known = mutants_of(pattern)
     drawn = np.random.default_rng(seed).permutation(len(known))[:sample]
@@ -196,7 +181,7 @@ def survivors(module: str, sample: int, seed: int, copy: Path) -> tuple[int, lis
         path.write_text(after)
         line = after.splitlines()[mutant.line - 1].strip()
         said = f"{mutant.file.removeprefix('pedzoo/')}:{mutant.line} {line}"
-        seen = killed(copy, _words(tests))
+        seen = killed(copy, words)
         path.write_text(before)
         print(f"{module} {count}/{len(drawn)} {'killed' if seen else 'SURVIVED'} {said}", flush=True)
         if not seen:
@@ -225,7 +210,8 @@ def main() -> None:
                 importlib.import_module(name)
             for module in options.modules or MODULES:
                 tried, alive = survivors(module, options.sample, options.seed, copy)
-                same = sum(map(changes_nothing, alive))
+                said = [mutant.partition(":")[::2] for mutant in alive]  # as they are printed
+                same = sum(any(part in line for part in EQUIVALENT.get(file, ())) for file, line in said)
                 share = (tried - len(alive)) / max(tried - same, 1)
                 rows.append(f"| {module} | {tried} | {tried - len(alive)} | {same} | {share:.3f} |")
         finally:

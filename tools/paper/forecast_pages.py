@@ -143,8 +143,10 @@ def table1_pages(report: Row) -> list[ResultTable]:
                 if f"{name}.{fold}{block['tag']}" in report["missing"]
             }
             body = _body(block["rows"], folds, without | cells)
-            if block["goal"] == "none" and keys == PER_SCENE:
-                body += _released(block["pred_len"], folds)
+            for model in RELEASED if block["goal"] == "none" and keys == PER_SCENE else ():
+                errors = model["errors"][block["pred_len"]]
+                errors = errors | {"mean": mean_errors(errors)}
+                body.append([model["label"], *(_pair(errors[fold].values()) for fold in folds)])
             result.append(ResultTable(f"{title}: {scored}", ["model", *head], body, 1))
         known = [row for row in mine if NATS in row["metrics"]]
         names = list(dict.fromkeys(row["name"] for row in known))
@@ -183,12 +185,6 @@ def _overview(means: Sequence[Row]) -> ResultTable:
     return ResultTable(
         "Means over the folds, ADE / FDE", ["steps", "goal", "model", *SCORED, "nats per step"], body, 3
     )
-
-
-def _released(pred_len: str, folds: Sequence[str]) -> Iterator[list[str]]:
-    for model in RELEASED:
-        errors = model["errors"][pred_len] | {"mean": mean_errors(model["errors"][pred_len])}
-        yield [model["label"], *(_pair(errors[fold].values()) for fold in folds)]
 
 
 def _ratios(means: Sequence[Row], pred_len: str) -> Iterator[list[str]]:

@@ -154,10 +154,15 @@ class Table1(Jobs):
 
     def _beside(self, report: Mapping[str, Any]) -> dict[str, Any]:
         """Return the notes of a report, and what stands beside its rows."""
-        known = {name: _training(name) for name in sorted({row["weights"] for row in report["rows"]})}
+        entries = {name: find(name) for name in sorted({row["weights"] for row in report["rows"]})}
+        known = {name: dict(entry.card.training) for name, entry in entries.items() if entry}
         return {
             "notes": table1_notes(report["missing"]),
-            "training_seeds": {name: seeds for name, seeds in known.items() if seeds},
+            "training_seeds": {  # that cards tell of
+                name: {key: training[key] for key in ("seeds", "seed", "chosen_by")}
+                for name, training in known.items()
+                if training["seeds"]
+            },
             "paper": TABLE_1,
             "released": RELEASED,
         }
@@ -219,14 +224,6 @@ def work(job: Job) -> list[dict[str, Any]]:
 @lru_cache(maxsize=1)
 def _data(fold: str, goal: GoalProtocol, pred_len: int, root: str | None) -> TrajectoryDataModule:
     return TrajectoryDataModule(fold, root, pred_len=pred_len, goal=goal)
-
-
-def _training(name: str) -> dict[str, Any] | None:
-    """Return what a card says about the seeds that were trained, None where it does not."""
-    entry = find(name)
-    if entry is None or not entry.card.training["seeds"]:
-        return None
-    return {key: cast("Any", entry.card.training[key]) for key in ("seeds", "seed", "chosen_by")}
 
 
 def means(rows: Sequence[dict[str, Any]], folds: Sequence[str]) -> list[dict[str, Any]]:
