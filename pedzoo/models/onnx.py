@@ -352,7 +352,7 @@ def parity(data: bytes, model: Forecaster, graph: Graph) -> list[Parity]:
         expected = graph.answers(model, scenes, noise)
         apart = [np.abs(a - b.numpy()) for a, b in zip(result, expected, strict=True)]
         worst = max(float(np.nan_to_num(values, nan=np.inf).max()) for values in apart)
-        checks.append(Parity(*agents.shape, worst))
+        checks.append(Parity(agents.shape[0], agents.shape[1], worst))
     worst = max(checks, key=lambda check: check.difference)
     if worst.difference > TOLERANCE:
         raise UserError(

@@ -79,11 +79,6 @@ def assert_same(
         torch.testing.assert_close(got / scale, wanted / scale, rtol=close, atol=close)
 
 
-@pytest.fixture(autouse=True)
-def _seed() -> None:
-    torch.manual_seed(0)
-
-
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("people", [1, 5])
 def test_encoder_is_the_step_by_step_one(dtype: torch.dtype, people: int) -> None:

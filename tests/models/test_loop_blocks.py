@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from helpers.batches import make_batch, on_plan, random_weights
+from test_blocks import crowd_of
 from torch import Tensor, nn
 
 from pedzoo.maps.bank import MapBank
@@ -16,7 +17,6 @@ from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
 from pedzoo.models.architectures.sgan import SGAN, ContextNoise
 from pedzoo.models.blocks.people import ego_frame
 from pedzoo.models.blocks.people.approach import ApproachPooling
-from pedzoo.models.blocks.people.crowd import Crowd
 
 GOAL: dict[str, Any] = {"goal_dim": 4, "goal_protocol": "window_end", "noise": "agent"}
 NEW: dict[str, Any] = {"map": "rings", "map_dim": 5, "approach_dim": 6, "trait_dim": 7}
@@ -33,10 +33,6 @@ def transparent() -> ApproachPooling:
     return pool
 
 
-def crowd_of(*sizes: int) -> Crowd:
-    return Crowd.of(torch.arange(max(sizes)) < torch.tensor(sizes).unsqueeze(1))
-
-
 def walking(people: int, seed: int = 0) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Return position, last displacement, heading and state of so many people."""
     random = torch.Generator().manual_seed(seed)
@@ -49,7 +45,7 @@ def seen_by_the_first(away: tuple[float, float], velocity: tuple[float, float]) 
     position = torch.tensor([[0.0, 0.0], away])
     moved = 0.4 * torch.tensor([[1.0, 0.0], velocity])
     heading = torch.tensor([[1.0, 0.0], [1.0, 0.0]])
-    result = transparent()(position, moved, heading, torch.zeros(2, 3), crowd_of(2))
+    result = transparent()(position, moved, heading, torch.zeros(2, 3), crowd_of((2,)))
     return (result[0, :8] - result[0, 8:]).tolist()
 
 
@@ -74,12 +70,12 @@ def test_what_another_does_is_added_to_how_they_move() -> None:
     position, moved = torch.tensor([[0.0, 0.0], [4.0, 1.0]]), 0.4 * torch.tensor([[1.0, 0.0], [-1.0, 0.0]])
     heading, state = torch.tensor([[1.0, 0.0], [1.0, 0.0]]), torch.tensor([[9.0, 9.0, 9.0], [0.1, 0.2, 5.0]])
     plain = torch.tensor(seen_by_the_first((4.0, 1.0), (-1.0, 0.0)))
-    result = pool(position, moved, heading, state, crowd_of(2))[0, :8]
+    result = pool(position, moved, heading, state, crowd_of((2,)))[0, :8]
     torch.testing.assert_close(result[:3], (plain[:3] + state[1]).clamp_min(0.0))
 
 
 def test_a_person_alone_sees_no_others() -> None:
-    result = ApproachPooling(3, 6)(*walking(5), crowd_of(1, 3, 1))
+    result = ApproachPooling(3, 6)(*walking(5), crowd_of((1, 3, 1)))
     assert not result[0].any() and not result[4].any() and bool(result[1:4].any(1).all())
 
 
@@ -94,7 +90,7 @@ def test_gradients_are_finite_wherever_people_are(case: str) -> None:
     if case == "side by side":
         moved = moved[:1].expand(4, 2).clone()
     leaves = [x.requires_grad_() for x in (position, moved, heading, state)]
-    pool(*leaves, crowd_of(4)).square().sum().backward()
+    pool(*leaves, crowd_of((4,))).square().sum().backward()
     gradients = [x.grad for x in (*leaves, *pool.parameters()) if x.grad is not None]
     assert len(gradients) == 4 + len(list(pool.parameters()))
     assert all(bool(gradient.isfinite().all()) for gradient in gradients)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 
 import numpy as np
@@ -27,17 +28,6 @@ from pedzoo.models.blocks.map_encoders import (
     Viewpoints,
     atlas_of,
 )
-
-WEIGHTS = "alexnet_imagenet_features_fp16.safetensors"
-
-
-@pytest.fixture
-def weights(shared: Path) -> Path:
-    """File with AlexNet's convolutions."""
-    path = shared / "weights" / WEIGHTS
-    if not path.is_file():
-        pytest.skip(f"needs {path}")
-    return path
 
 
 def room(
@@ -194,9 +184,10 @@ def test_features_are_read_exactly_at_a_persons_place(
     torch.testing.assert_close(result, local / pixel - 0.5 + 16, atol=5e-3, rtol=0)
 
 
-def test_alexnet_tells_walls_from_floor_and_is_not_saved(weights: Path) -> None:
+@pytest.mark.usefixtures("alexnet")
+def test_alexnet_tells_walls_from_floor_and_is_not_saved() -> None:
     grid, moved = room(), room("moved", (10.0, 5.0, 0.0))
-    encoder = AlexNetEncoder(weights=str(weights))
+    encoder = AlexNetEncoder()
     at = people(MapBank([grid]), grid)
     first = encoder.features(at)
     assert first.shape == (6, 256) and first.std(0).max() > 0.1
@@ -215,11 +206,12 @@ def test_alexnet_tells_walls_from_floor_and_is_not_saved(weights: Path) -> None:
         encoder.features(at)
 
 
+@pytest.mark.usefixtures("alexnet")
 def test_alexnet_weights_are_read_from_both_formats_and_checked(
-    weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    expected = alexnet.load(str(weights))
-    full = {key: value.float() for key, value in load_file(weights).items()}
+    expected = alexnet.load()
+    full = {key: value.float() for key, value in load_file(os.environ["PEDZOO_ALEXNET"]).items()}
     torch.save({**full, "classifier.1.bias": torch.zeros(4096)}, tmp_path / "alexnet.pth")
     monkeypatch.setenv("PEDZOO_ALEXNET", str(tmp_path / "alexnet.pth"))
     assert all(torch.equal(value, expected[key]) for key, value in alexnet.load().items())

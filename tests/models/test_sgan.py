@@ -35,11 +35,6 @@ GOAL: dict[str, Any] = {"goal_dim": 4, "goal_protocol": "window_end"}
 VARIANTS = ["sgan", "sgan_pool", "sgan_goal", "sgan_goal_map", "sgan_goal_map_alexnet"]
 
 
-@pytest.fixture(autouse=True)
-def _seed() -> None:
-    torch.manual_seed(0)
-
-
 def seeded(seed: int = 0) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
 
@@ -72,13 +67,10 @@ def plain_path(model: SGAN, batch: TensorDict, scene: int, z: Tensor) -> Tensor:
     return path + linear_extrapolation.bent_line(last, agents["goal"][scene, there] - here, steps, timed=True)
 
 
-def plain_error(model: SGAN, batch: TensorDict, scene: int, path: Tensor) -> Tensor:
-    """Return the mean error of a scene: over people, then steps, each where the truth is known."""
-    return plain_distance(model, batch, scene, path, None)
-
-
-def plain_distance(model: SGAN, batch: TensorDict, scene: int, path: Tensor, other: Tensor | None) -> Tensor:
-    """Return the mean distance to another path, or to the truth where that is None."""
+def plain_error(
+    model: SGAN, batch: TensorDict, scene: int, path: Tensor, other: Tensor | None = None
+) -> Tensor:
+    """Return the mean error of a scene, or distance to another path, over the steps that are known."""
     agents = agents_of(batch)
     there = agents["mask"][scene]
     before, after = agents["history"][scene, there], agents["future"][scene, there]
@@ -126,7 +118,7 @@ def plain_loss(model: SGAN, batch: TensorDict, seed: int) -> Tensor:
         errors = [plain_error(model, batch, scene, path) for path in paths]
         loss = loss + model.losses.variety_weight * torch.stack(errors[-model.losses.best_k :]).min()
         if model.losses.energy_weight:
-            spread = plain_distance(model, batch, scene, paths[-1], paths[-2])
+            spread = plain_error(model, batch, scene, paths[-1], paths[-2])
             loss = loss + model.losses.energy_weight * (errors[-1] + errors[-2] - spread) / 2
         if model.losses.mode_weight:
             zero = torch.zeros_like(z[0, scene_of == scene])

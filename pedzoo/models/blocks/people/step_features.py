@@ -84,7 +84,7 @@ class Situation(NamedTuple):
         manner = stood, style, crowd, change, agents["radius"][..., 0], around
         moves = is_walking(batch) & there
         now = history, there, ahead, pref_speed, remaining, late
-        return cls(*now, *memory, *manner, companions_of(batch), moves)
+        return cls._make((*now, *memory, *manner, companions_of(batch), moves))
 
     @property
     def usual_style(self) -> Tensor:
