@@ -49,7 +49,7 @@ MODULES: dict[str, tuple[str, str]] = {
         "pedzoo/maps/planning/*.py",
         "tests/maps/test_planner.py tests/maps/test_online_planner.py tests/sim/test_kernel.py",
     ),
-    "orca": ("pedzoo/policies/orca.py pedzoo/policies/orca_numba.py", "tests/policies/test_orca.py"),
+    "orca": ("pedzoo/policies/rule_based/*orca*.py", "tests/policies/test_orca.py"),
     "pooling": (
         "pedzoo/models/blocks/people/pooling.py pedzoo/models/blocks/people/approach.py",
         "tests/models/test_blocks.py tests/models/test_loop_blocks.py tests/models/test_social_walker.py",
@@ -82,7 +82,6 @@ EQUIVALENT = {
     "maps/planning/fields.py": ("< 1**16",),
     "maps/planning/online.py": ("self.graph( -1)", "np.where(corner < -1"),
     "maps/planning/waypoint_table.py": ("index_select( -1",),
-    "policies/orca.py": ("lines.shape[ 1] <= AT_ONCE", "end.expand(2, 2, -1)"),
     "models/blocks/people/pooling.py": (
         "_CPU_FLOATS = ",
         "needs_input_grad[ 1] or",

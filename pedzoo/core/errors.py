@@ -107,6 +107,36 @@ def at_least_zero(place: str, **numbers: float) -> None:
             raise UserError(f"{place}{name} {number}: expected at least 0")
 
 
+def check_range(
+    settings: object,
+    kind: str,
+    names: str,
+    expected: str,
+    least: float = 0.0,
+    most: float = math.inf,
+    above: bool = False,
+) -> None:
+    """Raise for settings of an object that are out of their range, or no finite numbers; None fits.
+
+    Args:
+        settings: The object.
+        kind: What stands before the names in the message.
+        names: Those of its attributes, apart by spaces.
+        expected: What they are to be, in words.
+        least: The least value ...
+        most: ... and the greatest.
+        above: Whether the least value itself is too little.
+
+    Raises:
+        UserError: One is.
+    """
+    for name in names.split():
+        value = getattr(settings, name)
+        fits = value is None or (math.isfinite(value) and least <= value <= most)
+        if not fits or (above and value == least):
+            raise UserError(f"{kind}: {name} {value}: expected {expected}")
+
+
 @cache
 def installed(module: str) -> bool:
     """Return whether a module can be imported, without an import."""

@@ -309,7 +309,7 @@ PHYSICS = Registry("physics", "pedzoo.sim.physics")
 ROBOTS = Registry("robot", "pedzoo.sim.robots.bodies")
 SENSORS = Registry("sensor", "pedzoo.sim.robots.sensors")
 ROBOT_REWARDS = Registry("robot reward", "pedzoo.sim.robots.rewards")
-ROBOT_POLICIES = Registry("robot policy", "pedzoo.policies.robots")
+ROBOT_POLICIES = Registry("robot policy", "pedzoo.policies.robots", "pedzoo.policies.robots.baselines")
 METRICS = FunctionRegistry("metric", "pedzoo.metrics")
 
 

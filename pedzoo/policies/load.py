@@ -4,26 +4,45 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any, cast
 
+from torch import Tensor
+
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.machine import usable
 from pedzoo.core.registry import MODELS, POLICIES, ROBOT_POLICIES, SCENARIOS, names_code
-from pedzoo.core.spec import Spec, SpecText, build, make, parse, setting_types
+from pedzoo.core.spec import Spec, SpecText, build, make, name_of, parse, setting_types
 from pedzoo.core.types import GoalProtocol
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.models.base import Forecaster, Noise
-from pedzoo.models.zoo.loading import baselines, list_models, untrained
+from pedzoo.models.zoo.card import config_in, opened
+from pedzoo.models.zoo.loading import (
+    baselines,
+    check_settings,
+    check_shapes,
+    check_tensors,
+    list_models,
+    read_checkpoint,
+    untrained,
+)
 from pedzoo.models.zoo.loading import load as load_model
-from pedzoo.models.zoo.store import find, is_file, no_model, robots
+from pedzoo.models.zoo.store import check_scheme, find, is_file, no_model, robots, weights_of
 from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.crowd_names import is_crowd, is_policy, members, parts
 from pedzoo.policies.policy import NamedPolicy, Policy
-from pedzoo.policies.robots._base import LocalPlannerPolicy, PedestrianRobotPolicy, RobotPolicy
-from pedzoo.policies.robots._weights import load_local_planner, load_robot_weights
+from pedzoo.policies.robots._base import (
+    LearnedPlanner,
+    LocalPlanner,
+    LocalPlannerPolicy,
+    PedestrianRobotPolicy,
+    RobotPolicy,
+)
 from pedzoo.policies.teams import Crowd, Teams
 from pedzoo.policies.walker import Walker
 
 ROBOT_SECONDS = 0.2
 """Seconds between two decisions of a robot, where nothing else is said."""
+
+PREFIX = "mean.policy."
+"""Of a robot's parameters in a checkpoint of its training."""
 
 
 def load(
@@ -189,6 +208,10 @@ def crowd_of(name: str) -> Crowd:
     return [(load_policy(one.policy), one.share) for one in members(name)]
 
 
+def _is_pedestrian(file: str) -> bool:
+    return issubclass(POLICIES.get(file), Policy | Forecaster)
+
+
 def list_robot_policies(pattern: str = "*") -> list[str]:
     """Return the names of all policies of robots that match ``pattern``: the weights come last."""
     return [name for name in (*ROBOT_POLICIES.names(), *robots()) if fnmatch(name, pattern)]
@@ -218,5 +241,71 @@ def load_robot_policy(name: str) -> RobotPolicy:
     return LocalPlannerPolicy(load_local_planner(name, ROBOT_SECONDS))
 
 
-def _is_pedestrian(file: str) -> bool:
-    return issubclass(POLICIES.get(file), Policy | Forecaster)
+def load_robot_weights(name: str) -> RobotPolicy | None:
+    """Return a trained robot in eval mode; None for what is no file of weights, or is of a model of people.
+
+    Args:
+        name: A zoo name, ``robot_ppo.circle``, a folder or address with its card, a ``.safetensors`` file or
+            a checkpoint of ``pedzoo fit --config robot/ppo``.
+
+    Raises:
+        UserError: The weights cannot be read, or do not fit their architecture.
+    """
+    check_scheme(name)
+    if names_code(name):
+        return None
+    if name.endswith(".ckpt"):
+        checkpoint = read_checkpoint(name)
+        state = checkpoint["state_dict"]
+        state = {key.removeprefix(PREFIX): state[key] for key in state if key.startswith(PREFIX)}
+        return _filled(checkpoint["pedzoo"], state, name)
+    file = Path(name) if name.endswith(".safetensors") else None
+    if file is None:
+        entry = find(name)
+        if entry is None or entry.card.architecture not in ROBOT_POLICIES.names():
+            return None
+        file = weights_of(entry)
+    with opened(file, "pt") as weights:
+        state = {key: weights.get_tensor(key) for key in weights.keys()}
+        return _filled(config_in(weights, file), state, name)
+
+
+def _filled(config: dict[str, Any], state: dict[str, Tensor], name: str) -> RobotPolicy | None:
+    if config["architecture"] not in ROBOT_POLICIES.names():
+        return None
+    check_tensors(state, name)
+    cls = ROBOT_POLICIES.get(config["architecture"])
+    check_settings(cls, config["init"])
+    try:
+        check_shapes(lambda: cls(**config["init"]), state)
+        policy = cls(**config["init"])
+        policy.load_state_dict(state)
+    except (TypeError, RuntimeError) as error:
+        line = str(error).strip().splitlines()[0]
+        raise UserError(f"{name!r} holds weights of another architecture than it says: {line}") from error
+    return policy.eval()
+
+
+def load_planner(name: str, time_step: float) -> LocalPlanner:
+    """Return a local planner by its name as of `load_local_planner`, or a trained robot, as one.
+
+    Raises:
+        UserError: An unknown name or setting.
+    """
+    policy = None if name_of(name) in ROBOT_POLICIES.names() else load_robot_weights(name)
+    return LearnedPlanner(policy) if policy else load_local_planner(name, time_step)
+
+
+def load_local_planner(name: str, time_step: float) -> LocalPlanner:
+    """Return a new local planner of a robot that decides every ``time_step`` seconds.
+
+    The name may have settings, ``crowdnav_orca:safety_space=0.15``, or be ``path/to/file.py:Class``.
+
+    Raises:
+        UserError: Unknown name, setting or file, or a class whose objects cannot be called.
+    """
+    spec = parse(name)
+    policy = make(ROBOT_POLICIES.get(spec.name), ROBOT_POLICIES.kind, spec, time_step=time_step)
+    if not callable(policy):
+        raise UserError(f"{name!r}: expected a class with __call__(robot, people) -> velocities (B, 2)")
+    return cast("LocalPlanner", policy)

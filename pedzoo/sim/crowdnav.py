@@ -17,9 +17,9 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.geometry import closest_fraction, direction_of, limit_speed
-from pedzoo.policies.orca import OrcaSettings, orca_velocity
 from pedzoo.policies.robots._base import ObservedPeople, Robot
-from pedzoo.policies.robots.crowdnav_orca import toward
+from pedzoo.policies.robots.baselines import toward
+from pedzoo.policies.rule_based.orca import OrcaSettings, orca_velocity
 
 TIME_STEP = 0.25
 """Seconds of a step."""

@@ -13,7 +13,7 @@ from pedzoo.core.bodies import HOLONOMIC
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS
 from pedzoo.maps.bank import WallSegments
-from pedzoo.policies.orca import OrcaSettings, orca_velocity
+from pedzoo.policies.rule_based.orca import OrcaSettings, orca_velocity
 from pedzoo.sim import kernel
 from pedzoo.sim.observation import dense
 from pedzoo.sim.physics._base import Physics

@@ -12,7 +12,7 @@ from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
 from pedzoo.policies import neighbours
 from pedzoo.policies.neighbours import nearest
-from pedzoo.policies.orca import OrcaSettings, orca_velocity
+from pedzoo.policies.rule_based.orca import OrcaSettings, orca_velocity
 from pedzoo.sim.physics._base import Bodies
 from pedzoo.sim.physics.compiled import Compiled
 

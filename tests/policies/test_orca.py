@@ -15,7 +15,14 @@ from pedzoo.core.geometry import identity_pose, move_to_scene, turn_to_scene
 from pedzoo.maps.bank import MapBank, WallSegments
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
 from pedzoo.maps.segments import Segments
-from pedzoo.policies.orca import OrcaSettings, agent_lines, orca_velocity, solve, violation, wall_lines
+from pedzoo.policies.rule_based.orca import (
+    OrcaSettings,
+    agent_lines,
+    orca_velocity,
+    solve,
+    violation,
+    wall_lines,
+)
 
 SETTINGS = OrcaSettings(dt=0.4)
 

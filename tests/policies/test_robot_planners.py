@@ -11,8 +11,8 @@ from torch import Tensor
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import rotate
 from pedzoo.core.registry import ROBOT_POLICIES
+from pedzoo.policies.load import load_local_planner
 from pedzoo.policies.robots._base import DriveState, ObservedPeople, Robot
-from pedzoo.policies.robots._weights import load_local_planner
 from pedzoo.policies.robots.dwa import Dwa, DwaSettings, arc, dwa_command, free_seconds, window
 from pedzoo.policies.robots.sampling import SamplingSettings, people_gap, sampled_velocity, velocities
 

@@ -12,9 +12,9 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.errors import UserError
+from pedzoo.policies.load import load_local_planner
 from pedzoo.policies.robots._base import ObservedPeople, Robot
-from pedzoo.policies.robots._weights import load_local_planner
-from pedzoo.policies.robots.straight import Straight
+from pedzoo.policies.robots.baselines import Straight
 from pedzoo.sim.crowdnav import (
     COLLISION,
     CROWDNAV,

@@ -23,9 +23,8 @@ from pedzoo.core.geometry import rotate
 from pedzoo.core.registry import ROBOTS
 from pedzoo.core.spec import build
 from pedzoo.models.zoo.store import robots
-from pedzoo.policies.load import list_robot_policies, load_robot_policy
+from pedzoo.policies.load import list_robot_policies, load_planner, load_robot_policy
 from pedzoo.policies.robots._base import ObservedPeople, Robot, bodies_of
-from pedzoo.policies.robots._weights import load_planner
 from pedzoo.policies.robots.attention import Attention, as_action, as_decision, frame_of
 from pedzoo.sim.crowdnav import COLLISION, CROWDNAV, CROWDNAV_PP, SUCCESS, TIMEOUT, cases
 from pedzoo.sim.robots.env import make_robot_env

@@ -32,7 +32,7 @@ from pedzoo.maps.bank import MapBank, WallSegments
 from pedzoo.maps.formats import read_plan
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
 from pedzoo.maps.segments import NOWHERE, SegmentTable, edges
-from pedzoo.policies.orca import OrcaSettings, nearest_permitted, orca_velocity, wall_lines
+from pedzoo.policies.rule_based.orca import OrcaSettings, nearest_permitted, orca_velocity, wall_lines
 from tools.bench.rvo2_peer import Rvo2
 
 SPEED, TOP_SPEED = 1.3, 1.69

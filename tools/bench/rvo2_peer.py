@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pyrvo.pyrvo import RVOSimulator
 from torch import Tensor
 
-from pedzoo.policies.orca import OrcaSettings
+from pedzoo.policies.rule_based.orca import OrcaSettings
 
 UNLIMITED = 10_000
 

@@ -16,8 +16,8 @@ from pedzoo.core.fetch import sha256_of
 from pedzoo.eval.results import ResultTable
 from pedzoo.eval.work_units import fingerprint
 from pedzoo.metrics.ratios import Ratio, mean, of_sums, ratio, share, summarised
+from pedzoo.policies.load import load_planner
 from pedzoo.policies.robots._base import LocalPlanner, ObservedPeople, Robot
-from pedzoo.policies.robots._weights import load_planner
 from pedzoo.sim import crowdnav as rules
 from pedzoo.sim.crowdnav import CROWDNAV, CROWDNAV_PP, SUCCESS, TIME_STEP, Setting, State, cases
 from tools.paper.base import Jobs, interval_text

@@ -25,7 +25,7 @@ from pedzoo.core.fetch import sha256_of
 from pedzoo.core.paths import CARD, WEIGHTS, shipped, write_atomically
 from pedzoo.eval.cards import measure_robot
 from pedzoo.models.zoo.card import ModelCard, read_card, write_card
-from pedzoo.policies.robots._weights import PREFIX
+from pedzoo.policies.load import PREFIX
 from pedzoo.train.run import RunFolder
 
 ROOMS = ["--config", "robot/rooms", "--model.people"]

@@ -4,7 +4,6 @@ import numbers
 from collections.abc import Hashable, Mapping, Set
 from dataclasses import dataclass
 from hashlib import blake2b
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,8 +12,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.core.errors import UserError, unknown
-from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.plans import load_plan
 
 PREF_SPEED = 1.3
 """Preferred speed of people without a given one, m/s."""
@@ -22,15 +19,18 @@ PREF_SPEED = 1.3
 OTHER_RADIUS = 0.3
 """Metres: the radius of other agents for which none is given, about that of a service robot."""
 
+WIDEST, FASTEST, SWIFTEST, JUMP = 10.0, 10.0, 100.0, 1e3
+"""Most of radii (m), preferred speeds and given velocities (m/s), and moves between two calls (m)."""
+
+FARTHEST = 1e4
+"""Metres from the scene's origin: float32 tells millimetres apart up to here."""
+
+ZERO = np.zeros(2)
+
 
 @dataclass(frozen=True)
 class DiscKey:
-    """One disc of another agent, as the key of a row.
-
-    Attributes:
-        of: The agent's id.
-        index: Which of its discs this is.
-    """
+    """The disc ``index`` of another agent, ``of`` its id, as the key of a row."""
 
     of: Hashable
     index: int
@@ -51,31 +51,6 @@ def number_of(one: Hashable) -> int:
     return int.from_bytes(blake2b(repr(one).encode(), digest_size=8).digest()) % 2**63
 
 
-WIDEST, FASTEST, SWIFTEST, JUMP = 10.0, 10.0, 100.0, 1e3
-"""Most of radii (m), preferred speeds and given velocities (m/s), and moves between two calls (m)."""
-
-FARTHEST = 1e4
-"""Metres from the scene's origin: float32 tells millimetres apart up to here."""
-
-ZERO = np.zeros(2)
-
-
-def plan_of(map: OccupancyGrid | str | Path | None) -> OccupancyGrid | None:
-    """Return the floor plan that a map, its name or its file stands for; None for open space.
-
-    Raises:
-        UserError: It is anything else, or there is no such floor plan.
-    """
-    if map is None or isinstance(map, OccupancyGrid):
-        return map
-    if isinstance(map, str | Path):
-        return load_plan(map)
-    raise UserError(
-        f"map of type {type(map).__name__}: expected the name or file of a floor plan, or "
-        "pedzoo.maps.grid.OccupancyGrid(cells, resolution)"
-    )
-
-
 def number(value: Any, what: str, expected: str, one: Hashable | None = None) -> float:
     """Return a value as a number; messages call it ``what`` of agent ``one``, and say what was ``expected``.
 
@@ -91,17 +66,49 @@ def number(value: Any, what: str, expected: str, one: Hashable | None = None) ->
     raise UserError(f"{what} {value!r}{whose}: expected {expected}")
 
 
+def _above_zero(value: Any, what: str, unit: str, one: Hashable, most: float, doubt: str) -> float:
+    """Return a value as a number above 0 and at most ``most``; messages about more raise a ``doubt``."""
+    expected = f"{unit}, above 0 and at most {most:g}"
+    result = number(value, what, expected, one)
+    if not 0 < result <= most:
+        asks = f": {doubt}" if most < result < np.inf else ""
+        raise UserError(f"{what} {value} of {one!r}: expected {expected}{asks}")
+    return result
+
+
+def metres_of(one: Hashable, radius: Any) -> float:
+    """Return the radius of an agent's body, metres.
+
+    Raises:
+        UserError: It is not above 0, or above 10 m.
+    """
+    unit = "millimetres" if isinstance(radius, numbers.Real) and radius > 100 * WIDEST else "centimetres"
+    doubt = f"are these {unit}? A larger body is several discs"
+    return _above_zero(radius, "radius", "metres", one, WIDEST, doubt)
+
+
+def speed_of(one: Hashable, pref_speed: float | Mapping[Any, float]) -> float:
+    """Return the speed that an agent likes, m/s: `PREF_SPEED` for others.
+
+    Raises:
+        UserError: It is not above 0, or above 10 m/s.
+    """
+    if isinstance(one, DiscKey):
+        return PREF_SPEED
+    given = pref_speed.get(one, PREF_SPEED) if isinstance(pref_speed, Mapping) else pref_speed
+    doubt = "is this in kilometres per hour?"
+    return _above_zero(given, "pref_speed", "metres per second", one, FASTEST, doubt)
+
+
 def by_id(given: Any, what: str) -> Mapping[Any, Any]:
     """Return an argument that has a value for every id, an empty one for None; messages call it ``what``.
 
     Raises:
         UserError: It is no mapping.
     """
-    if given is None:
-        return {}
-    if not isinstance(given, Mapping):
+    if not isinstance(given, Mapping | None):
         raise UserError(f"{what} {given!r:.100}: expected a mapping by id, {what}={{'anna': ...}}")
-    return given
+    return given or {}
 
 
 def of_present(present: Mapping[Any, Any], given: Mapping[Any, Any]) -> dict[Any, Any]:
@@ -117,12 +124,11 @@ def check_radius_ids(
     Raises:
         UserError: An id is of none of them.
     """
-    strange = radius.keys() - people.keys() - others.keys() - before
-    if strange:
-        one = next(one for one in radius if one in strange)
-        text = all(isinstance(each, str) for each in (one, *people, *others))
-        name = str if text else repr
-        raise unknown("id in radius", name(one), map(name, (*people, *others)))
+    for one in radius:
+        if not (one in people or one in others or one in before):
+            text = all(isinstance(each, str) for each in (one, *people, *others))
+            name = str if text else repr
+            raise unknown("id in radius", name(one), map(name, (*people, *others)))
 
 
 def origin_of(places: Mapping[Any, Any]) -> NDArray[np.float64]:
@@ -154,7 +160,7 @@ def as_discs(others: Mapping[Any, Any]) -> dict[DiscKey, Any]:
                 f"others: position {value!r} of {one!r}: expected two numbers, (x, y), or a list of such "
                 "pairs for several discs"
             )
-        discs |= {DiscKey(one, index): points[index] for index in range(len(points))}
+        discs |= {DiscKey(one, index): point for index, point in enumerate(points)}
     return discs
 
 
@@ -195,51 +201,6 @@ def as_places(given: Mapping[Any, Any], what: str, origin: NDArray[np.float64]) 
     return as_points(given, what, origin).round(decimals=6)
 
 
-def _plain(value: Any) -> Any:
-    return value.detach().cpu().numpy() if isinstance(value, Tensor) else value
-
-
-def _pair(xy: Any) -> NDArray[np.float64] | None:
-    """Return two numbers (2,); None for anything else."""
-    try:
-        pair: NDArray[np.float64] = np.asarray(_plain(xy), dtype=np.float64)
-    except (TypeError, ValueError):
-        return None
-    return pair if pair.shape == (2,) else None
-
-
-def metres_of(one: Hashable, radius: Any) -> float:
-    """Return the radius of an agent's body, metres.
-
-    Raises:
-        UserError: It is not above 0, or above 10 m.
-    """
-    expected = f"metres, above 0 and at most {WIDEST:g}"
-    metres = number(radius, "radius", expected, one)
-    if not 0 < metres <= WIDEST:
-        unit = "millimetres" if metres > 100 * WIDEST else "centimetres"
-        asks = f": are these {unit}? A larger body is several discs" if WIDEST < metres < np.inf else ""
-        raise UserError(f"radius {radius!r} of {one!r}: expected {expected}{asks}")
-    return metres
-
-
-def speed_of(one: Hashable, pref_speed: float | Mapping[Any, float]) -> float:
-    """Return the speed that an agent likes, m/s: `PREF_SPEED` for others.
-
-    Raises:
-        UserError: It is not above 0, or above 10 m/s.
-    """
-    if isinstance(one, DiscKey):
-        return PREF_SPEED
-    given = pref_speed.get(one, PREF_SPEED) if isinstance(pref_speed, Mapping) else pref_speed
-    expected = f"metres per second, above 0 and at most {FASTEST:g}"
-    speed = number(given, "pref_speed", expected, one)
-    if not 0 < speed <= FASTEST:
-        asks = ": is this in kilometres per hour?" if FASTEST < speed < np.inf else ""
-        raise UserError(f"pref_speed {speed} of {one!r}: expected {expected}{asks}")
-    return speed
-
-
 def as_velocities(given: Mapping[Any, Any]) -> Tensor:
     """Return given velocities, as `as_points` does.
 
@@ -254,3 +215,16 @@ def as_velocities(given: Mapping[Any, Any]) -> Tensor:
             "in another unit?"
         )
     return result
+
+
+def _plain(value: Any) -> Any:
+    return value.detach().cpu().numpy() if isinstance(value, Tensor) else value
+
+
+def _pair(xy: Any) -> NDArray[np.float64] | None:
+    """Return two numbers (2,); None for anything else."""
+    try:
+        pair: NDArray[np.float64] = np.asarray(_plain(xy), dtype=np.float64)
+    except (TypeError, ValueError):
+        return None
+    return pair if pair.shape == (2,) else None

@@ -89,18 +89,25 @@ class CallerClock(NamedTuple):
             raise UserError(
                 f"time {time}: expected at every call or at none; reset() starts anew with another clock"
             )
-        if time is None:
-            return self._replace(calls=self.calls + 1).at(self.calls * self.dt)
-        seconds = number(time, "time", "seconds, a finite number")
-        if not math.isfinite(seconds):
-            raise UserError(f"time {time}: expected seconds, a finite number")
-        if abs(seconds) > _LATEST:
-            raise UserError(f"time {time}: expected seconds: are these {_unit_of(abs(seconds) / 1e9)}?")
-        start = seconds if self.start is None else self.start
-        now = seconds - start
-        if self.calls:
-            self._check_gap(time, now)
-        return self._replace(calls=self.calls + 1, start=start).at(now)
+        now, start = self.calls * self.dt, None
+        if time is not None:
+            seconds = number(time, "time", "seconds, a finite number")
+            if not math.isfinite(seconds):
+                raise UserError(f"time {time}: expected seconds, a finite number")
+            if abs(seconds) > _LATEST:
+                raise UserError(f"time {time}: expected seconds: are these {_unit_of(abs(seconds) / 1e9)}?")
+            start = seconds if self.start is None else self.start
+            now = seconds - start
+            if self.calls:
+                self._check_gap(time, now)
+        times = np.append(self.times, now)
+        dropped = int(times[1:].searchsorted(now - _OBSERVED + _ROUNDING, "right"))
+        clock = self._replace(times=times[dropped:], calls=self.calls + 1, start=start)
+        if now < self.due - self.dt / 2 - _ROUNDING:
+            return clock, dropped
+        # a late call starts the count anew, a jittering one keeps it
+        due = (now if now - self.due > self.dt / 2 else self.due) + self.decision_dt
+        return clock._replace(decided=now, due=due), dropped
 
     def _check_gap(self, time: float, now: float) -> None:
         if now <= self.now:
@@ -114,23 +121,6 @@ class CallerClock(NamedTuple):
                 f"time {time}: {gap:g} s after the call before, with dt {self.dt:g}: expected seconds: are "
                 f"these {_unit_of(gap / self.dt)}? After a pause reset() starts anew"
             )
-
-    def at(self, now: float) -> tuple[CallerClock, int]:
-        """Return the clock ``now`` seconds after the first call, and how many oldest positions to drop."""
-        times = np.append(self.times, now)
-        dropped = int(times[1:].searchsorted(now - _OBSERVED + _ROUNDING, "right"))
-        clock = self._replace(times=times[dropped:])
-        if now < self.due - self.dt / 2 - _ROUNDING:
-            return clock, dropped
-        # a late call starts the count anew, a jittering one keeps it
-        late = now - self.due > self.dt / 2
-        due = (now if late else self.due) + self.decision_dt
-        return clock._replace(decided=now, due=due), dropped
-
-    @property
-    def ago(self) -> Tensor:
-        """How long ago the kept positions were (L,), seconds."""
-        return torch.from_numpy(self.now - self.times).float()
 
     def history(self, past: Tensor) -> Tensor:
         """Return positions (N, 8, 2) every 0.4 s, oldest first, from those that are kept (N, L, 2)."""

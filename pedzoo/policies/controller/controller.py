@@ -4,7 +4,7 @@ import warnings
 from collections.abc import Hashable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol, TypeVar, cast, runtime_checkable
+from typing import Any, Protocol, TypeVar, cast
 
 import numpy as np
 import torch
@@ -23,6 +23,7 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.maps.planning.online import OnlinePlanner
+from pedzoo.maps.plans import load_plan
 from pedzoo.policies.controller.arguments import (
     PREF_SPEED,
     ZERO,
@@ -33,32 +34,24 @@ from pedzoo.policies.controller.arguments import (
     check_radius_ids,
     of_present,
     origin_of,
-    plan_of,
 )
 from pedzoo.policies.controller.clock import CallerClock
 from pedzoo.policies.controller.ease import eased, expected, setting_out
-from pedzoo.policies.controller.online_goals import OnlineGoals
-from pedzoo.policies.controller.roster import Roster
+from pedzoo.policies.controller.roster import OnlineGoals, Roster
 
 Id = TypeVar("Id", bound=Hashable)
 
 
 class WalkingPolicy(Protocol):
-    """Policies of a controller: a `Walker`, or any from `pedzoo.policies.load.load_policy`."""
+    """Policies of a controller: a `Walker`, or any from `pedzoo.policies.load.load_policy`.
+
+    One that remembers what it has seen has a method ``fresh``, which returns it as before its first scene.
+    """
 
     decision_dt: float
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ``agents/action``."""
-        ...
-
-
-@runtime_checkable
-class Forgetful(Protocol):
-    """Policies that remember what they have seen, and can begin anew."""
-
-    def fresh(self) -> WalkingPolicy:
-        """Return the policy as it is before its first scene."""
         ...
 
 
@@ -125,8 +118,12 @@ class Controller:
                 f"execute_steps {getattr(policy, 'execute_steps', 1)}: a controller decides anew for people "
                 "who come and go: expected 1"
             )
-        grid = plan_of(map)
-        origin = ZERO
+        grid, origin = load_plan(map) if isinstance(map, str | Path) else map, ZERO
+        if not isinstance(grid, OccupancyGrid | None):
+            raise UserError(
+                f"map of type {type(map).__name__}: expected the name or file of a floor plan, or "
+                "pedzoo.maps.grid.OccupancyGrid(cells, resolution)"
+            )
         if grid is not None:
             origin = np.array(grid.origin[:2], dtype=np.float64)
             grid = replace(grid, origin=(0.0, 0.0, grid.origin[2]))
@@ -147,7 +144,7 @@ class Controller:
 
     def reset(self, seed: int = 0) -> None:
         """Forget all agents and start anew with the noise of ``seed``; ways that are known stay known."""
-        self.policy = self.policy.fresh() if isinstance(self.policy, Forgetful) else self.policy
+        self.policy = getattr(self.policy, "fresh", lambda: self.policy)()
         self._key = Draws.for_episodes(seed, torch.zeros(1, dtype=torch.long)).key
         self._clock = CallerClock.of(self.dt, self.policy.decision_dt)
         self._agents = Roster.empty(len(self._clock.times), self._ticks)
@@ -233,7 +230,7 @@ class Controller:
                 given |= {disc: velocities.get(disc.of, (0.0, 0.0)) for disc in discs}
                 rows, known = agents.rows(given), as_velocities(given).float()
                 moving = guidance.desired_velocity.index_put((rows,), known)
-                agents = agents.begun(position, moving, clock.ago, new, rows)
+                agents = agents.begun(position, moving, clock.times, new, rows)
             velocity = clock.velocity(agents.past)
             agents = agents._replace(heading=heading_of(velocity, agents.heading, TURNS_FROM))
             if decides.any():
@@ -277,7 +274,7 @@ class Controller:
         velocity, top_speed = expected(agents, agents.past[:, -1], velocity, clock)
         return scene_batch(
             maps=self._online_goals.planner.bank,
-            map_id=torch.tensor([[self._online_goals.map_id]]),
+            map_id=self._online_goals.map_id.view(1, 1),
             pose=identity_pose(1),
             history=clock.history(agents.past).unsqueeze(0),
             valid=all_known.unsqueeze(-1).expand(*size, OBS_LEN),

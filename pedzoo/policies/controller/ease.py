@@ -42,12 +42,8 @@ def eased(
     rest on it, or beside whoever stands there. Others who stand brake where they are. People who set out
     start as softly. What a policy slows down stays slow, and nothing here leads into a contact.
 
-    Args:
-        agents: All that are here.
-        wish: The velocities that policies have chosen (N, 2), m/s; 0 for people who stand.
-        position: Where they are (N, 2), metres.
-        clock: Now.
-        bank: Holds the floor plan, or nothing.
+    ``wish`` are the velocities (N, 2), m/s, that policies have chosen, 0 for people who stand, ``position``
+    (N, 2), metres, that of all agents. The bank holds the floor plan, or nothing.
     """
     told, asked = agents.told.numpy(), wish.numpy().astype(np.float64)
     # those who wait for the policy to decide about a new goal go on as they do
@@ -106,14 +102,8 @@ def eased(
 def expected(agents: Roster, position: Tensor, velocity: Tensor, clock: CallerClock) -> tuple[Tensor, Tensor]:
     """Return what policies are to expect of agents until their next decision: others keep clear of that.
 
-    Args:
-        agents: All that are here.
-        position: Where they are (N, 2), metres.
-        velocity: Their velocities (N, 2), m/s.
-        clock: Now.
-
-    Returns:
-        Velocities (N, 2), m/s: those of people who stand are as they come to rest; and top speeds (N,).
+    Agents are at ``position`` (N, 2), metres, with ``velocity`` (N, 2), m/s. Returned are velocities (N, 2),
+    m/s, those of people who stand as they come to rest, and top speeds (N,).
     """
     top_speed, stands = TOP_SPEED_RATIO * agents.pref_speed, (agents.stands & ~agents.other).numpy()
     away, distance, near = _near_goal(agents, position, clock.dt)

@@ -1,21 +1,27 @@
-"""The agents of a scene that they enter and leave, and their state."""
+"""The agents of a scene that they enter and leave, their state, and their goals, which keep changing."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+import warnings
+from collections.abc import Hashable, Iterable, Mapping
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 import torch
-from torch import Tensor
+from numpy.typing import NDArray
+from torch import Tensor, nan
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.geometry import heading_of, passes_goal
-from pedzoo.core.types import BODY_RADIUS
+from pedzoo.core.geometry import heading_of, identity_pose, passes_goal
+from pedzoo.core.types import AHEAD_SECONDS, BODY_RADIUS
+from pedzoo.maps.planning.graph import format_point
+from pedzoo.maps.planning.guidance import Guidance
+from pedzoo.maps.planning.online import OnlinePlanner
 from pedzoo.policies.controller.arguments import (
     JUMP,
     OTHER_RADIUS,
     DiscKey,
+    as_places,
     metres_of,
     number_of,
     speed_of,
@@ -23,6 +29,9 @@ from pedzoo.policies.controller.arguments import (
 
 _THERE = 0.15
 """Metres: so near to where the planner has put a goal it is reached in any case."""
+
+_KEPT = 64
+"""Goals are forgotten when there are more than this and more than 4 per agent."""
 
 
 class Roster(NamedTuple):
@@ -86,7 +95,7 @@ class Roster(NamedTuple):
         """Which agents the policy moves (N,) bool."""
         return ~(self.stands | self.other)
 
-    def rows(self, ids: Mapping[Any, Any]) -> Tensor:
+    def rows(self, ids: Iterable[Any]) -> Tensor:
         """Return the rows of agents (n,) long."""
         return torch.tensor([self.row[one] for one in ids], dtype=torch.long)
 
@@ -110,14 +119,13 @@ class Roster(NamedTuple):
             return self
         number = {one: number_of(one) for one in present}
         ids = sorted(present, key=lambda one: (number[one], repr(one)))
-        known = [i for i, one in enumerate(ids) if one in self.row]
-        new = [i for i, one in enumerate(ids) if one not in self.row]
-        before = torch.tensor([self.row[ids[i]] for i in known], dtype=torch.long)
-        order = torch.tensor(known + new, dtype=torch.long).argsort()
-
+        known, new = ([one for one in ids if (one in self.row) is here] for here in (True, False))
+        place = {one: i for i, one in enumerate((*known, *new))}
+        before = self.rows(known)
+        order = torch.tensor([place[one] for one in ids], dtype=torch.long)
         added = _newcomers(len(new), self.past.shape[1], self.trace.shape[1])
-        added["pref_speed"] = torch.tensor([speed_of(ids[i], pref_speed) for i in new])
-        added["other"] = torch.tensor([isinstance(ids[i], DiscKey) for i in new], dtype=torch.bool)
+        added["pref_speed"] = torch.tensor([speed_of(one, pref_speed) for one in new])
+        added["other"] = torch.tensor([isinstance(one, DiscKey) for one in new], dtype=torch.bool)
         added["radius"] = torch.where(added["other"], OTHER_RADIUS, BODY_RADIUS)
         merged = {
             name: torch.cat((cast("Tensor", getattr(self, name))[before], values))[order]
@@ -148,11 +156,9 @@ class Roster(NamedTuple):
         """
         if not radius:
             return self
-        metres = {one: metres_of(one, value) for one, value in radius.items()}
-        rows = [(row, key.of if isinstance(key, DiscKey) else key) for key, row in self.row.items()]
-        changed = self.radius.clone()
-        for row, one in rows:
-            if one in metres:
+        metres, changed = {one: metres_of(one, value) for one, value in radius.items()}, self.radius.clone()
+        for key, row in self.row.items():
+            if (one := key.of if isinstance(key, DiscKey) else key) in metres:
                 changed[row] = metres[one]
         return self._replace(radius=changed)
 
@@ -165,13 +171,16 @@ class Roster(NamedTuple):
         group[self.rows(groups)] = torch.tensor(numbers)
         return self._replace(group=group)
 
-    def begun(self, position: Tensor, velocity: Tensor, ago: Tensor, new: Tensor, known: Tensor) -> Roster:
+    def begun(
+        self, position: Tensor, velocity: Tensor, times: NDArray[Any], new: Tensor, known: Tensor
+    ) -> Roster:
         """Return the roster in which ``new`` agents (N,) have come straight to ``position`` (N, 2), metres.
 
-        They moved at ``velocity`` (N, 2), m/s; stored positions are ``ago`` (L,), seconds before now. People
-        in the rows ``known`` (n,) set out from that velocity.
+        They moved at ``velocity`` (N, 2), m/s; ``times`` (L,) are those of the stored positions, seconds.
+        People in the rows ``known`` (n,) set out from that velocity.
         """
-        straight = position.unsqueeze(1) - velocity.unsqueeze(1) * ago.view(-1, 1)
+        ago = torch.from_numpy(times[-1] - times).float().view(-1, 1)
+        straight = position.unsqueeze(1) - velocity.unsqueeze(1) * ago
         past = torch.where(new.view(-1, 1, 1), straight, self.past)
         heading = torch.where(new, heading_of(velocity), self.heading)
         told = torch.where(new.unsqueeze(1), velocity.double(), self.told)
@@ -187,37 +196,179 @@ class Roster(NamedTuple):
         near = passes_goal(begin, end, self.goal_point)
         if not near.any():
             return self
-        asked, there = (
-            passes_goal(begin, end, self.goal.float()),
-            passes_goal(begin, end, self.goal_point, _THERE),
-        )
+        asked = passes_goal(begin, end, self.goal.float())
+        there = passes_goal(begin, end, self.goal_point, _THERE)
         return self._replace(stands=self.stands | near & asked | there)
 
 
 def _newcomers(count: int, length: int, ticks: int) -> dict[str, Tensor]:
     """Return the values (N, ...) of people who have neither past nor goal, by the fields of `Roster`."""
-
-    def nothing(*shape: int, exact: bool = False) -> Tensor:
-        return torch.full((count, *shape), torch.nan, dtype=torch.float64 if exact else torch.float32)
-
-    def number(value: int) -> Tensor:
-        return torch.full((count,), value, dtype=torch.long)
-
-    no = torch.zeros(count, dtype=torch.bool)
+    no, none = torch.zeros(count, dtype=torch.bool), torch.full((count,), -1)
+    unknown, exact = torch.full((count,), nan), torch.full((count, 2), nan, dtype=torch.float64)
     return {
-        "number": number(0),
-        "past": nothing(length, 2),
-        "pref_speed": nothing(),
-        "radius": nothing(),
-        "group": number(-1),
+        "number": none,
+        "past": torch.full((count, length, 2), nan),
+        "pref_speed": unknown,
+        "radius": unknown,
+        "group": none,
         "other": no,
-        "goal": nothing(2, exact=True),
-        "goal_point": nothing(2),
-        "goal_id": number(-1),
+        "goal": exact,
+        "goal_point": torch.full((count, 2), nan),
+        "goal_id": none,
         "goal_since": torch.full((count,), -torch.inf),
         "stands": no,
-        "heading": nothing(),
-        "trace": nothing(ticks, 2),
-        "told": nothing(2, exact=True),
+        "heading": unknown,
+        "trace": torch.full((count, ticks, 2), nan),
+        "told": exact,
         "eases": no,
     }
+
+
+class OnlineGoals(NamedTuple):
+    """The goals of a scene's agents, and a planner on one floor plan in the scene's frame.
+
+    Attributes:
+        planner: Its bank holds the floor plan alone, or nothing.
+        origin: Of its frame in the caller's (2,), metres.
+        said: Goals that the planner has moved and that were warned of.
+    """
+
+    planner: OnlinePlanner
+    origin: NDArray[np.float64]
+    said: set[tuple[float, ...]]
+
+    @property
+    def map_id(self) -> Tensor:
+        """The floor plan (1,) long, -1 for none."""
+        grids = self.planner.bank.grids
+        return torch.tensor([grids[0].map_id if grids else -1])
+
+    def with_goals(
+        self, people: Roster, position: Tensor, goals: Mapping[Any, Any], now: float
+    ) -> tuple[OnlineGoals, Roster]:
+        """Return the planner with the goals, and the people with theirs. A new goal ends standing.
+
+        Of a goal that the planner moves there is a warning, once.
+
+        Args:
+            people: All agents that are here.
+            position: Where they are (N, 2), metres.
+            goals: Where some of the people are going, by id; None to stand.
+            now: Seconds since the first call.
+
+        Raises:
+            UserError: A person has no goal, or one that is in a wall, outside the map or out of reach.
+        """
+        given = {one: goal for one, goal in goals.items() if goal is not None}
+        rows, points = people.rows(given), as_places(given, "goal", self.origin)
+        known = len(given) == len(goals) and torch.equal(people.goal[rows], points)
+        if known and not people.is_new.any():
+            return self, people
+        idle = people.rows(one for one in goals if one not in given)
+        asked, stands = people.goal.clone(), people.stands.clone()
+        asked[rows] = points
+        asked[idle], stands[idle] = nan, True
+        has_goal = ~asked[:, 0].isnan()
+        missing = ~(has_goal | stands | people.other)
+        if missing.any():
+            raise UserError(
+                f"no goal for {people.names(missing)}: a person who is new needs one, "
+                "step(people, {id: (x, y)}), or None to stand, step(people, {id: None})"
+            )
+        fresh = (asked != people.goal).any(1) & has_goal
+        goal_id = torch.where(has_goal, people.goal_id, -1)
+        goal_point = torch.where(has_goal.unsqueeze(1), people.goal_point, nan)
+        people = people._replace(goal=asked, goal_id=goal_id, goal_point=goal_point, stands=stands & ~fresh)
+        if not fresh.any():
+            return self, people
+        people = people._replace(goal_since=people.goal_since.masked_fill(fresh, now))
+        planner, added = self.planner, fresh
+        if planner.goals > max(_KEPT, 4 * len(fresh)):
+            # the table of a goal is as large as the floor plan, and new goals keep coming
+            planner, added = planner.without_goals(), has_goal
+        online_goals, goal_id = self._replace(planner=planner), goal_id.clone()
+        goal_id[added] = online_goals._added(people, asked, added)
+        people = people._replace(goal_id=goal_id)
+        guidance = online_goals.guide(people, position)
+        unreached = guidance.distance.isinf() & fresh
+        if unreached.any():
+            raise UserError(
+                f"no way leads to the goal of {people.names(unreached)}: it is in another room, without a "
+                f"door between that leaves clearance {planner.clearance} m"
+            )
+        goal_point = torch.where(fresh.unsqueeze(1), guidance.goal_point, goal_point)
+        if self.planner.bank.grids:
+            self._warn_of_moved(people, goal_point, fresh)
+        return online_goals, people._replace(goal_point=goal_point)
+
+    def _warn_of_moved(self, people: Roster, goal_point: Tensor, which: Tensor) -> None:
+        """Warn of the goals of some people (N,) that the planner has moved to ``goal_point`` (N, 2)."""
+        graph = self.planner.graph(0)
+        if len(self.said) > max(_KEPT, 4 * len(people.ids)):
+            self.said.clear()
+        for i in (which & ((people.goal - goal_point).abs().amax(1) > 0)).nonzero()[:, 0].tolist():
+            asked, place = people.goal[i].numpy(), goal_point[i].double().numpy()
+            text = graph.moved(f"goal of {people.ids[i]!r}:", asked, place, self.origin)
+            if text and tuple(asked.tolist()) not in self.said:
+                self.said.add(tuple(asked.tolist()))
+                warnings.warn(text, stacklevel=4)  # beyond `step` and the wrapper of torch
+
+    def misplaced(self, people: Roster, position: Tensor) -> str | None:
+        """Return the warning about new people in walls or outside the floor plan; None where all is well.
+
+        Nobody is warned of who is less deep in a wall, or less far outside, than their radius. ``position``
+        (N, 2), metres, is that of all agents.
+        """
+        new = (people.is_new & ~people.other).nonzero()[:, 0]
+        if not len(new) or not self.planner.bank.grids or not len(graph := self.planner.graph(0)):
+            return None
+        points, radius = position[new].double().numpy(), people.radius[new].numpy()
+        cells, last = graph.to_place(points), np.array(graph.shape)[::-1] - 0.5
+        beyond = np.maximum(np.maximum(-0.5 - cells, cells - last), 0.0)  # whole at cell centres
+        outside = np.hypot(*beyond.T) * graph.grid.resolution > radius
+        flat = graph.locate(points)[0]
+        wrong = outside | (graph.distance.ravel()[flat] < graph.grid.resolution - radius)
+        if wrong.any():
+            # at centres of cells the depth is known; what it is between them takes longer
+            gap, _ = self.planner.bank.closest_wall(position[new].unsqueeze(0), self.map_id, identity_pose(1))
+            wrong = outside | (gap[0].numpy() < -radius)
+        if not wrong.any():
+            return None
+        i = int(wrong.argmax())
+        cell = graph.nearest[flat[i]]
+        here, free = (format_point(place + self.origin) for place in (points[i], graph.xy[cell]))
+        more = f" (and {wrong.sum() - 1} more)" if wrong.sum() > 1 else ""
+        return (
+            f"{people.ids[int(new[i])]!r}{more} is at {here}, {'outside' if outside[i] else 'in a wall of'} "
+            f"map {graph.grid.name!r}: walks from the nearest free place, {free}; are positions in the floor "
+            "plan's frame, in metres?"
+        )
+
+    def guide(self, people: Roster, position: Tensor) -> Guidance:
+        """Return the carrots and desired velocities (N, 2) of agents at ``position`` (N, 2).
+
+        Agents that stand, and others, have their position as carrot and desire no velocity.
+        """
+        goal_id = torch.where(people.walks, people.goal_id, -1)
+        fastest = float(people.pref_speed.max()) if len(goal_id) else 1.0
+        points, goal_id, speed = (part.unsqueeze(0) for part in (position, goal_id, people.pref_speed))
+        guidance = self.planner.guidance(
+            points, goal_id, torch.tensor([self._row]), identity_pose(1), speed, AHEAD_SECONDS, fastest
+        )
+        return Guidance(*(part.squeeze(0) for part in guidance))
+
+    @property
+    def _row(self) -> int:
+        return 0 if self.planner.bank.grids else -1
+
+    def _added(self, people: Roster, asked: Tensor, which: Tensor) -> Tensor:
+        """Return the planner's numbers of the goals ``asked`` (N, 2) of ``which`` people (N,) bool."""
+        try:
+            return self.planner.add_goals(self._row, asked[which])
+        except UserError:
+            for i in which.nonzero()[:, 0].tolist():  # name the agent
+                try:
+                    self.planner.add_goals(self._row, asked[i : i + 1])
+                except UserError as error:
+                    raise UserError(f"goal of {people.ids[i]!r}: {error}") from None
+            raise

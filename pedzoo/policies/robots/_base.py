@@ -8,12 +8,12 @@ from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple, Protocol, cast
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from pedzoo.core.batch import ROBOT, agents_of, maps_of, other_agents
-from pedzoo.core.bodies import HOLONOMIC, Fleet
+from pedzoo.core.bodies import HOLONOMIC, Fleet, RobotBody
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import direction_of, unrotate
 from pedzoo.policies.policy import Policy
@@ -170,6 +170,37 @@ class LocalPlannerPolicy(RobotPolicy):
         more = {"walls": walls} if self._takes_walls else {}
         velocity = self.planner(robot, people, **more)
         return tracked(velocity.view(*shape, 2), drive.heading.view(shape), bodies)
+
+
+class LearnedPlanner:
+    """A trained disc as a local planner, where there are no walls: all of its way is in sight."""
+
+    def __init__(self, policy: RobotPolicy) -> None:
+        """Take the policy."""
+        self.policy, self.bodies = policy, Fleet.of([RobotBody()])
+
+    def __call__(self, robot: Robot, people: ObservedPeople) -> Tensor:
+        """Return the next velocities (B, 2), m/s; robots face along the x axis of the world."""
+        shape = (len(robot.goal), 1)
+        goal = robot.goal - robot.position
+        place = people.position - robot.position.unsqueeze(1)
+        rows = torch.cat((place, people.velocity, people.radius.unsqueeze(-1)), dim=-1)
+        seen = {
+            "goal": goal,
+            "waypoint": goal,
+            "velocity": robot.velocity,
+            "remaining_path": torch.linalg.vector_norm(goal, dim=-1, keepdim=True),
+            "radius": robot.radius.unsqueeze(1),
+            "turn_rate": torch.zeros_like(goal[:, :1]),
+            "heading": torch.zeros_like(goal[:, :1]),
+            "people": torch.where(people.mask.unsqueeze(-1), rows, 0),
+            "people_mask": people.mask,
+        }
+        bodies = self.bodies._replace(radius=robot.radius, top_speed=robot.v_pref, slowest=-robot.v_pref)
+        body = {name: value.expand(shape[0]).unsqueeze(1) for name, value in bodies._asdict().items()}
+        sensed = TensorDict({name: value.unsqueeze(1) for name, value in seen.items()}, shape)
+        group = TensorDict({"observation": sensed, "body": TensorDict(body, shape)}, shape)
+        return self.policy.action(TensorDict({"robots": group}, shape[:1]))[:, 0]
 
 
 def _seen(scenes: TensorDictBase, bodies: Fleet) -> tuple[Robot, DriveState, ObservedPeople]:

@@ -7,12 +7,12 @@ Magazine 4(1), 1997. B robots, S samples, N people.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import check_range
 from pedzoo.core.geometry import direction_of, heading_of
 from pedzoo.policies.robots._base import Clearance, DriveState, ObservedPeople, Robot
 
@@ -53,11 +53,10 @@ class DwaSettings:
         Raises:
             UserError: A count is below 1, a margin or weight below 0, or something else not above 0.
         """
-        for name, value in asdict(self).items():
-            least = 1 if name in ("speeds", "turn_rates", "horizon") else 0
-            free = name == "margin" or name.endswith("_weight")
-            if not (math.isfinite(value) and value >= least and (value or free)):
-                raise UserError(f"dwa: {name} {value}: expected a number {'of 0 or more' if free else '> 0'}")
+        check_range(self, "dwa", "speeds turn_rates horizon", "1 or more", least=1)
+        limits = "acceleration turn_acceleration top_turn_rate step"
+        check_range(self, "dwa", limits, "a number above 0", above=True)
+        check_range(self, "dwa", "margin heading_weight clearance_weight speed_weight", "0 or more")
 
 
 def dwa_command(

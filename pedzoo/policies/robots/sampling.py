@@ -6,13 +6,13 @@ The velocity is chosen anew at every step, as in model predictive control. B rob
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import check_range
 from pedzoo.core.geometry import direction_of, rotate
 from pedzoo.policies.robots._base import Clearance, ObservedPeople, Robot
 
@@ -48,12 +48,9 @@ class SamplingSettings:
         Raises:
             UserError: A count is below 1, a cost or margin is negative, or the discount is not in (0, 1].
         """
-        for name, value in asdict(self).items():
-            least = 1 if name in ("directions", "speeds", "horizon") else 0
-            if not (math.isfinite(value) and value >= least):
-                raise UserError(f"sampling: {name} {value}: expected {least} or more")
-        if not 0 < self.discount <= 1:
-            raise UserError(f"sampling: discount {self.discount}: expected above 0 and at most 1")
+        check_range(self, "sampling", "directions speeds horizon", "1 or more", least=1)
+        check_range(self, "sampling", "margin margin_cost collision_cost", "0 or more")
+        check_range(self, "sampling", "discount", "above 0 and at most 1", most=1, above=True)
 
 
 def sampled_velocity(

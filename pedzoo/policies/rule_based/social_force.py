@@ -20,8 +20,8 @@ from pedzoo.core.geometry import move_to_map, turn_to_scene
 from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
 from pedzoo.maps.segments import SegmentTable
 from pedzoo.policies.neighbours import Neighbors, nearest
-from pedzoo.policies.orca import cross, dot, left
 from pedzoo.policies.policy import Policy, deterministic, drawn_vectors
+from pedzoo.policies.rule_based.orca import cross, dot, left
 
 Anisotropy = Literal["view", "smooth", "none"]
 """How the weight of others depends on their direction; see `SocialForceSettings`."""

@@ -1,22 +1,17 @@
 """ORCA's lines of walls and its programs, one person after the other: compiled for a CPU.
 
-Every operation is that of `pedzoo.policies.orca`, in its order and single precision. A person's program ends
+Every operation is that of `pedzoo.policies.rule_based.orca`, in single precision. A person's program ends
 where it is solved; the batched one goes on until the last person's is. At 64 scenes of 5 people a step with
 ORCA takes .42 of the time that it takes without these loops.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from pedzoo.core.compiled import compiled, jit
-from pedzoo.maps.segments import Segments
 
-_0, _1, _2, _HALF = np.float32(0), np.float32(1), np.float32(2), np.float32(0.5)
+_0, _1, _HALF = np.float32(0), np.float32(1), np.float32(0.5)
 _TINY = np.finfo(np.float32).tiny
 
 FAR = 1e30
@@ -29,22 +24,6 @@ EPSILON = 1e-5
 """RVO2's: lines whose directions have a smaller cross product count as parallel."""
 
 _FAR, _TOUCHING, _EPSILON = np.float32(FAR), np.float32(TOUCHING), np.float32(EPSILON)
-
-
-def wall_lines(walls: Segments, velocity: Tensor, radius: Tensor, horizon: float) -> Tensor:
-    """Return the lines (4, K, N) that count, as `pedzoo.policies.orca.wall_lines`; ``horizon`` in seconds."""
-    lines = torch.zeros(4, *walls.along.shape)
-    given = [part.numpy() for part in (*walls, velocity, radius)]
-    count = compiled_lines(*given, 1 / horizon, EPSILON, lines.numpy())
-    return lines[:, :count]
-
-
-def solve(lines: Tensor, walls: int, preferred: Tensor, max_speed: Tensor) -> Tensor:
-    """Return velocities (2, N), as `pedzoo.policies.orca.solve`."""
-    result = torch.empty(preferred.shape)
-    arrays = [part.contiguous().numpy() for part in (preferred, max_speed)]
-    compiled_solve(lines.numpy(), walls, *arrays, result.numpy())
-    return result
 
 
 @jit
@@ -251,7 +230,7 @@ def _least_violating(line, projected, count, first, walls, x, y, radius):
 
 @compiled("void(f4[:,:,:], i8, f4[:,:], f4[:], f4[:,:])")
 def compiled_solve(lines, walls, preferred, max_speed, result):
-    """Write the velocities (2, N) that `pedzoo.policies.orca.solve` returns."""
+    """Write the velocities (2, N) that `pedzoo.policies.rule_based.orca.solve` returns."""
     count = lines.shape[1]
     line, projected = np.empty((4, count), np.float32), np.empty((4, count), np.float32)
     for i in range(lines.shape[2]):
