@@ -26,12 +26,7 @@ _ROUNDING = 1e-6
 
 
 class Member(NamedTuple):
-    """A team as it was written.
-
-    Attributes:
-        policy: Its policy with settings, without ``share``.
-        share: Part of the agents that it moves, above 0, at most 1.
-    """
+    """A team: its policy with settings, without ``share``, and the share of the agents that it moves."""
 
     policy: str
     share: float
@@ -61,8 +56,7 @@ def members(text: str) -> list[Member]:
     Raises:
         UserError: A share is no positive number, or the shares do not sum to 1.
     """
-    policies: list[str] = []
-    shares: list[float | None] = []
+    shares: list[tuple[str, float | None]] = []
     for part in parts(text):
         if not part:
             raise UserError(
@@ -70,33 +64,28 @@ def members(text: str) -> list[Member]:
             )
         name, settings = parse(part)
         own = ",".join(f"{key}={value}" for key, value in settings.items() if key != _SHARE)
-        policies.append(f"{name}:{own}" if own else name)
-        shares.append(_number(part, settings[_SHARE]) if _SHARE in settings else None)
-    given = sum(share for share in shares if share is not None)
+        shares.append((f"{name}:{own}" if own else name, _share_of(part, settings.get(_SHARE))))
+    without = [policy for policy, share in shares if share is None]
+    given = sum(share or 0.0 for _, share in shares)
     if given > 1 + _ROUNDING:
         raise UserError(f"{text!r:.200}: the shares sum to {given:g}: expected at most 1; make them smaller")
-    open_shares = shares.count(None)
-    rest = 1 - given
-    if not open_shares and rest > _ROUNDING:
+    if not without and 1 - given > _ROUNDING:
         raise UserError(
             f"{text!r:.200}: the shares sum to {given:g}, and the rest has no policy: leave out one share, "
             "which then is the rest, or make them larger"
         )
-    if open_shares and rest <= _ROUNDING:
-        without = policies[shares.index(None)]
-        raise UserError(f"{text!r:.200}: nothing is left for {without!r:.200}: make the other shares smaller")
-    return [
-        Member(policy, rest / open_shares if share is None else share)
-        for policy, share in zip(policies, shares, strict=True)
-    ]
+    if without and 1 - given <= _ROUNDING:
+        left = f"nothing is left for {without[0]!r:.200}"
+        raise UserError(f"{text!r:.200}: {left}: make the other shares smaller")
+    return [Member(one, (1 - given) / len(without) if share is None else share) for one, share in shares]
 
 
-def _number(part: str, text: str) -> float:
+def _share_of(part: str, text: str | None) -> float | None:
     try:
-        share = float(text)
+        share = None if text is None else float(text)
     except ValueError:
         share = math.nan
-    if not 0 < share < math.inf:
+    if share is not None and not 0 < share < math.inf:
         raise UserError(f"{part!r:.200}: share {text:.200}: expected a number above 0, at most 1")
     return share
 

@@ -1,5 +1,6 @@
 """What policies remember between decisions: of scenes, and of people since they were seen first."""
 
+from collections.abc import Callable
 from typing import Any, Generic, NamedTuple, Self, TypeVar, cast
 
 import torch
@@ -29,6 +30,11 @@ Record = TypeVar("Record", bound=tuple[Any, ...])
 -1 for none. All other fields are of scenes (S,) or of agents (S, A, ...)."""
 
 
+def keys_of(scenes: TensorDictBase) -> Tensor:
+    """Return the keys (S,) long by which a `SceneMemory` knows scenes."""
+    return randomness.join(cast("Tensor", scenes["scene_key"]), scenes["map_id"])[:, 0]
+
+
 class SceneMemory(Generic[Record]):
     """Values of agents that a policy stores between its decisions: of the last batch, and of recent scenes.
 
@@ -55,13 +61,13 @@ class SceneMemory(Generic[Record]):
         stored = self._all()
         order = stored.key.argsort()
         place = torch.searchsorted(stored.key[order], begin.key).clamp_max(len(order) - 1)
-        result = _rows(stored, order[place])
-        known = result.key == begin.key
+        found = _each(stored, lambda value: value[order[place]])
+        known = found.key == begin.key
         values = [
             torch.where(known, value, new) if value.dim() == 1 else value
-            for value, new in zip(result, begin, strict=True)
+            for value, new in zip(found, begin, strict=True)
         ]
-        seated = torch.where(known.unsqueeze(1), result.person, -1)
+        seated = torch.where(known.unsqueeze(1), found.person, -1)
         return _align_slots(type(begin)(*values)._replace(person=seated), person)
 
     def keep(self, record: Record) -> None:
@@ -70,39 +76,37 @@ class SceneMemory(Generic[Record]):
         self._move(now.key.device)
         if self._last is not None and not torch.equal(self._last.key, now.key):
             stored = self._all()
-            others = _rows(stored, ~torch.isin(stored.key, now.key))
-            self._others = _rows(others, slice(max(MOST, 4 * len(now.key))))
+            others = ~torch.isin(stored.key, now.key)
+            self._others = _each(stored, lambda value: value[others][: max(MOST, 4 * len(now.key))])
         self._last = now
 
     def _move(self, device: torch.device) -> None:
         """Take all records to a device, where the policy goes on with scenes of another one."""
-        for name in ("_last", "_others"):
-            record = getattr(self, name)
-            if record is not None and record.key.device != device:
-                setattr(self, name, type(record)(*(value.to(device) for value in record)))
+        if self._last is not None and self._last.key.device != device:
+            self._last, self._others = (
+                record and _each(record, lambda value: value.to(device))
+                for record in (self._last, self._others)
+            )
 
     def _all(self) -> Any:
-        """Return the records of all scenes, the latest first."""
+        """Return the records of all scenes, the latest first, with empty slots where others have more."""
         if self._others is None or not len(self._others.key):
             return self._last
         slots = max(self._last.person.shape[1], self._others.person.shape[1])
         pairs = zip(_padded(self._last, slots), _padded(self._others, slots), strict=True)
-        return type(self._last)(*(torch.cat(pair) for pair in pairs))
+        return type(self._last)(*map(torch.cat, pairs))
 
 
-def _rows(record: Any, index: Any) -> Any:
-    """Return some of the scenes."""
-    return type(record)(*(value[index] for value in record))
+def _each(record: Any, change: Callable[[Tensor], Tensor], of_agents: bool = False) -> Any:
+    """Return the record with changed values: all of them, or only those ``of_agents``."""
+    return type(record)(*(value if of_agents and value.dim() == 1 else change(value) for value in record))
 
 
 def _padded(record: Any, slots: int) -> Any:
     """Return the scenes with empty slots up to so many."""
     more = slots - record.person.shape[1]
-    values = [
-        value if value.dim() == 1 else functional.pad(value, (*(0, 0) * (value.dim() - 2), 0, more))
-        for value in record
-    ]
-    return type(record)(*values)._replace(person=functional.pad(record.person, (0, more), value=-1))
+    result = _each(record, lambda value: functional.pad(value, (*(0, 0) * (value.dim() - 2), 0, more)), True)
+    return result._replace(person=functional.pad(record.person, (0, more), value=-1))
 
 
 def _align_slots(record: Any, person: Tensor) -> Any:
@@ -112,15 +116,12 @@ def _align_slots(record: Any, person: Tensor) -> Any:
         return record
     same = (person.unsqueeze(2) == mine.unsqueeze(1)) & (person >= 0).unsqueeze(2)
     slot = same.long().argmax(2)
-    values = [
-        value
-        if value.dim() == 1
-        else value.gather(
-            1, slot.view(*slot.shape, *[1] * (value.dim() - 2)).expand(*slot.shape, *value.shape[2:])
-        )
-        for value in record
-    ]
-    return type(record)(*values)._replace(person=torch.where(same.any(2), person, -1))
+
+    def moved(value: Tensor) -> Tensor:
+        index = slot.view(*slot.shape, *[1] * (value.dim() - 2))
+        return value.gather(1, index.expand(*slot.shape, *value.shape[2:]))
+
+    return _each(record, moved, True)._replace(person=torch.where(same.any(2), person, -1))
 
 
 class Attempts(NamedTuple):
@@ -221,11 +222,10 @@ class FirstSeenMemory:
         mask, left = cast("Tensor", agents["mask"]), cast("Tensor", agents["remaining_path"])[..., 0]
         complete = cast("Tensor", agents["valid"]).all(-1) & mask
         person = ids_of(scenes).where(complete, -1)
-        key = randomness.join(cast("Tensor", scenes["scene_key"]), scenes["map_id"])[:, 0]
         time = cast("Tensor", scenes["time"]).expand(person.shape)
         history, path = cast("Tensor", agents["history"]).detach(), left.detach()
-        moves = is_walking(scenes)
-        now = FirstSeen(key, person, history, time, path, path, time, moves, *Attempts.none(path))
+        moves, tried = is_walking(scenes), Attempts.none(path)
+        now = FirstSeen(keys_of(scenes), person, history, time, path, path, time, moves, *tried)
         before = self._memory.recall(now._replace(person=torch.full_like(person, -1)), person)
         # a scene that is walked a second time has the same key, and its clock went back
         since = time - before.last
@@ -234,20 +234,14 @@ class FirstSeenMemory:
             # people who stood without a goal do not walk by that history
             still = ~walks(before.history.diff(dim=2)).any(2)
             known = known & ~(still & cast("Tensor", agents["sets_out"])[..., 0])
-        sets_out = moves & ~before.goes_on
-        on_way = known & (path < before.left + _OTHER_GOAL) & ~sets_out
+        on_way = known & (path < before.left + _OTHER_GOAL) & ~(moves & ~before.goes_on)
         stands = known & ~walks(history[:, :, -1] - history[:, :, -2])
         attempts = before.attempts.seen(stands)
-        first = FirstSeen(
-            key,
-            person,
-            torch.where(known[..., None, None], before.history, history),
-            torch.where(on_way, before.time, time),
-            torch.where(on_way, before.path, path),
-            path,
-            time,
-            moves,
-            *attempts,
+        first = now._replace(
+            history=torch.where(known[..., None, None], before.history, history),
+            time=torch.where(on_way, before.time, time),
+            path=torch.where(on_way, before.path, path),
+            **attempts._asdict(),
         )
         self._memory.keep(first)
         self._last = first

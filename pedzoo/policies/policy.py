@@ -38,6 +38,8 @@ class NamedPolicy(TensorDictModuleBase):
 
     name: str = ""
     decision_dt: float
+    in_keys: ClassVar[list[Any]] = ["agents", "maps", "map_id", "scene_pose", "scene_key", "time"]
+    out_keys: ClassVar[list[Any]] = [("agents", "action")]
 
     def policy(self) -> Self:
         """Return itself, as models return their policy."""
@@ -57,15 +59,7 @@ class NamedPolicy(TensorDictModuleBase):
 
 
 class Policy(NamedPolicy):
-    """Reads a scene batch and writes each person's velocity (B, A, 2) in m/s to ``agents/action``.
-
-    Attributes:
-        decision_dt: Seconds between its decisions.
-    """
-
-    decision_dt: float
-    in_keys: ClassVar[list[Any]] = ["agents", "maps", "map_id", "scene_pose", "scene_key", "time"]
-    out_keys: ClassVar[list[Any]] = [("agents", "action")]
+    """Reads a scene batch and writes each person's velocity (B, A, 2) in m/s to ``agents/action``."""
 
     def __init__(self, decision_dt: float) -> None:
         """Say how often it decides."""

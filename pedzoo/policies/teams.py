@@ -1,7 +1,7 @@
 """Mixed crowds: several policies move the agents of a scene, each at its own decision interval."""
 
 import math
-from typing import NamedTuple, TypeAlias, cast
+from typing import NamedTuple, Self, TypeAlias, cast
 
 import torch
 from tensordict import TensorDictBase
@@ -13,7 +13,7 @@ from pedzoo.core.batch import PERSON, ROBOT, actions_of, agents_of, ids_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import blended, limit_speed
 from pedzoo.core.types import TRACE_SECONDS
-from pedzoo.policies.memory import SceneMemory
+from pedzoo.policies.memory import SceneMemory, keys_of
 from pedzoo.policies.policy import Policy
 from pedzoo.policies.walker import Walker, check_interval
 
@@ -41,14 +41,6 @@ class PlannedVelocities(NamedTuple):
     person: Tensor
     begun: Tensor
     velocity: Tensor
-
-    @classmethod
-    def none(cls, key: Tensor, time: Tensor, person: Tensor, velocity: Tensor) -> "PlannedVelocities":
-        """Return plans of scenes (S,) in which nothing was decided, like times (S,) and the last fields."""
-        never = torch.full_like(time, -torch.inf)
-        empty = torch.full_like(person, -1)
-        begun = never.unsqueeze(1).expand(person.shape)
-        return cls(key, never, empty, begun, torch.zeros_like(velocity))
 
 
 class Team(nn.Module):
@@ -80,9 +72,7 @@ class Team(nn.Module):
         """
         if self.every > 1:
             return self._planned(scenes, mine, dt)
-        if not bool(mine.any()):
-            return torch.zeros_like(agents_of(scenes)["velocity"])
-        return self._asked(scenes, mine)
+        return self._asked(scenes, mine) if bool(mine.any()) else torch.zeros_like(_velocity(scenes))
 
     def _asked(self, scenes: TensorDictBase, mine: Tensor) -> Tensor:
         """Return the policy's answer (B, A, 2): it controls no other team's agents."""
@@ -95,12 +85,12 @@ class Team(nn.Module):
 
     def _planned(self, scenes: TensorDictBase, mine: Tensor, dt: float) -> Tensor:
         """Return the running plans' velocities (B, A, 2), of new plans where agents have to decide."""
-        agents, person = agents_of(scenes), ids_of(scenes)
-        now = cast("Tensor", scenes["time"])[:, 0]
-        key = randomness.join(cast("Tensor", scenes["scene_key"]), scenes["map_id"])[:, 0]
-        velocity = cast("Tensor", agents["velocity"])
-        blank = velocity.unsqueeze(2).expand(-1, -1, self.every, -1)
-        plans = self._memory.recall(PlannedVelocities.none(key, now, person, blank), person)
+        person, velocity, now = ids_of(scenes), _velocity(scenes), cast("Tensor", scenes["time"])[:, 0]
+        never, empty = torch.full_like(now, -torch.inf), torch.full_like(person, -1)
+        blank = torch.zeros_like(velocity).unsqueeze(2).expand(-1, -1, self.every, -1)
+        begun = never.unsqueeze(1).expand(person.shape)
+        fresh = PlannedVelocities(keys_of(scenes), never, empty, begun, blank)
+        plans = self._memory.recall(fresh, person)
         since = now - plans.decided
         turn = (since < _ROUNDING) | (since > (self.every - 0.5) * dt)  # a caller's clock may jitter
         known = (plans.person == person) & (now.unsqueeze(1) - plans.begun > _ROUNDING)
@@ -113,30 +103,31 @@ class Team(nn.Module):
                 index = rows.nonzero()[:, 0]
                 answer = self._asked(scenes[index], mine[index])
                 command = torch.zeros_like(velocity, dtype=answer.dtype).index_copy(0, index, answer)
-            fresh = self._blended(agents, command, dt)
+            blended = self._blended(scenes, command, dt)
             plans = plans._replace(
                 decided=torch.where(turn & rows, now, plans.decided),
                 begun=torch.where(decides, now.unsqueeze(1), plans.begun),
-                velocity=torch.where(decides[..., None, None], fresh, plans.velocity),
+                velocity=torch.where(decides[..., None, None], blended, plans.velocity),
             )
         plans = plans._replace(person=torch.where(mine, person, -1))
         self._memory.keep(plans)
         place = ((now.unsqueeze(1) - plans.begun) / dt).round().clamp(0, self.every - 1).long()
         return plans.velocity.gather(2, place[..., None, None].expand(*place.shape, 1, 2))[:, :, 0]
 
-    def _blended(self, agents: TensorDictBase, command: Tensor, dt: float) -> Tensor:
+    def _blended(self, scenes: TensorDictBase, command: Tensor, dt: float) -> Tensor:
         """Return velocities (B, A, N, 2) until the next decision, which lead where the command alone would.
 
         Those of people blend as in `pedzoo.core.geometry.blended`. Those of robots may be speeds of wheels,
         and are held.
         """
+        agents = agents_of(scenes)
         person = (agents["kind"] != ROBOT).unsqueeze(-1)
         top_speed = cast("Tensor", agents["top_speed"])[..., 0]
         # what is not finite ends the scene, and is not hidden here
         wanted = torch.where(command.isfinite(), limit_speed(command, top_speed), command)
         points = max(1, round(dt / TRACE_SECONDS))
-        begin = cast("Tensor", agents["velocity"]).movedim(-1, 0)
-        smooth = blended(begin, wanted.movedim(-1, 0), self.every * points)
+        begin, end = _velocity(scenes).movedim(-1, 0), wanted.movedim(-1, 0)
+        smooth = blended(begin, end, self.every * points)
         smooth = smooth.unflatten(1, (self.every, points)).mean(2).movedim(0, -1).movedim(0, 2)
         return torch.where(person.unsqueeze(-1), smooth, command.unsqueeze(2))
 
@@ -171,9 +162,12 @@ class Teams(Policy):
         Raises:
             UserError: Decision intervals are no multiples of the shortest.
         """
-        self._given = people, robots
-        teams = _teams(people, None if robots is None else PERSON)
-        teams += [] if robots is None else _teams(robots, ROBOT)
+        self._crowds = [
+            crowd if crowd is None or isinstance(crowd, list) else [(crowd, 1.0)]
+            for crowd in (people, robots)
+        ]
+        teams = _teams(self._crowds[0] or [], None if robots is None else PERSON)
+        teams += _teams(self._crowds[1] or [], ROBOT)
         steps = [team.policy.decision_dt for team in teams]
         super().__init__(min(steps))
         for team, step in zip(teams, steps, strict=True):
@@ -191,10 +185,10 @@ class Teams(Policy):
                 )
         self.teams = nn.ModuleList(teams)
 
-    def fresh(self) -> "Teams":
+    def fresh(self) -> Self:
         """Return a crowd of the same policies that has seen no scene yet."""
-        people, robots = self._given
-        result = Teams(_fresh(people), None if robots is None else _fresh(robots))
+        crowds = (crowd and [(one.fresh(), share) for one, share in crowd] for crowd in self._crowds)
+        result = type(self)(*crowds)
         result.name = self.name
         return result
 
@@ -205,7 +199,7 @@ class Teams(Policy):
         if len(teams) == 1:
             return teams[0].policy(tensordict)
         controlled = cast("Tensor", agents_of(tensordict)["controlled"])
-        action = torch.zeros_like(agents_of(tensordict)["velocity"])
+        action = torch.zeros_like(_velocity(tensordict))
         for team, theirs in zip(teams, self.assigned(tensordict), strict=True):
             mine = controlled & theirs
             velocity = team.velocity(tensordict, mine, self.decision_dt)
@@ -222,18 +216,15 @@ class Teams(Policy):
         return [team.of(draw, kind) for team in cast("list[Team]", list(self.teams))]
 
 
-def _fresh(crowd: Policy | Walker | Crowd) -> Policy | Walker | Crowd:
-    """Return the policies of a crowd as they are before their first scene."""
-    return [(one.fresh(), share) for one, share in crowd] if isinstance(crowd, list) else crowd.fresh()
-
-
-def _teams(crowd: Policy | Walker | Crowd, kind: int | None) -> list[Team]:
+def _teams(crowd: Crowd, kind: int | None) -> list[Team]:
     """Return the teams of a crowd, whose draws lie side by side between 0 and 1."""
-    if not isinstance(crowd, list):
-        return [Team(crowd, kind, 0.0, math.inf)]
     teams, least = [], 0.0
     for number, (policy, share) in enumerate(crowd, start=1):
         below = math.inf if number == len(crowd) else least + share
         teams.append(Team(policy, kind, least, below))
         least = below
     return teams
+
+
+def _velocity(scenes: TensorDictBase) -> Tensor:
+    return cast("Tensor", agents_of(scenes)["velocity"])

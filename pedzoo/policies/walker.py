@@ -1,7 +1,7 @@
 """Any forecaster as a policy: asked for one next move at a time, it walks."""
 
 from copy import copy
-from typing import Any, ClassVar, NamedTuple, Self, cast, get_args
+from typing import Self, cast, get_args
 
 import torch
 from tensordict import TensorDictBase
@@ -81,34 +81,6 @@ def with_walked_history(batch: TensorDictBase) -> TensorDictBase:
     return result
 
 
-class StoredPrediction(NamedTuple):
-    """Predictions that are being walked.
-
-    Attributes:
-        key: Of the scenes (B,) long.
-        begun: Step at which each was made (B,) long.
-        steps: Displacements (B, A, execute_steps, 2), metres.
-    """
-
-    key: Tensor
-    begun: Tensor
-    steps: Tensor
-
-
-class EpisodeNoise(NamedTuple):
-    """The noise of the last scenes that were asked about, where it stays the same for an episode.
-
-    Attributes:
-        key: Of the scenes (B, 1) long.
-        agent: Numbers of the agents (B, A) long.
-        noise: Of each (B, A, noise_dim).
-    """
-
-    key: Tensor
-    agent: Tensor
-    noise: Tensor
-
-
 class Walker(NamedPolicy):
     """Predicts each person's future from a scene batch and walks its first step: displacement / 0.4 s.
 
@@ -121,8 +93,6 @@ class Walker(NamedPolicy):
     """
 
     decision_dt = STEP_SECONDS
-    in_keys: ClassVar[list[Any]] = ["agents", "maps", "map_id", "scene_pose", "scene_key", "time"]
-    out_keys: ClassVar[list[Any]] = [("agents", "action")]
 
     def __init__(
         self,
@@ -165,8 +135,10 @@ class Walker(NamedPolicy):
         self._remember_nothing()
 
     def _remember_nothing(self) -> None:
-        self._stored: StoredPrediction | None = None
-        self._episode_noise: EpisodeNoise | None = None
+        # predictions that are being walked: keys (B,), steps at which they were made (B,), displacements
+        self._stored: tuple[Tensor, Tensor, Tensor] | None = None
+        # of the last scenes: keys (B, 1), numbers of agents (B, A), and their noise for the episode
+        self._episode_noise: tuple[Tensor, Tensor, Tensor] | None = None
         self._first_seen = FirstSeenMemory()
 
     def fresh(self) -> Self:
@@ -199,22 +171,17 @@ class Walker(NamedPolicy):
     def _of_stored(self, tensordict: TensorDictBase) -> Tensor:
         """Return the step (B, A, 2) of the stored prediction, or of a new one where it is over."""
         key, now = tensordict["scene_key"][:, 0], (tensordict["time"][:, 0] / STEP_SECONDS).round().long()
-        stored = self._stored if self._stored is not None and self._stored.key.shape == key.shape else None
-        if stored is None:
-            over = torch.ones_like(key, dtype=torch.bool)
-        else:  # the same walker may have been asked about other scenes in between
-            place = now - stored.begun
-            over = (now == 0) | (stored.key != key) | (place < 0) | (place >= self.execute_steps)
-        if stored is None or bool(over.any()):
-            fresh = StoredPrediction(key, now, self._predicted(tensordict, self.execute_steps))
-            if stored is not None:
-                steps = torch.where(over.view(-1, 1, 1, 1), fresh.steps, stored.steps)
-                fresh = StoredPrediction(key, torch.where(over, now, stored.begun), steps)
-            stored = self._stored = fresh
-        return stored.steps[torch.arange(len(key), device=key.device), :, now - stored.begun]
-
-    def _predicted(self, tensordict: TensorDictBase, steps: int) -> Tensor:
-        return self.model.next_steps(self._seen(tensordict), self.noise_of(tensordict), steps, PRED_LEN)
+        over, (before, begun, steps) = torch.ones_like(key, dtype=torch.bool), self._stored or (key[:0],) * 3
+        if known := before.shape == key.shape:
+            # the same walker may have been asked about other scenes in between
+            over = (now == 0) | (before != key) | (now < begun) | (now >= begun + self.execute_steps)
+        if not known or bool(over.any()):
+            noise, seen = self.noise_of(tensordict), self._seen(tensordict)
+            fresh = self.model.next_steps(seen, noise, self.execute_steps, PRED_LEN)
+            steps = torch.where(over.view(-1, 1, 1, 1), fresh, steps) if known else fresh
+            begun = torch.where(over, now, begun) if known else now
+            self._stored = key, begun, steps
+        return steps[torch.arange(len(key), device=key.device), :, now - begun]
 
     def _seen(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Return the scenes as the model sees them."""
@@ -233,11 +200,11 @@ class Walker(NamedPolicy):
         if self.noise in ("step", "mixed") or agent.device.type != "cpu":
             return self._drawn(scene_key, agent, time)
         last = self._episode_noise
-        if last is None or not (torch.equal(last.key, scene_key) and torch.equal(last.agent, agent)):
+        if last is None or not (torch.equal(last[0], scene_key) and torch.equal(last[1], agent)):
             with torch.inference_mode(False):  # the next call may ask for gradients
                 noise = self._drawn(scene_key, agent, time)
-                last = self._episode_noise = EpisodeNoise(scene_key.clone(), agent.clone(), noise)
-        return last.noise
+                last = self._episode_noise = scene_key.clone(), agent.clone(), noise
+        return last[2]
 
     def _drawn(self, scene_key: Tensor, agent: Tensor, time: Tensor) -> Tensor:
         """Return the noise (B, A, noise_dim) of scenes (B, 1) and agents (B, A) at times (B, 1)."""

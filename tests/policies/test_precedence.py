@@ -39,7 +39,9 @@ def order(place: list[list[float]], step: list[list[float]], waits: bool = False
     at = torch.tensor(place).T.unsqueeze(1)
     wait = torch.full((1, 2, 2), waits)
     rank = torch.tensor([[0.0, 1.0]])
-    result = precedence(torch.tensor([step]), at.unsqueeze(3) - at.unsqueeze(2), wait, rank)
+    result = precedence(
+        torch.tensor([step]), at.unsqueeze(3) - at.unsqueeze(2), wait, rank, torch.zeros(1, 2, 2)
+    )
     assert torch.equal(result, -result.mT)
     return float(result[0, 0, 1])
 
@@ -64,7 +66,7 @@ def test_people_behind_make_way(answer: Callable[..., Tensor]) -> None:
     place, step = torch.tensor([[[0.0, 0.0], [-0.5, 0.0]]]), torch.tensor([[[0.1, 0.0], [0.5, 0.0]]])
     one = torch.ones(1, 2, dtype=torch.bool)
     size = torch.full((1, 2), BODY_RADIUS)
-    result = answer(ProposedSteps(place, step, size + 1, one, one, ~one, size, ~one), None)
+    result = answer(ProposedSteps(place, step, size + 1, one, one, ~one, size, ~one, step / 0.4), None)
     lacks = 2 * BODY_RADIUS + MARGIN - 0.1
     assert float(result[0, 0, 0]) == pytest.approx(0.1 + LEAST_SHARE * lacks, abs=5e-3)
     assert float(result[0, 1, 0]) == pytest.approx(0.5 - (1 - LEAST_SHARE) * lacks, abs=5e-3)

@@ -13,11 +13,13 @@ from pedzoo.core.geometry import rotate
 from pedzoo.core.registry import ROBOT_POLICIES
 from pedzoo.policies.load import load_local_planner
 from pedzoo.policies.robots._base import DriveState, ObservedPeople, Robot
-from pedzoo.policies.robots.dwa import Dwa, DwaSettings, arc, dwa_command, free_seconds, window
-from pedzoo.policies.robots.sampling import SamplingSettings, people_gap, sampled_velocity, velocities
+from pedzoo.policies.robots.dwa import Dwa, DwaSettings, arc
+from pedzoo.policies.robots.sampling import Sampling, SamplingSettings, people_gap
 
-SETTINGS = SamplingSettings(horizon=8, margin=0.2, discount=1.0, margin_cost=4.0, collision_cost=10.0)
 STEP = 0.25
+SAMPLING = Sampling(
+    SamplingSettings(horizon=8, margin=0.2, discount=1.0, margin_cost=4.0, collision_cost=10.0), STEP
+)
 
 
 def robots(goal: list[float], count: int = 1, velocity: tuple[float, float] = (0.0, 0.0)) -> Robot:
@@ -86,13 +88,13 @@ def test_orca_and_social_forces_by_hand() -> None:
 
 def test_alone_it_goes_straight_at_top_speed() -> None:
     for goal in ([4.0, 0.0], [-3.0, 4.0]):
-        chosen = sampled_velocity(robots(goal), people(), STEP, SETTINGS)[0]
+        chosen = SAMPLING(robots(goal), people())[0]
         expected = torch.tensor(goal) / torch.tensor(goal).norm()
         assert chosen.tolist() == pytest.approx(expected.tolist(), abs=1e-6)
 
 
 def test_samples_are_directions_times_speeds_and_standing() -> None:
-    made = velocities(robots([0.0, 5.0]), SamplingSettings(directions=4, speeds=2))[0]
+    made = Sampling(SamplingSettings(directions=4, speeds=2)).velocities(robots([0.0, 5.0]))[0]
     expected = [[0, 1], [0, 0.5], [-1, 0], [-0.5, 0], [0, -1], [0, -0.5], [1, 0], [0.5, 0], [0, 0]]
     assert torch.allclose(made, torch.tensor(expected, dtype=torch.float32), atol=1e-6)
 
@@ -111,49 +113,49 @@ def test_gaps_are_those_on_the_way_of_each_step() -> None:
 
 def test_it_gives_way_and_never_touches_who_walks_on() -> None:
     robot, crowd = robots([4.0, 0.0]), people((2.0, 0.0, -1.0, 0.0))
-    chosen = sampled_velocity(robot, crowd, STEP, SETTINGS)
+    chosen = SAMPLING(robot, crowd)
     assert abs(float(chosen[0, 1])) > 0.2
     assert people_gap(robot, crowd, chosen[:, None], STEP, 8).min() >= 0
     passing = people((2.0, 1.0, -1.0, 0.0))
-    assert sampled_velocity(robot, passing, STEP, SETTINGS)[0].tolist() == pytest.approx([1.0, 0.0])
+    assert SAMPLING(robot, passing)[0].tolist() == pytest.approx([1.0, 0.0])
 
 
 def test_it_stands_where_every_way_is_blocked() -> None:
     ring = [(0.9 * math.cos(k * math.pi / 6), 0.9 * math.sin(k * math.pi / 6), 0.0, 0.0) for k in range(12)]
-    assert sampled_velocity(robots([4.0, 0.0]), people(*ring), STEP, SETTINGS).norm() == 0
+    assert SAMPLING(robots([4.0, 0.0]), people(*ring)).norm() == 0
 
 
 def test_planners_leave_people_whom_they_touch() -> None:
     touching = people((0.5, 0.0, 0.0, 0.0))
-    chosen = sampled_velocity(robots([4.0, 0.0]), touching, STEP, SETTINGS)[0]
+    chosen = SAMPLING(robots([4.0, 0.0]), touching)[0]
     assert (chosen * STEP - touching.position[0, 0]).norm() > 0.52
-    speed, _ = dwa_command(robots([-4.0, 0.0]), drive(0.0, heading=math.pi), touching, STEP, LIMITS)
+    speed, _ = DWA.command(robots([-4.0, 0.0]), drive(0.0, heading=math.pi), touching)
     assert speed.item() == pytest.approx(0.25)
 
 
 def test_people_behind_the_goal_do_not_matter_after_the_arrival() -> None:
     robot, crowd = robots([1.0, 0.0]), people((2.4, 0.0, 0.0, 0.0))
-    assert sampled_velocity(robot, crowd, STEP, SETTINGS)[0].tolist() == pytest.approx([1.0, 0.0])
+    assert SAMPLING(robot, crowd)[0].tolist() == pytest.approx([1.0, 0.0])
 
 
 def test_walls_count_as_people_do() -> None:
     robot = robots([4.0, 0.0])
-    chosen = sampled_velocity(robot, people(), STEP, SETTINGS, wall)[0]
-    assert float(chosen[0]) * SETTINGS.horizon * STEP < 0.7  # it stays 0.3 m from the wall at x = 1
+    chosen = SAMPLING(robot, people(), wall)[0]
+    assert float(chosen[0]) * SAMPLING.settings.horizon * STEP < 0.7  # it stays 0.3 m from the wall at x = 1
 
 
 def test_its_answer_turns_with_the_scene_in_any_batch() -> None:
     random = torch.Generator().manual_seed(1)
     crowd = people(*(torch.randn(5, 4, generator=random) * torch.tensor([2.0, 2.0, 0.5, 0.5])).tolist())
     robot = robots([4.0, 1.0])
-    chosen = sampled_velocity(robot, crowd, STEP, SETTINGS)
+    chosen = SAMPLING(robot, crowd)
     for angle in (0.7, 2.9):
         other = crowd._replace(position=turned(crowd.position, angle), velocity=turned(crowd.velocity, angle))
-        rotated = sampled_velocity(robot._replace(goal=turned(robot.goal, angle)), other, STEP, SETTINGS)
+        rotated = SAMPLING(robot._replace(goal=turned(robot.goal, angle)), other)
         assert torch.allclose(rotated, turned(chosen, angle), atol=1e-4)
     many = Robot(*(part.expand(3, *part.shape[1:]) for part in robot))
     others = ObservedPeople(*(part.expand(3, *part.shape[1:]) for part in crowd))
-    assert torch.equal(sampled_velocity(many, others, STEP, SETTINGS), chosen.expand(3, 2))
+    assert torch.equal(SAMPLING(many, others), chosen.expand(3, 2))
 
 
 def test_settings_of_planners_are_checked() -> None:
@@ -170,7 +172,9 @@ def test_settings_of_planners_are_checked() -> None:
 
 # The dynamic window approach
 
-LIMITS = DwaSettings(acceleration=1.0, turn_acceleration=2.0, top_turn_rate=1.0, speeds=3, turn_rates=3)
+DWA = Dwa(
+    DwaSettings(acceleration=1.0, turn_acceleration=2.0, top_turn_rate=1.0, speeds=3, turn_rates=3), STEP
+)
 
 
 def drive(speed: float, turn_rate: float = 0.0, heading: float = 0.0) -> DriveState:
@@ -178,10 +182,10 @@ def drive(speed: float, turn_rate: float = 0.0, heading: float = 0.0) -> DriveSt
 
 
 def test_the_window_is_what_a_step_can_reach() -> None:
-    speed, turn_rate = window(drive(0.9, 0.8), torch.tensor([1.0]), STEP, LIMITS)
+    speed, turn_rate = DWA.window(drive(0.9, 0.8), torch.tensor([1.0]))
     assert speed[0, ::3].tolist() == pytest.approx([0.65, 0.825, 1.0])
     assert turn_rate[0, :3].tolist() == pytest.approx([0.3, 0.65, 1.0])
-    speed, _ = window(drive(0.1), torch.tensor([1.0]), STEP, LIMITS)
+    speed, _ = DWA.window(drive(0.1), torch.tensor([1.0]))
     assert speed[0, ::3].tolist() == pytest.approx([0.0, 0.175, 0.35])  # not backwards
 
 
@@ -196,27 +200,27 @@ def test_arcs_are_circles() -> None:
 def test_arcs_are_free_until_the_margin() -> None:
     robot, ahead = robots([4.0, 0.0]), people((2.0, 0.0, 0.0, 0.0))
     speed, turn_rate = torch.tensor([[1.0, 0.5, 0.0]]), torch.zeros(1, 3)
-    free = free_seconds(robot, drive(1.0), ahead, speed, turn_rate, LIMITS)
+    free = DWA.free_seconds(robot, drive(1.0), ahead, speed, turn_rate)
     # 2 - 0.3 - 0.3 - 0.1 = 1.3 m: up to 1.2 s at 1 m/s, up to 2.5 s at 0.5 m/s, and for all 3 s at rest
     assert free[0].tolist() == pytest.approx([1.2, 2.5, 3.0], abs=1e-5)
     comes = people((2.0, 0.0, -1.0, 0.0))
-    meeting = free_seconds(robot, drive(1.0), comes, speed[:, :1], turn_rate[:, :1], LIMITS)
+    meeting = DWA.free_seconds(robot, drive(1.0), comes, speed[:, :1], turn_rate[:, :1])
     assert meeting[0, 0].item() == pytest.approx(0.6)
-    behind_wall = free_seconds(robot, drive(1.0), people(), speed[:, :1], turn_rate[:, :1], LIMITS, wall)
+    behind_wall = DWA.free_seconds(robot, drive(1.0), people(), speed[:, :1], turn_rate[:, :1], wall)
     assert behind_wall[0, 0].item() == pytest.approx(0.5)
 
 
 def test_it_keeps_its_pace_on_a_free_way_and_brakes_for_a_wall() -> None:
-    command = dwa_command(robots([9.0, 0.0]), drive(1.0), people(), STEP, LIMITS)
+    command = DWA.command(robots([9.0, 0.0]), drive(1.0), people())
     assert [part.item() for part in command] == pytest.approx([1.0, 0.0], abs=1e-6)
     # 0.6 m from the wall at x = 1 less 0.3 m of its body: from 1 m/s it cannot stop any more, and brakes
     near = robots([9.0, 0.0])._replace(position=torch.tensor([[0.4, 0.0]]))
-    speed, _ = dwa_command(near, drive(1.0), people(), STEP, LIMITS, wall)
+    speed, _ = DWA.command(near, drive(1.0), people(), wall)
     assert speed.item() == pytest.approx(0.75)
 
 
 def test_it_turns_to_its_goal_within_its_limits() -> None:
-    _, turn_rate = dwa_command(robots([0.0, 5.0]), drive(0.0), people(), STEP, LIMITS)
+    _, turn_rate = DWA.command(robots([0.0, 5.0]), drive(0.0), people())
     assert turn_rate.item() == pytest.approx(0.5)
     mine = Dwa(time_step=STEP)
     body, before = robots([3.0, 0.5]), torch.zeros(1, 2)

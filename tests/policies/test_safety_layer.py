@@ -33,13 +33,13 @@ from pedzoo.sim.make import make_env
 
 
 def steps(position: Any, step: Any, longest: float = 0.8, **more: Tensor) -> ProposedSteps:
-    """Return the steps of one scene, or of several."""
+    """Return the steps of one scene, or of several, of people who walk already as they ask to."""
     position, step = (torch.as_tensor(values, dtype=torch.float32) for values in (position, step))
     position, step = (values if values.dim() == 3 else values.unsqueeze(0) for values in (position, step))
     there = torch.ones(position.shape[:2], dtype=torch.bool)
     other = {"longest": torch.full(there.shape, longest), "present": there, "moved": there}
     other |= {"waits": torch.zeros_like(there), "robot": torch.zeros_like(there)}
-    other |= {"radius": torch.full(there.shape, BODY_RADIUS)}
+    other |= {"radius": torch.full(there.shape, BODY_RADIUS), "velocity": step / STEP_SECONDS}
     return ProposedSteps(position, step, **other | more)
 
 
@@ -225,7 +225,7 @@ def test_the_answer_turns_moves_and_renumbers_with_people(walled: bool) -> None:
     moved = steps(asked.position @ turn.T + 5, asked.step @ turn.T)
     turned = kept_clear(moved, walls(torch.tensor([[0.7, 1.0, 5.0, 5.0]]).expand(4, -1)))
     assert torch.allclose(turned, result @ turn.T, atol=1e-4)
-    swapped = kept_clear(ProposedSteps(*(values[:, order] for values in asked[:8])), walls(identity_pose(4)))
+    swapped = kept_clear(ProposedSteps(*(values[:, order] for values in asked[:9])), walls(identity_pose(4)))
     assert torch.allclose(swapped, result[:, order], atol=1e-5)
 
 
@@ -234,7 +234,7 @@ def test_a_scene_does_not_depend_on_the_others_of_its_batch() -> None:
     random = torch.Generator().manual_seed(4)
     asked = steps(0.6 * torch.randn(5, 8, 2, generator=random), 0.4 * torch.randn(5, 8, 2, generator=random))
     alone = torch.cat(
-        [kept_clear(ProposedSteps(*(values[[row]] for values in asked[:8]))) for row in range(5)]
+        [kept_clear(ProposedSteps(*(values[[row]] for values in asked[:9]))) for row in range(5)]
     )
     assert torch.equal(kept_clear(asked), alone)
 

@@ -38,7 +38,6 @@ def test_a_walk_is_what_the_simulation_makes_of_a_step() -> None:
     assert torch.allclose(asked.position + result, path_of(asked, step)[[9, 29, 39]], atol=1e-5)
     still = asked._replace(moved=torch.zeros_like(asked.moved)).integrate(step).movedim(1, -1)
     assert torch.allclose(still, torch.stack((step / 4, 3 * step / 4, step)))
-    assert torch.equal(asked._replace(velocity=None).integrate(step).movedim(1, -1), still)
 
 
 @pytest.mark.parametrize("people", [2, 6, 20])
@@ -64,9 +63,8 @@ def test_on_blended_paths_no_person_touches_a_wall() -> None:
 
 
 @pytest.mark.parametrize("people", [1, 2, 5, 12, 20])
-@pytest.mark.parametrize("blends", [False, True])
 @pytest.mark.parametrize("walled", [False, True])
-def test_compiled_loops_say_what_torch_says(people: int, blends: bool, walled: bool) -> None:
+def test_compiled_loops_say_what_torch_says(people: int, walled: bool) -> None:
     """Crowds of mixed radii with absent and uncontrolled agents and robots, in the open and at a door.
 
     Gradients too, by places, steps and velocities. Torch is in single precision: it may matter at corners.
@@ -76,10 +74,8 @@ def test_compiled_loops_say_what_torch_says(people: int, blends: bool, walled: b
     weight = torch.randn(asked.step.shape, generator=random) * asked.present.unsqueeze(-1)
     result = []
     for answer in (kept_clear, kept_clear_in_torch):
-        inputs: list[Any] = [asked.position, asked.step, *([asked.velocity] if blends else [])]
-        inputs = [part.clone().requires_grad_() for part in inputs]
-        velocity = inputs[2] if blends else None
-        stored = answer(asked._replace(position=inputs[0], step=inputs[1], velocity=velocity), walls)
+        inputs = [part.clone().requires_grad_() for part in (asked.position, asked.step, asked.velocity)]
+        stored = answer(asked._replace(position=inputs[0], step=inputs[1], velocity=inputs[2]), walls)
         result.append((stored.detach(), torch.autograd.grad((stored * weight).sum(), inputs)))
     (compiled, slopes), (in_torch, expected) = result
     alike = ((compiled - in_torch).norm(dim=-1).where(asked.present, 0.0) < 1e-4).all(1)
@@ -87,9 +83,7 @@ def test_compiled_loops_say_what_torch_says(people: int, blends: bool, walled: b
     for slope, other in zip(slopes, expected, strict=True):
         close = ((slope - other).abs() < 1e-3 + 1e-3 * other.abs()).flatten(1).all(1)
         assert close[alike].float().mean() >= (0.95 if walled else 0.99)
-    assert torch.equal(
-        kept_clear(asked._replace(velocity=asked.velocity if blends else None), walls), compiled
-    )
+    assert torch.equal(kept_clear(asked, walls), compiled)
 
 
 def mixed_crowd(people: int, walled: bool) -> tuple[ProposedSteps, LocalWalls | None]:
@@ -114,7 +108,9 @@ def test_gradients_of_a_person_at_a_wall(answer: Callable[..., Tensor]) -> None:
     step = torch.tensor([[[0.1, 0.2]], [[0.3, 0.2]]], requires_grad=True)
     one = torch.ones(2, 1, dtype=torch.bool)
     size = torch.full((2, 1), BODY_RADIUS)
-    stored = answer(ProposedSteps(place, step, size + 1, one, one, ~one, size, ~one), walls)
+    stored = answer(
+        ProposedSteps(place, step, size + 1, one, one, ~one, size, ~one, (step / 0.4).detach()), walls
+    )
     across = torch.autograd.grad(stored[..., 0].sum(), (place, step), retain_graph=True)
     along = torch.autograd.grad(stored[..., 1].sum(), (place, step))
     close: dict[str, Any] = {"atol": 1e-4, "rtol": 0}

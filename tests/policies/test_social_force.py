@@ -25,7 +25,6 @@ from pedzoo.policies.rule_based.social_force import (
     SocialForce,
     SocialForceSettings,
     WallPoints,
-    driving_force,
     repulsion,
     smooth_weight,
     social_force_velocity,
@@ -143,7 +142,6 @@ def test_names_that_are_not_known() -> None:
 def test_driving_force_by_hand() -> None:
     velocity, desired = torch.tensor([[0.5], [-0.1]]), torch.tensor([[1.3], [0.0]])
     # (1.3 - 0.5) / 0.5 and 0.1 / 0.5
-    assert driving_force(velocity, desired, 0.5).flatten().tolist() == pytest.approx([1.6, 0.2])
     alone = accelerate(torch.zeros(1, 1, 2), velocity.T[None], desired.T[None])
     assert alone.flatten().tolist() == pytest.approx([1.6, 0.2], abs=1e-4)
 

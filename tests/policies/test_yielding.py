@@ -33,7 +33,7 @@ def steps_of(place: Tensor, velocity: Tensor, radius: Tensor, robot: Tensor, mov
     """Return scenes (B, A) of agents who like 1.3 m/s."""
     here = torch.ones(place.shape[:2], dtype=torch.bool)
     longest = torch.full(place.shape[:2], 1.3 * 1.3 * 0.4)
-    return ProposedSteps(place, 0.4 * velocity, longest, here, moved, ~here, radius, robot)
+    return ProposedSteps(place, 0.4 * velocity, longest, here, moved, ~here, radius, robot, velocity)
 
 
 def one_and_a_robot(

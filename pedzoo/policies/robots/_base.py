@@ -112,37 +112,22 @@ class RobotPolicy(TensorDictModuleBase):
         """Return the actions (B, R, 2), see `pedzoo.core.bodies.RobotBody`."""
 
 
-class VelocityPolicy(RobotPolicy):
-    """A robot that decides a velocity over the ground; with wheels it tracks it, see `tracked`."""
-
-    def action(self, scenes: TensorDictBase) -> Tensor:
-        """Return the actions (B, R, 2)."""
-        bodies = bodies_of(scenes)
-        heading = cast("Tensor", agents_of(scenes)["heading"])[:, -bodies.radius.shape[-1] :, 0]
-        return tracked(self.velocity(scenes), heading, bodies)
-
-    @abstractmethod
-    def velocity(self, scenes: TensorDictBase) -> Tensor:
-        """Return the wanted velocities (B, R, 2) over the ground, m/s."""
-
-
-class PedestrianRobotPolicy(VelocityPolicy):
-    """A policy of people moves the robots: it sees all agents, and moves those alone."""
+class PedestrianRobotPolicy(RobotPolicy):
+    """A policy of people moves the robots: it sees all agents, and moves those alone; see `tracked`."""
 
     def __init__(self, policy: Policy | Walker) -> None:
         """Take the policy."""
         super().__init__()
         self.policy = policy
 
-    def velocity(self, scenes: TensorDictBase) -> Tensor:
-        """See `VelocityPolicy.velocity`."""
-        seen, agents = scenes.copy(), agents_of(scenes).copy()
-        robots = agents["kind"] == ROBOT
-        agents["controlled"] = agents["mask"] & robots
+    def action(self, scenes: TensorDictBase) -> Tensor:
+        """See `RobotPolicy.action`."""
+        bodies, seen, agents = bodies_of(scenes), scenes.copy(), agents_of(scenes).copy()
+        agents["controlled"] = agents["mask"] & (agents["kind"] == ROBOT)
         del agents["info"]  # of the environment's decision, which may be shorter than the policy's
         seen["agents"] = agents
-        count = bodies_of(scenes).radius.shape[-1]
-        return cast("Tensor", self.policy(seen)["agents", "action"])[:, -count:]
+        velocity, count = cast("Tensor", self.policy(seen)["agents", "action"]), bodies.radius.shape[-1]
+        return tracked(velocity[:, -count:], cast("Tensor", agents["heading"])[:, -count:, 0], bodies)
 
 
 class LocalPlannerPolicy(RobotPolicy):

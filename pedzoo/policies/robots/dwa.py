@@ -59,70 +59,6 @@ class DwaSettings:
         check_range(self, "dwa", "margin heading_weight clearance_weight speed_weight", "0 or more")
 
 
-def dwa_command(
-    robot: Robot,
-    drive: DriveState,
-    people: ObservedPeople,
-    time_step: float,
-    settings: DwaSettings,
-    walls: Clearance | None = None,
-) -> tuple[Tensor, Tensor]:
-    """Return the speeds and turn rates (B,) for the next step, m/s and rad/s.
-
-    An arc is admissible if the robot can stop before it comes nearer to anything than the margin. The best
-    of these by the sum of heading, clearance and speed is taken. Without any, the robot brakes.
-
-    Args:
-        robot: Places, goals, radii and top speeds; velocities are ignored.
-        drive: How they move now.
-        people: Those known to them, at constant velocity.
-        time_step: Seconds for which a command is held.
-        settings: Limits, samples and weights.
-        walls: How far points are from walls; None: there are none.
-    """
-    speed, turn_rate = window(drive, robot.v_pref, time_step, settings)
-    free = free_seconds(robot, drive, people, speed, turn_rate, settings, walls)
-    facing = drive.heading[:, None] + turn_rate * time_step
-    end = robot.position[:, None] + arc(drive.heading[:, None], speed, turn_rate, time_step)
-    off = heading_of(robot.goal[:, None] - end) - facing
-    off = torch.remainder(off + math.pi, 2 * math.pi) - math.pi
-    pace = speed / robot.v_pref[:, None].clamp_min(1e-9)
-    clear = free / (settings.horizon * settings.step)
-    score = settings.heading_weight * (1 - off.abs() / math.pi) + settings.clearance_weight * clear
-    score = score + settings.speed_weight * pace
-    admissible = speed <= settings.acceleration * free
-    best = torch.where(admissible, score, clear - pace - 1e3).argmax(1, keepdim=True)
-    return speed.gather(1, best)[:, 0], turn_rate.gather(1, best)[:, 0]
-
-
-def window(
-    drive: DriveState, top_speed: Tensor, time_step: float, settings: DwaSettings
-) -> tuple[Tensor, Tensor]:
-    """Return the speeds and turn rates (B, S) that can be reached in one step, S = speeds * turn_rates.
-
-    Args:
-        drive: How the robots move now.
-        top_speed: Forwards (B,), m/s; they do not go backwards.
-        time_step: Seconds until then.
-        settings: Accelerations and how many are tried.
-    """
-    more, turn_more = settings.acceleration * time_step, settings.turn_acceleration * time_step
-    top_rate = torch.full_like(top_speed, settings.top_turn_rate)
-    low, high = (drive.speed - more).clamp_min(0), (drive.speed + more).minimum(top_speed)
-    left, right = (
-        (drive.turn_rate + turn_more).minimum(top_rate),
-        (drive.turn_rate - turn_more).maximum(-top_rate),
-    )
-    share, turn_share = (
-        torch.linspace(0, 1, count, device=low.device, dtype=low.dtype)
-        for count in (settings.speeds, settings.turn_rates)
-    )
-    speed = low.minimum(high)[:, None] + (high - low.minimum(high))[:, None] * share
-    turn_rate = right.minimum(left)[:, None] + (left - right.minimum(left))[:, None] * turn_share
-    shape = (len(low), settings.speeds, settings.turn_rates)
-    return speed[:, :, None].expand(shape).flatten(1), turn_rate[:, None].expand(shape).flatten(1)
-
-
 def arc(heading: Tensor, speed: Tensor, turn_rate: Tensor, seconds: Tensor | float) -> Tensor:
     """Return how far (..., 2) constant speed and turn rate lead, metres.
 
@@ -135,41 +71,6 @@ def arc(heading: Tensor, speed: Tensor, turn_rate: Tensor, seconds: Tensor | flo
     half = 0.5 * turn_rate * seconds
     chord = speed * seconds * torch.sinc(half / math.pi)
     return chord[..., None] * direction_of(heading + half)
-
-
-def free_seconds(
-    robot: Robot,
-    drive: DriveState,
-    people: ObservedPeople,
-    speed: Tensor,
-    turn_rate: Tensor,
-    settings: DwaSettings,
-    walls: Clearance | None = None,
-) -> Tensor:
-    """Return for how long arcs are clear (B, S), seconds, up to the horizon.
-
-    Args:
-        robot: Where the robots are, and their radii.
-        drive: Where they face.
-        people: Those known to them.
-        speed: Of the arcs (B, S), m/s.
-        turn_rate: Of the arcs (B, S), rad/s.
-        settings: Points along the arc, and the margin.
-        walls: How far points are from walls.
-    """
-    seconds = torch.arange(settings.horizon + 1, device=speed.device, dtype=speed.dtype) * settings.step
-    moved = arc(drive.heading[:, None, None], speed[..., None], turn_rate[..., None], seconds)
-    place = robot.position[:, None, None] + moved
-    gap = torch.full_like(place[..., 0], torch.inf)
-    if people.mask.shape[1]:
-        there = people.position[:, :, None] + people.velocity[:, :, None] * seconds[:, None]
-        apart = (place[:, :, None] - there[:, None]).norm(dim=-1) - people.radius[:, None, :, None]
-        gap = torch.where(people.mask[:, None, :, None], apart, torch.inf).amin(2)
-    if walls is not None:
-        gap = gap.minimum(walls(place.flatten(1, 2)).view(gap.shape))
-    gap = gap - robot.radius[:, None, None]
-    least = gap[..., :1].clamp_max(settings.margin)  # a robot that is nearer already may go away
-    return (gap[..., 1:] >= least).to(seconds.dtype).cumprod(-1).sum(-1) * settings.step
 
 
 class Dwa:
@@ -186,8 +87,81 @@ class Dwa:
     def command(
         self, robot: Robot, drive: DriveState, people: ObservedPeople, walls: Clearance | None = None
     ) -> tuple[Tensor, Tensor]:
-        """Return speeds and turn rates (B,), m/s and rad/s, of robots whose motion is known."""
-        return dwa_command(robot, drive, people, self.time_step, self.settings, walls)
+        """Return the speeds and turn rates (B,) for the next step, m/s and rad/s.
+
+        An arc is admissible if the robot can stop before it comes nearer to anything than the margin. The
+        best of these by the sum of heading, clearance and speed is taken. Without any, the robot brakes.
+
+        Args:
+            robot: Places, goals, radii and top speeds; velocities are ignored.
+            drive: How they move now.
+            people: Those known to them, at constant velocity.
+            walls: How far points are from walls; None: there are none.
+        """
+        settings = self.settings
+        speed, turn_rate = self.window(drive, robot.v_pref)
+        free = self.free_seconds(robot, drive, people, speed, turn_rate, walls)
+        facing = drive.heading[:, None] + turn_rate * self.time_step
+        end = robot.position[:, None] + arc(drive.heading[:, None], speed, turn_rate, self.time_step)
+        off = heading_of(robot.goal[:, None] - end) - facing
+        off = torch.remainder(off + math.pi, 2 * math.pi) - math.pi
+        pace = speed / robot.v_pref[:, None].clamp_min(1e-9)
+        clear = free / (settings.horizon * settings.step)
+        score = settings.heading_weight * (1 - off.abs() / math.pi) + settings.clearance_weight * clear
+        score = score + settings.speed_weight * pace
+        admissible = speed <= settings.acceleration * free
+        best = torch.where(admissible, score, clear - pace - 1e3).argmax(1, keepdim=True)
+        return speed.gather(1, best)[:, 0], turn_rate.gather(1, best)[:, 0]
+
+    def window(self, drive: DriveState, top_speed: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the speeds and turn rates (B, S) that can be reached in one step, S = speeds * turn_rates.
+
+        They do not go backwards, nor faster than the ``top_speed`` (B,), m/s.
+        """
+        settings = self.settings
+        more, turn_more = (
+            self.time_step * most for most in (settings.acceleration, settings.turn_acceleration)
+        )
+        top_rate = torch.full_like(top_speed, settings.top_turn_rate)
+        low, high = (drive.speed - more).clamp_min(0), (drive.speed + more).minimum(top_speed)
+        left = (drive.turn_rate + turn_more).minimum(top_rate)
+        right = (drive.turn_rate - turn_more).maximum(-top_rate)
+        speed, turn_rate = (
+            least.minimum(most)[:, None]
+            + (most - least.minimum(most))[:, None]
+            * torch.linspace(0, 1, count, device=low.device, dtype=low.dtype)
+            for least, most, count in ((low, high, settings.speeds), (right, left, settings.turn_rates))
+        )
+        shape = (len(low), settings.speeds, settings.turn_rates)
+        return speed[:, :, None].expand(shape).flatten(1), turn_rate[:, None].expand(shape).flatten(1)
+
+    def free_seconds(
+        self,
+        robot: Robot,
+        drive: DriveState,
+        people: ObservedPeople,
+        speed: Tensor,
+        turn_rate: Tensor,
+        walls: Clearance | None = None,
+    ) -> Tensor:
+        """Return for how long arcs are clear (B, S), seconds, up to the horizon.
+
+        The other arguments are those of `command`, and the speeds (B, S), m/s, and turn rates (B, S), rad/s.
+        """
+        steps = torch.arange(self.settings.horizon + 1, device=speed.device, dtype=speed.dtype)
+        seconds = steps * self.settings.step
+        moved = arc(drive.heading[:, None, None], speed[..., None], turn_rate[..., None], seconds)
+        place = robot.position[:, None, None] + moved
+        gap = torch.full_like(place[..., 0], torch.inf)
+        if people.mask.shape[1]:
+            there = people.position[:, :, None] + people.velocity[:, :, None] * seconds[:, None]
+            apart = (place[:, :, None] - there[:, None]).norm(dim=-1) - people.radius[:, None, :, None]
+            gap = torch.where(people.mask[:, None, :, None], apart, torch.inf).amin(2)
+        if walls is not None:
+            gap = gap.minimum(walls(place.flatten(1, 2)).view(gap.shape))
+        gap = gap - robot.radius[:, None, None]
+        least = gap[..., :1].clamp_max(self.settings.margin)  # a robot that is nearer already may go away
+        return (gap[..., 1:] >= least).to(seconds.dtype).cumprod(-1).sum(-1) * self.settings.step
 
     def __call__(self, robot: Robot, people: ObservedPeople) -> Tensor:
         """Return the velocities (B, 2), m/s."""

@@ -53,57 +53,54 @@ class SamplingSettings:
         check_range(self, "sampling", "discount", "above 0 and at most 1", most=1, above=True)
 
 
-def sampled_velocity(
-    robot: Robot,
-    people: ObservedPeople,
-    time_step: float,
-    settings: SamplingSettings,
-    walls: Clearance | None = None,
-) -> Tensor:
-    """Return the best of the sampled velocities (B, 2), m/s.
+class Sampling:
+    """The planner with settings of about 100 that did best on 500 cases of CrowdNav's validation (.998)."""
 
-    A sample earns the distance by which the robot comes nearer to its goal, step by step, until it arrives
-    or touches something. It pays for contacts, and for every moment nearer to people than the margin. A
-    robot already in contact pays for going deeper.
+    def __init__(self, settings: SamplingSettings = SamplingSettings(), time_step: float = 0.25) -> None:
+        """Take the settings; ``time_step`` is in seconds."""
+        self.settings, self.time_step = settings, time_step
 
-    Args:
-        robot: The robots; ``v_pref`` is their top speed.
-        people: Those known to them.
-        time_step: Seconds of a step.
-        settings: Samples and costs.
-        walls: How far points are from walls; None: there are none.
-    """
-    samples = velocities(robot, settings)
-    steps = torch.arange(settings.horizon + 1, device=samples.device, dtype=samples.dtype)
-    place = robot.position[:, None, None] + samples[:, :, None] * (steps * time_step)[:, None]
-    left = (robot.goal[:, None, None] - place).norm(dim=-1)
-    gap = people_gap(robot, people, samples, time_step, settings.horizon)
-    allowed = people_gap(robot, people, torch.zeros_like(samples[:, :1]), 0.0, 1).clamp_max(0)
-    near = (settings.margin - gap).clamp_min(0)
-    if walls is not None:
-        wall_gap = walls(place.flatten(1, 2)).view(left.shape) - robot.radius[:, None, None]
-        gap = gap.minimum(wall_gap[..., 1:].minimum(wall_gap[..., :-1]))
-        allowed = allowed.minimum(wall_gap[:, :1, :1])
-    there = left < robot.radius[:, None, None]
-    touched = gap < allowed - ROUNDING
-    over = (touched | there[..., 1:]).long().cumsum(-1)
-    on = torch.cat((torch.zeros_like(over[..., :1]), over[..., :-1]), dim=-1) == 0
-    worth = left[..., :-1] - left[..., 1:] - settings.margin_cost * time_step * near
-    worth = torch.where(touched, -settings.collision_cost, worth) * settings.discount ** steps[:-1]
-    best = (worth * on).sum(-1).argmax(1)
-    return samples[torch.arange(len(best), device=best.device), best]
+    def __call__(self, robot: Robot, people: ObservedPeople, walls: Clearance | None = None) -> Tensor:
+        """Return the best of the sampled velocities (B, 2), m/s.
 
+        A sample earns the distance by which the robot comes nearer to its goal, step by step, until it
+        arrives or touches something. It pays for contacts, and for every moment nearer to people than the
+        margin. A robot already in contact pays for going deeper.
 
-def velocities(robot: Robot, settings: SamplingSettings) -> Tensor:
-    """Return the sampled velocities (B, S, 2), m/s, S = directions * speeds + 1."""
-    like = robot.position
-    angle = torch.arange(settings.directions, device=like.device, dtype=like.dtype) * (
-        2 * math.pi / settings.directions
-    )
-    ahead = rotate(normalize(robot.goal - robot.position, dim=-1)[:, None], direction_of(angle))
-    share = torch.arange(settings.speeds, 0, -1, device=like.device, dtype=like.dtype) / settings.speeds
-    moving = (ahead[:, :, None] * share[:, None]).flatten(1, 2) * robot.v_pref[:, None, None]
-    return torch.cat((moving, torch.zeros_like(moving[:, :1])), dim=1)
+        Args:
+            robot: The robots; ``v_pref`` is their top speed.
+            people: Those known to them.
+            walls: How far points are from walls; None: there are none.
+        """
+        settings, samples = self.settings, self.velocities(robot)
+        steps = torch.arange(settings.horizon + 1, device=samples.device, dtype=samples.dtype)
+        place = robot.position[:, None, None] + samples[:, :, None] * (steps * self.time_step)[:, None]
+        left = (robot.goal[:, None, None] - place).norm(dim=-1)
+        gap = people_gap(robot, people, samples, self.time_step, settings.horizon)
+        allowed = people_gap(robot, people, torch.zeros_like(samples[:, :1]), 0.0, 1).clamp_max(0)
+        near = (settings.margin - gap).clamp_min(0)
+        if walls is not None:
+            wall_gap = walls(place.flatten(1, 2)).view(left.shape) - robot.radius[:, None, None]
+            gap = gap.minimum(wall_gap[..., 1:].minimum(wall_gap[..., :-1]))
+            allowed = allowed.minimum(wall_gap[:, :1, :1])
+        there = left < robot.radius[:, None, None]
+        touched = gap < allowed - ROUNDING
+        over = (touched | there[..., 1:]).long().cumsum(-1)
+        on = torch.cat((torch.zeros_like(over[..., :1]), over[..., :-1]), dim=-1) == 0
+        worth = left[..., :-1] - left[..., 1:] - settings.margin_cost * self.time_step * near
+        worth = torch.where(touched, -settings.collision_cost, worth) * settings.discount ** steps[:-1]
+        best = (worth * on).sum(-1).argmax(1)
+        return samples[torch.arange(len(best), device=best.device), best]
+
+    def velocities(self, robot: Robot) -> Tensor:
+        """Return the sampled velocities (B, S, 2), m/s, S = directions * speeds + 1."""
+        like, settings = robot.position, self.settings
+        number = torch.arange(settings.directions, device=like.device, dtype=like.dtype)
+        angle = number * (2 * math.pi / settings.directions)
+        ahead = rotate(normalize(robot.goal - robot.position, dim=-1)[:, None], direction_of(angle))
+        share = torch.arange(settings.speeds, 0, -1, device=like.device, dtype=like.dtype) / settings.speeds
+        moving = (ahead[:, :, None] * share[:, None]).flatten(1, 2) * robot.v_pref[:, None, None]
+        return torch.cat((moving, torch.zeros_like(moving[:, :1])), dim=1)
 
 
 def people_gap(
@@ -130,15 +127,3 @@ def people_gap(
     apart = (least2[..., None] + (at - nearest[..., None]).square() * speed2[..., None]).clamp_min(0).sqrt()
     bodies = (robot.radius[:, None] + people.radius)[:, None, :, None]
     return torch.where(people.mask[:, None, :, None], apart - bodies, torch.inf).amin(2)
-
-
-class Sampling:
-    """The planner with settings of about 100 that did best on 500 cases of CrowdNav's validation (.998)."""
-
-    def __init__(self, settings: SamplingSettings = SamplingSettings(), time_step: float = 0.25) -> None:
-        """Take the settings; ``time_step`` is in seconds."""
-        self.settings, self.time_step = settings, time_step
-
-    def __call__(self, robot: Robot, people: ObservedPeople, walls: Clearance | None = None) -> Tensor:
-        """Return the velocities (B, 2), m/s."""
-        return sampled_velocity(robot, people, self.time_step, self.settings, walls)

@@ -15,22 +15,19 @@ from torch import Tensor
 
 from pedzoo.core import randomness
 from pedzoo.core.batch import ROBOT, agents_of, ids_of, is_person_sized, maps_of
-from pedzoo.core.errors import UserError, unknown
+from pedzoo.core.errors import UserError, check_range, unknown
 from pedzoo.core.geometry import move_to_map, turn_to_scene
 from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
 from pedzoo.maps.segments import SegmentTable
-from pedzoo.policies.neighbours import Neighbors, nearest
+from pedzoo.policies.neighbours import nearest
 from pedzoo.policies.policy import Policy, deterministic, drawn_vectors
-from pedzoo.policies.rule_based.orca import cross, dot, left
+from pedzoo.policies.rule_based.orca import OF_PRESET, cross, dot, left
 
 Anisotropy = Literal["view", "smooth", "none"]
 """How the weight of others depends on their direction; see `SocialForceSettings`."""
 
 NEGLIGIBLE = 0.01
 """Acceleration below which a wall is left out, m/s^2; walking people accelerate by 1 or more."""
-
-OF_PRESET: Any = None
-"""Default of a setting that has the value of the preset."""
 
 
 @dataclass(frozen=True)
@@ -103,15 +100,12 @@ class SocialForceSettings:
         for name, value in PRESETS[self.preset].items():
             if getattr(self, name) is OF_PRESET:
                 object.__setattr__(self, name, value)
-        for name in ("tau", "sigma", "wall_range", "top_speed_ratio", "neighbor_dist"):
-            self._expect(name, "a number above 0", above=0.0)
-        for name in ("strength", "step_time", "wall_strength", "fluctuation"):
-            self._expect(name, "a number, 0 or more")
-        for name in ("out_of_view", "behind"):
-            self._expect(name, "a weight from 0 to 1", most=1.0)
-        self._expect("view_angle", "degrees from 0 to 180", most=180.0)
-        if self.max_neighbors is not None and self.max_neighbors < 0:
-            raise UserError(f"social_force: max_neighbors {self.max_neighbors}: expected 0 or more, or none")
+        kind, lengths = "social_force", "tau sigma wall_range top_speed_ratio neighbor_dist"
+        check_range(self, kind, lengths, "a number above 0", above=True)
+        check_range(self, kind, "strength step_time wall_strength fluctuation", "a number, 0 or more")
+        check_range(self, kind, "out_of_view behind", "a weight from 0 to 1", most=1)
+        check_range(self, kind, "view_angle", "degrees from 0 to 180", most=180)
+        check_range(self, kind, "max_neighbors", "0 or more, or none")
         if self.anisotropy not in get_args(Anisotropy):
             raise unknown("anisotropy of social_force", self.anisotropy, get_args(Anisotropy))
         if self.dt > self.tau:
@@ -119,11 +113,6 @@ class SocialForceSettings:
                 f"social_force: dt {self.dt}: expected at most tau, {self.tau} s: a velocity that is held "
                 "for longer than it takes to change it follows no forces"
             )
-
-    def _expect(self, name: str, what: str, most: float = math.inf, above: float | None = None) -> None:
-        value = getattr(self, name)
-        if not (math.isfinite(value) and 0 <= value <= most) or value == above:
-            raise UserError(f"social_force: {name} {value}: expected {what}")
 
     @property
     def wall_reach(self) -> float:
@@ -182,11 +171,6 @@ def off_line(offset: Tensor, heading: Tensor) -> Tensor:
     ahead = -dot(offset, heading.unsqueeze(1))
     tie = (cross(heading.unsqueeze(1).expand_as(offset), offset).abs() < EXACT * ahead).to(offset.dtype)
     return offset + tie * OFF_LINE * ahead * -left(heading).unsqueeze(1)
-
-
-def driving_force(velocity: Tensor, desired_velocity: Tensor, tau: float) -> Tensor:
-    """Return the force from velocity to desired velocity (2, N), m/s, in ``tau`` seconds (eq. 2)."""
-    return (desired_velocity - velocity) / tau
 
 
 def repulsion(offset: Tensor, step: Tensor, strength: float, sigma: float) -> tuple[Tensor, Tensor]:
@@ -339,7 +323,8 @@ def social_force_velocity(
     rows = None if mask.all() else mask.flatten().nonzero()[:, 0]
     if rows is not None:  # placeholders of absent people
         position, velocity = (torch.where(mask[..., None], part, 0) for part in (position, velocity))
-    others = nearest(position, mask, settings.neighbor_dist, settings.max_neighbors, rows)
+    index, near = nearest(position, mask, settings.neighbor_dist, settings.max_neighbors, rows)
+    more = wider.flatten().index_select(0, index.flatten()).view(index.shape) + _of(wider.view(1, -1), rows)
     place, speed = (part.flatten(0, 1).T.contiguous() for part in (position, velocity))
     heading = direction(_of(desired_velocity.flatten(0, 1).T, rows))
     liked = _of(pref_speed.flatten()[None], rows)
@@ -347,10 +332,17 @@ def social_force_velocity(
     parts = max(1, math.ceil(seconds / LONGEST_STEP - 1e-6))
     for part in range(parts):
         own_place, own_speed = _of(place, rows), _of(speed, rows)
-        force = driving_force(own_speed, desired, settings.tau)
-        if len(others.index):
-            force = force + _people(
-                place, speed, heading, others, rows, identity.flatten(), wider.flatten(), settings
+        force = (desired - own_speed) / settings.tau  # eq. 2
+        if len(index):
+            theirs = torch.cat((place, speed * settings.step_time))
+            theirs = theirs.index_select(1, index.flatten()).view(4, *index.shape)
+            offset = own_place.unsqueeze(1) - theirs[:2]
+            together = (offset == 0).all(0)
+            together = together if near is None else together & near
+            if bool(together.any()):
+                offset = offset + _apart(together, index, rows, identity.flatten(), offset.dtype)
+            force = force + _push(
+                closer(off_line(offset, heading), more), theirs[2:], heading, near, settings
             )
         if walls is not None:
             force = force + walls(own_place, rows)
@@ -369,29 +361,11 @@ def _of(values: Tensor, rows: Tensor | None) -> Tensor:
     return values if rows is None else values.index_select(1, rows)
 
 
-def _people(
-    place: Tensor,
-    speed: Tensor,
-    heading: Tensor,
-    others: Neighbors,
-    rows: Tensor | None,
-    identity: Tensor,
-    wider: Tensor,
-    settings: SocialForceSettings,
+def _push(
+    offset: Tensor, step: Tensor, heading: Tensor, near: Tensor | None, settings: SocialForceSettings
 ) -> Tensor:
-    """Return the sum of the others' forces (2, N)."""
-    index, near = others
-    theirs = torch.cat((place, speed * settings.step_time))
-    theirs = theirs.index_select(1, index.flatten()).view(4, *index.shape)
-    offset = _of(place, rows).unsqueeze(1) - theirs[:2]
-    together = (offset == 0).all(0)
-    together = together if near is None else together & near
-    if bool(together.any()):
-        offset = offset + _apart(together, index, rows, identity, offset.dtype)
-    offset = off_line(offset, heading)
-    more = wider.index_select(0, index.flatten()).view(index.shape) + _of(wider[None], rows)
-    offset = closer(offset, more)
-    force, away = repulsion(offset, theirs[2:], settings.strength, settings.sigma)
+    """Return the sum of the others' forces (2, N), see `repulsion`; ``near`` (K, N) bool: which there are."""
+    force, away = repulsion(offset, step, settings.strength, settings.sigma)
     if settings.anisotropy == "view":
         force = force * view_weight(away, heading, settings.view_angle, settings.out_of_view)
     elif settings.anisotropy == "smooth":

@@ -43,9 +43,7 @@ LEAST_SHARE = 0.05
 
 
 @torch.no_grad()
-def precedence(
-    step: Tensor, away: Tensor, wait: Tensor, rank: Tensor | None, velocity: Tensor | None = None
-) -> Tensor:
+def precedence(step: Tensor, away: Tensor, wait: Tensor, rank: Tensor | None, velocity: Tensor) -> Tensor:
     """Return how clearly the first of two goes before the second (B, A, A): 1, or -1 for behind, 0: neither.
 
     Args:
@@ -53,14 +51,13 @@ def precedence(
         away: From each to each other's place (2, B, A, A): mine less theirs, metres.
         wait: Which pairs wait, both of them (B, A, A) bool.
         rank: Numbers of the people (B, A); None for equal ones.
-        velocity: Of the people (B, A, 2), m/s; None: not heeded.
+        velocity: Of the people (B, A, 2), m/s.
     """
     step = step.movedim(-1, 0)
     toward = step / step.norm(dim=0).clamp_min(LEAST_ASKED)
     ahead = 0.5 * (away * (toward.unsqueeze(3) + toward.unsqueeze(2))).sum(0)
-    if velocity is not None:
-        forward = LEAD_SECONDS * (toward * velocity.movedim(-1, 0)).sum(0)
-        ahead = ahead + forward.unsqueeze(2) - forward.unsqueeze(1)
+    forward = LEAD_SECONDS * (toward * velocity.movedim(-1, 0)).sum(0)
+    ahead = ahead + forward.unsqueeze(2) - forward.unsqueeze(1)
     tie = 0.0 if rank is None else TIE * (rank.unsqueeze(2) - rank.unsqueeze(1)).sign()
     return torch.where(wait, (ahead + tie) / TIE, ahead / AHEAD).clamp(-1, 1)
 
@@ -128,7 +125,6 @@ class ProposedSteps(NamedTuple):
         radius: Of their bodies (B, A), metres.
         robot: Which of them are robots (B, A) bool.
         velocity: With which they begin the step (B, A, 2), m/s: the simulation blends it with the new one.
-            None where velocities are switched, and steps straight.
         rank: Of two people who wait side by side, the one of higher rank goes first (B, A). None: none does.
     """
 
@@ -140,18 +136,8 @@ class ProposedSteps(NamedTuple):
     waits: Tensor
     radius: Tensor
     robot: Tensor
-    velocity: Tensor | None = None
+    velocity: Tensor
     rank: Tensor | None = None
-
-    @property
-    def first(self) -> float:
-        """How the place after 0.1 s moves with the step."""
-        return _QUARTER if self.velocity is None else FIRST
-
-    @property
-    def beyond(self) -> float:
-        """How much of the step is to be clear."""
-        return 1.0 if self.velocity is None else BEYOND
 
     def integrate(self, step: Tensor) -> Tensor:
         """Return where steps (B, A, 2) lead after 0.1, 0.3 and 0.4 s (3, 2, B, A), metres from here.
@@ -160,8 +146,6 @@ class ProposedSteps(NamedTuple):
         """
         step = step.movedim(-1, 0)
         straight = torch.stack((_QUARTER * step, (1 - _QUARTER) * step, step))
-        if self.velocity is None:
-            return straight
         command = _QUARTER * step
         half = 0.5 * (TRACE_SECONDS * self.velocity.movedim(-1, 0) - command)
         size, length = ((values.square().sum(0) + 1e-12).sqrt() for values in (half, command))
@@ -177,12 +161,11 @@ class PairConstraints(NamedTuple):
     Attributes:
         away: From each to each other's place (2, B, A, A): mine less theirs, metres.
         apart: Its length (B, A, A), metres.
-        room: Distance that is to be kept on S straight parts (S, B, A, A), metres; below 0 for absent agents.
-            The first part is the straight way to the end of the step. Where velocities blend there are three
-            more: the first 0.1 s, the next 0.2 s, and what lies beyond the step.
+        room: Distance that is to be kept on four straight parts (4, B, A, A), metres; below 0 for absent
+            agents. The parts are the straight way to the end of the step, the first 0.1 s, the next 0.2 s,
+            and what lies beyond the step.
         mine: Share of the correction that the first agent of a pair makes (B, A, A).
         least: Distance below which they touch (B, A, A), metres: the sum of their radii.
-        first: Of the steps.
         stands: Which agents wait in the way of one who waits, too, and goes first, or press on that one
             (B, A) bool: they stand but for corrections, by which they make way.
     """
@@ -192,7 +175,6 @@ class PairConstraints(NamedTuple):
     room: Tensor
     mine: Tensor
     least: Tensor
-    first: float
     stands: Tensor
 
     @classmethod
@@ -224,23 +206,19 @@ class PairConstraints(NamedTuple):
             # the other need not make more room than the one who goes first takes
             room = torch.where(order > 0.5, past, torch.where(order < -0.5, past.mT, shoulders))
             wanted = torch.where(broad, wanted.maximum(room.clamp_max(shoulders)), wanted)
-        rooms = [wanted] if steps.velocity is None else [wanted, bodies, bodies, bodies]
-        room = torch.where(both, torch.minimum(apart, torch.stack(rooms)), -1.0)
-        if steps.velocity is not None:
-            rest = torch.where(both & (apart < least), bodies, room[3])  # those who touch part
-            rest = torch.where(both & wait & (order != 0), bodies + SPREAD, rest)
-            room = torch.cat((room[:3], rest.unsqueeze(0)))
-        return cls(away, apart, room, torch.where(both, mine, 0.0), least, steps.first, stands)
+        rest = torch.where(apart < least, bodies, torch.minimum(apart, bodies))  # those who touch part
+        rest = torch.where(wait & (order != 0), bodies + SPREAD, rest)
+        firm = torch.minimum(apart, bodies)
+        room = torch.where(both, torch.stack((torch.minimum(apart, wanted), firm, firm, rest)), -1.0)
+        return cls(away, apart, room, torch.where(both, mine, 0.0), least, stands)
 
     def correction(self, walk: Tensor) -> Tensor:
         """Return the changes (2, B, A) of the steps of a ``walk`` that lead people off others."""
         move = walk.unsqueeze(4) - walk.unsqueeze(3)
         part, at, gap = self._approach(move)
         lack, worst = (self.room - gap).max(0, keepdim=True)
-        weights = [part[0]]
-        if len(part) > 1:
-            weights += [self.first * part[1], self.first + (1 - _QUARTER - self.first) * part[2]]
-            weights += [torch.full_like(part[3], BEYOND)]
+        middle = FIRST + (1 - _QUARTER - FIRST) * part[2]
+        weights = part[0], FIRST * part[1], middle, torch.full_like(middle, BEYOND)
         weight = torch.stack(weights).gather(0, worst)[0]
         at = at.gather(1, worst.expand(2, *lack.shape))[:, 0]
         gap, lack = gap.gather(0, worst)[0], lack[0]
@@ -254,10 +232,9 @@ class PairConstraints(NamedTuple):
         aside = lack / weight.clamp_min(1e-3)
         aside = torch.where(tie, aside.detach(), aside)
         full = (line * move[2]).sum(0)
-        back = self.room[0] - self.apart - full
-        if len(part) > 1:
-            begin = (self.room[1] - self.apart - (line * move[0]).sum(0)) / self.first
-            back = back.maximum(begin).maximum((self.room[3] - self.apart) / BEYOND - full)
+        begin = (self.room[1] - self.apart - (line * move[0]).sum(0)) / FIRST
+        back = (self.room[0] - self.apart - full).maximum(begin)
+        back = back.maximum((self.room[3] - self.apart) / BEYOND - full)
         way = torch.where(aside < back, (aside.clamp_max(1e3) / gap) * at, back.clamp_min(0) * line)
         way = torch.where(active, self.mine * way, 0.0)
         # an agent with many corrections need not make each of them alone
@@ -269,16 +246,13 @@ class PairConstraints(NamedTuple):
         return (self._approach(mine.unsqueeze(4) - theirs.unsqueeze(3))[2] < bound)[:3].any(0)
 
     def _approach(self, move: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return for relative walks (3, 2, B, A, A) where each of S straight parts comes closest.
+        """Return for relative walks (3, 2, B, A, A) where each of four straight parts comes closest.
 
-        Returns:
-            The part of it (S, B, A, A), the place there (2, S, B, A, A) and its distance (S, B, A, A).
+        That is the share of it (4, B, A, A), the place there (2, 4, B, A, A) and its distance (4, B, A, A).
         """
-        begin, go = self.away.unsqueeze(1), move[2].unsqueeze(1)
-        if len(self.room) > 1:
-            beyond = self.away + BEYOND * move[2]
-            begin = torch.stack((self.away, self.away, self.away + move[0], beyond), 1)
-            go = torch.stack((move[2], move[0], move[1] - move[0], torch.zeros_like(beyond)), 1)
+        beyond = self.away + BEYOND * move[2]
+        begin = torch.stack((self.away, self.away, self.away + move[0], beyond), 1)
+        go = torch.stack((move[2], move[0], move[1] - move[0], torch.zeros_like(beyond)), 1)
         part = -(begin * go).sum(0) / go.square().sum(0).clamp_min(1e-9)
         part = part.detach().clamp(0, 1)
         at = begin + part * go
@@ -314,9 +288,8 @@ class WallConstraints(NamedTuple):
         begins, ends = place / begin, (place - middle) / (_PLACES - middle)
         between = (place - begin) / (middle - begin)
         parts = torch.stack((begins.minimum(1 - between), between.minimum(1 - ends), ends), 1).clamp_min(0)
-        if steps.velocity is not None:
-            parts = torch.cat((parts, BEYOND * parts[-1:]))
-        weight = steps.first * parts[:, 0] + (1 - _QUARTER) * parts[:, 1] + parts[:, 2]
+        parts = torch.cat((parts, BEYOND * parts[-1:]))
+        weight = FIRST * parts[:, 0] + (1 - _QUARTER) * parts[:, 1] + parts[:, 2]
         room = torch.minimum(gap, _plus(steps.radius, MARGIN, BODY_RADIUS))
         position = steps.position.movedim(-1, 0).unsqueeze(1)
         return cls(walls, position, room, steps.radius, steps.moved, parts, weight.view(-1, 1, 1))

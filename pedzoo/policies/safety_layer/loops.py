@@ -107,11 +107,11 @@ def limited(vector, longest):
 
 
 @jit
-def walk(people, b, a, step, blends, path):
+def walk(people, b, a, step, path):
     """Write where a step is after its first, third and last quarter, path (3,): `ProposedSteps.integrate`."""
     command = 0.25 * step
     path[0], path[1], path[2] = command, 0.75 * step, step
-    if blends and people.moved[b, a]:
+    if people.moved[b, a]:
         half, most = 0.5 * (people.velocity[b, a] - command), 0.25 * people.longest[b, a]
         size = math.sqrt(dot(half, half) + 1e-12)
         half *= min(math.sqrt(dot(command, command) + 1e-12) / size, 1.0)
@@ -129,7 +129,7 @@ def nearest(at, move):
 
 
 @jit
-def closest(away, mine, theirs, rooms, blends, on):
+def closest(away, mine, theirs, rooms, on):
     """Return how much room two lack where they lack most, and where that is.
 
     That is one of four straight parts, how much of it is walked, the relative place and the distance. The
@@ -138,13 +138,12 @@ def closest(away, mine, theirs, rooms, blends, on):
     move, part = mine[2] - theirs[2], 0
     along, at, gap = nearest(away, move)
     lack = rooms[0] - gap
-    if blends:
-        start, go = away, mine[0] - theirs[0]
-        for n in range(1, 3):
-            share, place, near = nearest(start, go)
-            if rooms[1] - near > lack:
-                lack, part, along, at, gap = rooms[1] - near, n, share, place, near
-            start, go = start + go, mine[1] - theirs[1] - go
+    start, go = away, mine[0] - theirs[0]
+    for n in range(1, 3):
+        share, place, near = nearest(start, go)
+        if rooms[1] - near > lack:
+            lack, part, along, at, gap = rooms[1] - near, n, share, place, near
+        start, go = start + go, mine[1] - theirs[1] - go
     if on:
         place = away + BEYOND * move
         near = length(place)
@@ -166,49 +165,48 @@ def weight_of(part, along):
 
 
 @jit
-def way_back(pair, mine, theirs, blends):
+def way_back(pair, mine, theirs):
     """Return by how much a step lacks room along the line between two, the greatest demand, and the line."""
     apart, line = pair["apart"], pair["away"] * (1 / pair["apart"])
     full = dot(line, mine[2] - theirs[2])
     back, demand = pair["room"] - apart - full, 0
-    if blends:
-        begin = (pair["firm"] - apart - dot(line, mine[0] - theirs[0])) / FIRST
-        if begin > back:
-            back, demand = begin, 1
-        if (pair["rest"] - apart) / BEYOND - full > back:
-            back, demand = (pair["rest"] - apart) / BEYOND - full, 2
+    begin = (pair["firm"] - apart - dot(line, mine[0] - theirs[0])) / FIRST
+    if begin > back:
+        back, demand = begin, 1
+    if (pair["rest"] - apart) / BEYOND - full > back:
+        back, demand = (pair["rest"] - apart) / BEYOND - full, 2
     return max(back, 0.0), demand, line
 
 
 @jit
-def correction(pair, mine, theirs, blends):
+def correction(pair, mine, theirs):
     """Return whether two come too near, and the change of their relative step that prevents it."""
     rooms = pair["room"], pair["firm"], pair["rest"]
-    lack, part, along, at, gap = closest(pair["away"], mine, theirs, rooms, blends, blends)
+    lack, part, along, at, gap = closest(pair["away"], mine, theirs, rooms, True)
     if lack <= ROUNDING:
         return False, 0j
-    back, _, line = way_back(pair, mine, theirs, blends)
+    back, _, line = way_back(pair, mine, theirs)
     aside = lack / weight_of(part, along)
     return True, at * (min(aside, 1e3) / gap) if aside < back else back * line
 
 
 @jit
-def touches(pair, mine, theirs, blends):
+def touches(pair, mine, theirs):
     """Return whether two who walk so run into each other."""
     least = pair["touch"]
-    return closest(pair["away"], mine, theirs, (least, least, least), blends, False)[0] > 0
+    return closest(pair["away"], mine, theirs, (least, least, least), False)[0] > 0
 
 
 @jit
-def place_on(path, n, first):
+def place_on(path, n):
     """Return the place after ``n`` eighths of a walk, the ninth being beyond its end, and its weight."""
     if n == 9:
         return BEYOND * path[2], BEYOND
     if n <= 2:
-        return 0.5 * n * path[0], 0.5 * n * first
+        return 0.5 * n * path[0], 0.5 * n * FIRST
     if n <= 6:
         part = 0.25 * (n - 2)
-        return path[0] + part * (path[1] - path[0]), first + part * (0.75 - first)
+        return path[0] + part * (path[1] - path[0]), FIRST + part * (0.75 - FIRST)
     part = 0.5 * (n - 6)
     return path[1] + part * (path[2] - path[1]), 0.75 + 0.25 * part
 
@@ -229,15 +227,15 @@ def gap_at(at, walls, b):
 
 
 @jit
-def push(position, path, room, blends, walls, b):
+def push(position, path, room, walls, b):
     """Return the change of a step that its worst place asks for.
 
     Also return whether any place is too near, and which is the worst, 0 for none.
     """
     most, way, worst, outside, lacks = 0.0, 0j, 0, False, False
     for everywhere in range(2):
-        for n in range(1, 10 if blends else 9):
-            off, weight = place_on(path, n, FIRST if blends else 0.25)
+        for n in range(1, 10):
+            off, weight = place_on(path, n)
             if least_gap(position + off, walls, b) > max(room, 0.0):
                 outside = True
                 continue
@@ -255,40 +253,38 @@ def push(position, path, room, blends, walls, b):
 def touches_wall(position, path, least, walls, b):
     """Return whether a walk comes nearer to a wall than ``least``."""
     for n in range(1, 9):
-        at = position + place_on(path, n, 0.25)[0]
+        at = position + place_on(path, n)[0]
         if least_gap(at, walls, b) < least and gap_at(at, walls, b)[0] < least:
             return True
     return False
 
 
 @jit
-def precedence(people, b, a, o, away, step, blends, wait):
+def precedence(people, b, a, o, away, step, wait):
     """Return how clearly agent ``a`` goes before ``o``, ``away`` from it: see `clearance.precedence`."""
     mine = step[a] * (1 / max(math.sqrt(dot(step[a], step[a])), LEAST_ASKED))
     theirs = step[o] * (1 / max(math.sqrt(dot(step[o], step[o])), LEAST_ASKED))
     lead = 0.5 * dot(away, mine + theirs)
-    if blends:
-        lead += _LEAD * (dot(mine, people.velocity[b, a]) - dot(theirs, people.velocity[b, o]))
+    lead += _LEAD * (dot(mine, people.velocity[b, a]) - dot(theirs, people.velocity[b, o]))
     rank = people.rank[b, a] - people.rank[b, o]
     lead = (lead + TIE * np.sign(rank)) / TIE if wait else lead / AHEAD
     return min(max(lead, -1.0), 1.0)
 
 
 @jit
-def meetings(people, b, step, blends, shoulders, narrow, pairs, stands):
+def meetings(people, b, step, shoulders, narrow, pairs, stands):
     """Write the pairs of a scene that may come too near, and return their number.
 
     Args:
         people: All scenes.
         b: The scene.
         step: The steps of its agents (A,).
-        blends: Whether velocities blend.
         shoulders: Room in narrow places, metres.
         narrow: Who is in one (A,).
         pairs: Is written, of the type `PAIR`.
         stands: Is written: which agents stand to make way (A,).
     """
-    count, beyond = 0, BEYOND if blends else 1.0
+    count = 0
     stands[:] = False
     for a in range(people.moved.shape[1]):
         for o in range(a):
@@ -301,7 +297,7 @@ def meetings(people, b, step, blends, shoulders, narrow, pairs, stands):
             broad, most = (narrow[a] or narrow[o]) and not wait, near
             reach = people.longest[b, a] if moved else length(step[a])
             reach += people.longest[b, o] if other_moved else length(step[o])
-            if distance > (max(near, shoulders) if broad else near) + beyond * reach + MARGIN:
+            if distance > (max(near, shoulders) if broad else near) + BEYOND * reach + MARGIN:
                 continue
             yields, other = moved and not people.robot[b, a], other_moved and not people.robot[b, o]
             gives, other_gives = yields or (moved and not other), other or (other_moved and not yields)
@@ -309,10 +305,10 @@ def meetings(people, b, step, blends, shoulders, narrow, pairs, stands):
             share, other_share, room = share * gives, share * other_gives, shoulders
             rest = min(distance, near) if distance >= bodies else near
             if yields and other:
-                first = precedence(people, b, a, o, away, step, blends, wait)
+                first = precedence(people, b, a, o, away, step, wait)
                 share -= (0.5 - LEAST_SHARE) * first
                 other_share += (0.5 - LEAST_SHARE) * first
-                if wait and first != 0 and blends:
+                if wait and first != 0:
                     rest = near + SPREAD
                 if (broad or wait) and first != 0:
                     past, press = nearest(away, step[a]), nearest(-away, step[o])
@@ -335,17 +331,14 @@ def meetings(people, b, step, blends, shoulders, narrow, pairs, stands):
 
 
 @jit
-def begins(people, b, a, step, beyond, walls, trace):
-    """Note whether an agent is in a narrow place; return whether walls are near, and its room to them.
-
-    ``beyond`` is how much of the longest step counts, 0 where there are no walls.
-    """
+def begins(people, b, a, step, walls, trace):
+    """Note whether an agent is in a narrow place; return whether walls are near, and its room to them."""
     trace.narrow[b, a], trace.slope[b, a] = False, 0.0
     near, room = False, people.radius[b, a] + MARGIN
-    if beyond == 0.0:
+    if walls.frames.shape[0] == 0 or not people.present[b, a]:
         return near, room
     at = people.position[b, a] + 0j
-    reach = max(beyond * people.longest[b, a] + people.radius[b, a] + MARGIN, NARROW)
+    reach = max(BEYOND * people.longest[b, a] + people.radius[b, a] + MARGIN, NARROW)
     if least_gap(at, walls, b) < reach:
         gap, away = gap_at(at, walls, b)
         near = people.moved[b, a] and gap < reach
@@ -358,22 +351,22 @@ def begins(people, b, a, step, beyond, walls, trace):
 
 
 @jit
-def shares_of(people, b, step, blends, pairs, count, near, room, walls, level):
+def shares_of(people, b, step, pairs, count, near, room, walls, level):
     """Write which of `SHARES` of their steps agents walk, level (A,): less of it if they would touch."""
     agents, last = len(step), len(SHARES) - 1
     paths, still = np.zeros((last + 1, agents, 3), np.complex128), np.zeros(3, np.complex128)
     stops = np.zeros(agents, np.bool_)
     for a in range(agents):
         for part in range(last + 1):
-            walk(people, b, a, SHARES[part] * step[a], blends, paths[part, a])
+            walk(people, b, a, SHARES[part] * step[a], paths[part, a])
     for turn in range(agents + last):
         stops[:] = False
         for k in range(count):
             pair = pairs[k]
             a, o, share, other_share = pair["a"], pair["o"], pair["mine"], pair["theirs"]
             mine, theirs = paths[level[a], a], paths[level[o], o]
-            if touches(pair, mine, theirs, blends):
-                alone, other = touches(pair, mine, still, blends), touches(pair, still, theirs, blends)
+            if touches(pair, mine, theirs):
+                alone, other = touches(pair, mine, still), touches(pair, still, theirs)
                 # where both have to walk for a touch, who goes first need not stop
                 stops[a] = stops[a] or (share > 0 and (alone or (not other and share >= 0.5)))
                 stops[o] = stops[o] or (other_share > 0 and (other or (not alone and other_share >= 0.5)))
@@ -389,13 +382,12 @@ def shares_of(people, b, step, blends, pairs, count, near, room, walls, level):
 
 
 @compiled()
-def keep_clear(people, walls, blends, shoulders, out, trace):
+def keep_clear(people, walls, shoulders, out, trace):
     """Write steps (B, A), metres, without contacts: see `pedzoo.policies.safety_layer.layer.kept_clear`.
 
     Args:
         people: As they want to walk.
         walls: Those of each scene.
-        blends: Whether velocities blend.
         shoulders: Room in narrow places, metres.
         out: The steps, which are written.
         trace: Is written.
@@ -404,22 +396,19 @@ def keep_clear(people, walls, blends, shoulders, out, trace):
     step, change = np.zeros(agents, np.complex128), np.zeros(agents, np.complex128)
     path, pairs = np.zeros((agents, 3), np.complex128), np.zeros(agents * agents, PAIR)
     room, asking, level = np.zeros(agents), np.zeros(agents), np.zeros(agents, np.int64)
-    near, stores, beyond = np.zeros(agents, np.bool_), trace.record.size > 0, 0.0
-    if walls.frames.shape[0] > 0:
-        beyond = BEYOND if blends else 1.0
+    near, stores = np.zeros(agents, np.bool_), trace.record.size > 0
     for b in range(scenes):
         for a in range(agents):
-            here = people.present[b, a]
             step[a] = people.asked[b, a]
-            near[a], room[a] = begins(people, b, a, step[a], beyond if here else 0.0, walls, trace)
-            if here and people.moved[b, a]:
+            near[a], room[a] = begins(people, b, a, step[a], walls, trace)
+            if people.present[b, a] and people.moved[b, a]:
                 step[a] = limited(step[a], people.longest[b, a])
         stands = trace.stands[b]
-        count = meetings(people, b, step, blends, shoulders, trace.narrow[b], pairs, stands)
+        count = meetings(people, b, step, shoulders, trace.narrow[b], pairs, stands)
         for a in range(agents):
             if stands[a]:
                 step[a] = 0.0
-            walk(people, b, a, step[a], blends, path[a])
+            walk(people, b, a, step[a], path[a])
         settled, safe, trace.used[b] = False, False, 0
         for r in range(ROUNDS):
             settled, safe = True, True
@@ -427,7 +416,7 @@ def keep_clear(people, walls, blends, shoulders, out, trace):
             for k in range(count):
                 pair = pairs[k]
                 a, o = pair["a"], pair["o"]
-                lacks, way = correction(pair, path[a], path[o], blends)
+                lacks, way = correction(pair, path[a], path[o])
                 if lacks:
                     settled = False
                     asking[a] += 1
@@ -443,10 +432,10 @@ def keep_clear(people, walls, blends, shoulders, out, trace):
                     continue
                 if changed:
                     step[a] += change[a] * (1 / math.sqrt(asking[a]))
-                    walk(people, b, a, step[a], blends, path[a])
+                    walk(people, b, a, step[a], path[a])
                 aside = step[a]
                 if near[a]:
-                    pushed, lacks, worst = push(people.position[b, a], path[a], room[a], blends, walls, b)
+                    pushed, lacks, worst = push(people.position[b, a], path[a], room[a], walls, b)
                     safe = safe and not lacks
                     if pushed != 0:
                         settled, changed = False, True
@@ -456,13 +445,13 @@ def keep_clear(people, walls, blends, shoulders, out, trace):
                     trace.record[b, r, a, 2], trace.record[b, r, a, 3] = step[a], worst if pushed != 0 else 0
                 if changed:
                     step[a] = limited(step[a], people.longest[b, a])
-                    walk(people, b, a, step[a], blends, path[a])
+                    walk(people, b, a, step[a], path[a])
             if settled:
                 break
             trace.used[b] = r + 1
         level[:] = 0
         if not (settled and safe):
-            shares_of(people, b, step, blends, pairs, count, near, room, walls, level)
+            shares_of(people, b, step, pairs, count, near, room, walls, level)
         for a in range(agents):
             share = SHARES[level[a]]
             trace.shares[b, a], out[b, a] = share, share * step[a]

@@ -58,10 +58,10 @@ def place_slope(n, of, out):
 
 
 @jit
-def walk_slope(people, b, a, step, blends, of_path):
+def walk_slope(people, b, a, step, of_path):
     """Return the gradients by the step and by the velocity before, for that of the path (3,)."""
     begin, middle, end = of_path[0], of_path[1], of_path[2]
-    if not (blends and people.moved[b, a]):
+    if not people.moved[b, a]:
         return 0.25 * begin + 0.75 * middle + end, 0j
     command = 0.25 * step
     half = 0.5 * (people.velocity[b, a] - command)
@@ -81,12 +81,12 @@ def walk_slope(people, b, a, step, blends, of_path):
 
 
 @jit
-def correction_slope(pair, mine, theirs, blends, of, out):
+def correction_slope(pair, mine, theirs, of, out):
     """Write the gradients by the relative place and walk, out (4,), for that ``of`` a correction."""
     out[:] = 0.0
     apart, rooms, of_apart = pair["apart"], (pair["room"], pair["firm"], pair["rest"]), 0.0
-    lack, part, along, at, gap = closest(pair["away"], mine, theirs, rooms, blends, blends)
-    back, demand, line = way_back(pair, mine, theirs, blends)
+    lack, part, along, at, gap = closest(pair["away"], mine, theirs, rooms, True)
+    back, demand, line = way_back(pair, mine, theirs)
     weight = weight_of(part, along)
     aside = lack / weight
     # rooms that are the distance itself move with it
@@ -107,7 +107,7 @@ def correction_slope(pair, mine, theirs, blends, of, out):
             of_apart = of_lack
     elif back > 0:
         of_back, of_line = dot(of, line), back * of
-        point, weight = (0, FIRST if blends else 0.25) if demand == 1 else (2, 1.0)
+        point, weight = (0, FIRST) if demand == 1 else (2, 1.0)
         out[1 + point] = (-of_back / weight) * line
         of_line -= (of_back / weight) * (mine[point] - theirs[point])
         if rooms[demand] != apart:
@@ -118,20 +118,20 @@ def correction_slope(pair, mine, theirs, blends, of, out):
 
 
 @jit
-def push_slope(people, b, a, steps, path, blends, slope, grown, place, of_path, of_before):
+def push_slope(people, b, a, steps, path, slope, grown, place, of_path, of_before):
     """Go back over a wall's push of one agent: change its gradients by step, place and velocity."""
     worst, way = int(steps[3].real), steps[2] - steps[1]
     way = way * (1 / math.sqrt(max(dot(way, way), 1e-24)))
-    along = -dot(grown[a], way) / place_on(path, worst, FIRST if blends else 0.25)[1]
+    along = -dot(grown[a], way) / place_on(path, worst)[1]
     place[a] += along * (way - slope)
     place_slope(worst, along * way, of_path)
-    more, before = walk_slope(people, b, a, steps[1], blends, of_path)
+    more, before = walk_slope(people, b, a, steps[1], of_path)
     grown[a] += more
     of_before[a] += before
 
 
 @compiled()
-def keep_clear_slope(people, blends, shoulders, trace, gradient, of_position, of_step, of_velocity):
+def keep_clear_slope(people, shoulders, trace, gradient, of_position, of_step, of_velocity):
     """Write gradients (B, A) by positions, steps asked for and velocities, for ``gradient`` of the result.
 
     The other args are those of `keep_clear`, and its trace.
@@ -151,15 +151,15 @@ def keep_clear_slope(people, blends, shoulders, trace, gradient, of_position, of
                 step[a] = people.asked[b, a]
                 if people.moved[b, a]:
                     step[a] = limited(step[a], people.longest[b, a])
-            count = meetings(people, b, step, blends, shoulders, trace.narrow[b], pairs, stood)
+            count = meetings(people, b, step, shoulders, trace.narrow[b], pairs, stood)
         for r in range(trace.used[b] - 1, -1, -1):
             steps = trace.record[b, r]
             asking[:] = 0.0
             for a in range(agents):
-                walk(people, b, a, steps[a, 0], blends, path[a])
+                walk(people, b, a, steps[a, 0], path[a])
             for k in range(count):
                 pair = pairs[k]
-                if correction(pair, path[pair["a"]], path[pair["o"]], blends)[0]:
+                if correction(pair, path[pair["a"]], path[pair["o"]])[0]:
                     asking[pair["a"]] += 1
                     asking[pair["o"]] += 1
             for a in range(agents):
@@ -167,26 +167,24 @@ def keep_clear_slope(people, blends, shoulders, trace, gradient, of_position, of
                 if people.moved[b, a] and (asking[a] > 0 or pushed):
                     grown[a] = limited_slope(steps[a, 2], people.longest[b, a], grown[a])
                     if pushed:
-                        push_slope(
-                            people, b, a, steps[a], path[a], blends, trace.slope[b, a],
-                            grown, place, of_path[a], before,
-                        )  # fmt: skip
+                        slope = trace.slope[b, a]
+                        push_slope(people, b, a, steps[a], path[a], slope, grown, place, of_path[a], before)
             of_path[:] = 0.0
             for k in range(count):
                 pair = pairs[k]
                 a, o = pair["a"], pair["o"]
-                if asking[a] == 0 or asking[o] == 0 or not correction(pair, path[a], path[o], blends)[0]:
+                if asking[a] == 0 or asking[o] == 0 or not correction(pair, path[a], path[o])[0]:
                     continue
                 mine, theirs = pair["mine"] / math.sqrt(asking[a]), pair["theirs"] / math.sqrt(asking[o])
                 of = mine * grown[a] - theirs * grown[o]
-                correction_slope(pair, path[a], path[o], blends, of, of_pair)
+                correction_slope(pair, path[a], path[o], of, of_pair)
                 place[a] += of_pair[0]
                 place[o] -= of_pair[0]
                 for i in range(3):
                     of_path[a, i] += of_pair[1 + i]
                     of_path[o, i] -= of_pair[1 + i]
             for a in range(agents):
-                more, of_before = walk_slope(people, b, a, steps[a, 0], blends, of_path[a])
+                more, of_before = walk_slope(people, b, a, steps[a, 0], of_path[a])
                 grown[a] += more
                 before[a] += of_before
         for a in range(agents):
@@ -209,8 +207,7 @@ class KeptClear(torch.autograd.Function):
         """
         steps, walls, shoulders = given[3:]
         people, out = _people(steps), torch.empty_like(steps.step, memory_format=torch.contiguous_format)
-        size, blends = steps.moved.shape, steps.velocity is not None
-        records = any(ctx.needs_input_grad)
+        size, records = steps.moved.shape, any(ctx.needs_input_grad)
         trace = Trace(
             narrow=np.empty(size, np.bool_),
             slope=np.empty(size, np.complex64),
@@ -219,9 +216,9 @@ class KeptClear(torch.autograd.Function):
             record=np.empty((size[0], ROUNDS, size[1], 4) if records else (0, 0, 0, 4), np.complex128),
             stands=np.empty(size, np.bool_),
         )
-        keep_clear(people, _wall_arrays(walls), blends, float(shoulders), _complex(out), trace)
+        keep_clear(people, _wall_arrays(walls), float(shoulders), _complex(out), trace)
         if records:
-            ctx.stored = people, blends, float(shoulders), trace
+            ctx.stored = people, float(shoulders), trace
         return out
 
     @staticmethod
@@ -230,7 +227,7 @@ class KeptClear(torch.autograd.Function):
         gradient = gradients[0].detach().contiguous()
         place, step, velocity = (torch.empty_like(gradient) for _ in range(3))
         keep_clear_slope(*ctx.stored, *(_complex(part) for part in (gradient, place, step, velocity)))
-        return place, step, TRACE_SECONDS * velocity if ctx.needs_input_grad[2] else None, None, None, None
+        return place, step, TRACE_SECONDS * velocity, None, None, None
 
 
 def _complex(vectors: Tensor) -> Any:
@@ -239,9 +236,10 @@ def _complex(vectors: Tensor) -> Any:
 
 
 def _people(steps: ProposedSteps) -> People:
-    before = steps.step if steps.velocity is None else steps.velocity * TRACE_SECONDS
     rank = torch.zeros_like(steps.longest) if steps.rank is None else steps.rank
-    parts = [part.detach().contiguous() for part in (*steps[:2], before, *steps[2:8], rank)]
+    parts = [
+        part.detach().contiguous() for part in (*steps[:2], TRACE_SECONDS * steps.velocity, *steps[2:8], rank)
+    ]
     return People(*map(_complex, parts[:3]), *(part.numpy() for part in parts[3:]))
 
 
