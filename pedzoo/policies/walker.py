@@ -139,7 +139,7 @@ class Walker(NamedPolicy):
         self._stored: tuple[Tensor, Tensor, Tensor] | None = None
         # of the last scenes: keys (B, 1), numbers of agents (B, A), and their noise for the episode
         self._episode_noise: tuple[Tensor, Tensor, Tensor] | None = None
-        self._first_seen = FirstSeenMemory()
+        self._first_seen = FirstSeenMemory() if self.model.remembers else None
 
     def fresh(self) -> Self:
         """Return a walker with the same model and settings that has seen no scene yet."""
@@ -161,7 +161,8 @@ class Walker(NamedPolicy):
             tensordict["agents", "raw_action"] = wish / STEP_SECONDS
         else:
             wish = step
-        self._first_seen.remember(wish, step)
+        if self._first_seen is not None:
+            self._first_seen.remember(wish, step)
         if self.safety:
             tensordict["agents", "unconstrained_action"] = step / STEP_SECONDS
             step = safe(tensordict, step, 0.0 if self.model.keeps_distance else SHOULDERS)
@@ -187,7 +188,7 @@ class Walker(NamedPolicy):
         """Return the scenes as the model sees them."""
         scenes = with_walked_history(tensordict)
         scenes = extend_goals(scenes) if self.extend_goal else scenes
-        return self._first_seen.add(scenes) if self.model.remembers else scenes
+        return scenes if self._first_seen is None else self._first_seen.add(scenes)
 
     def noise_of(self, tensordict: TensorDictBase) -> Tensor | None:
         """Return each person's noise (B, A, noise_dim) in scenes as they are now, None for none."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -13,6 +14,7 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.plans import rectangles, room, wall
 from pedzoo.maps.walls import LocalWalls
 from pedzoo.policies.safety_layer.clearance import ProposedSteps
+from pedzoo.sim.make import make_env
 
 ROOM = rectangles(
     [*room((-3.0, -3.0), (3.0, 3.0), 0.1), *wall((0.0, -3.0), (0.0, 3.0), 0.1, doors=[(3.0, 0.8)])]
@@ -47,3 +49,28 @@ def crowd(people: int, seed: int = 0, scenes: int = 64, mixed: bool = False) -> 
     return ProposedSteps(
         position, step, longest, present, moved, draw() > 0.8, 0.12 + 0.1 * draw(), draw() > 0.85, velocity
     )
+
+
+def steps(position: Any, step: Any, longest: float = 0.8, **more: Tensor) -> ProposedSteps:
+    """Return the steps of one scene, or of several, of people who walk already as they ask to."""
+    position, step = (torch.as_tensor(values, dtype=torch.float32) for values in (position, step))
+    position, step = (values if values.dim() == 3 else values.unsqueeze(0) for values in (position, step))
+    there = torch.ones(position.shape[:2], dtype=torch.bool)
+    other = {"longest": torch.full(there.shape, longest), "present": there, "moved": there}
+    other |= {"waits": torch.zeros_like(there), "robot": torch.zeros_like(there)}
+    other |= {"radius": torch.full(there.shape, BODY_RADIUS), "velocity": step.detach() / STEP_SECONDS}
+    return ProposedSteps(position, step, **other | more)
+
+
+def contacts(policy: Any, scenario: str, scenes: int = 8, decisions: int = 20, **env: Any) -> tuple[int, ...]:
+    """Return how often people touch others and walls, and how many are left, after some decisions."""
+    made = make_env(scenario, scenes, "compiled", **env)
+    seen: Any = made.reset(seed=3)
+    agent = wall = 0
+    for _ in range(decisions):
+        seen = made.step(policy(seen))["next"]
+        info = seen["agents", "info"]
+        agent, wall = agent + int(info["agent_contact"].sum()), wall + int(info["wall_contact"].sum())
+        if bool(seen["done"].all()):
+            break
+    return agent, wall, int(made.state.mask.sum())

@@ -29,8 +29,12 @@ def scene(
     kind: Any = None,
     controlled: Any = None,
     maps: MapBank | None = None,
+    pref_speed: float | None = None,
 ) -> TensorDict:
-    """Return scenes (B, A) of agents who have come straight to where they are."""
+    """Return scenes (B, A) of agents who have come straight to where they are.
+
+    None stands for 1.3 m/s as the speed that they like.
+    """
     position, velocity, desired = (
         torch.as_tensor(values, dtype=torch.float32) for values in (position, velocity, desired)
     )
@@ -48,7 +52,7 @@ def scene(
         valid=there.unsqueeze(2).expand(-1, -1, 8),
         mask=there,
         velocity=velocity,
-        pref_speed=torch.full((*there.shape, 1), 1.3),
+        pref_speed=torch.full((*there.shape, 1), pref_speed or 1.3),
         radius=None if radius is None else torch.as_tensor(radius).expand(there.shape).unsqueeze(-1),
         kind=None if kind is None else torch.as_tensor(kind).expand(there.shape),
         goal=position + 3.2 * desired,

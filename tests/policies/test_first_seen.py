@@ -28,30 +28,18 @@ def scenes(step: int, left: Tensor, key: int = 5, ids: tuple[int, int] = (0, 1))
 
 
 def test_the_first_history_stays_and_progress_adds_up() -> None:
+    """Also where people change their slots, and other scenes are seen in between."""
     memory, left = FirstSeenMemory(), torch.tensor([9.0, 6.0])
     begun = agents_of(memory.add(scenes(0, left)))
     assert torch.equal(begun["first_history"], agents_of(FIRST)["history"])
     assert not begun["elapsed"].any() and not begun["progress"].any()
-    memory.add(scenes(1, left - 0.5))
+    swapped = agents_of(memory.add(scenes(1, left - 0.5, ids=(1, 0))))
+    assert torch.equal(swapped["first_history"], begun["first_history"][:, [1, 0]])
+    memory.add(scenes(7, left, key=90))
     later = agents_of(memory.add(scenes(2, left - 1.2)))
     assert torch.equal(later["first_history"], begun["first_history"])
     torch.testing.assert_close(later["elapsed"], torch.full((2, 2, 1), 0.8))
     torch.testing.assert_close(later["progress"], torch.full((2, 2, 1), 1.2))
-
-
-def test_people_who_change_their_slots_keep_their_own() -> None:
-    memory, left = FirstSeenMemory(), torch.tensor([9.0, 6.0])
-    begun = agents_of(memory.add(scenes(0, left)))
-    later = agents_of(memory.add(scenes(1, left - 0.5, ids=(1, 0))))
-    assert torch.equal(later["first_history"], begun["first_history"][:, [1, 0]])
-
-
-def test_other_scenes_in_between_change_nothing() -> None:
-    memory, left = FirstSeenMemory(), torch.tensor([9.0, 6.0])
-    begun = agents_of(memory.add(scenes(0, left)))
-    memory.add(scenes(7, left, key=90))
-    later = agents_of(memory.add(scenes(1, left - 0.5)))
-    assert torch.equal(later["first_history"], begun["first_history"])
 
 
 def test_a_new_goal_begins_a_new_way_but_not_a_new_style() -> None:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import pytest
 import torch
-from tensordict import TensorDictBase
+from helpers.crowds import contacts, steps
 from torch import Tensor
 
 from pedzoo.core.geometry import identity_pose
@@ -21,12 +20,10 @@ from pedzoo.policies.load import load_policy
 from pedzoo.policies.safety_layer.clearance import (
     LEAST_SHARE,
     MARGIN,
-    ProposedSteps,
     kept_clear_in_torch,
     precedence,
 )
 from pedzoo.policies.safety_layer.layer import kept_clear
-from pedzoo.sim.make import make_env
 
 NARROW = rectangles(
     [*room((-3.0, -3.0), (3.0, 3.0), 0.1), *wall((0.0, -3.0), (0.0, 3.0), 0.1, doors=[(3.0, 0.5)])], 0.05
@@ -63,42 +60,25 @@ def test_of_two_who_wait_one_goes_first() -> None:
 @pytest.mark.parametrize("answer", [kept_clear, kept_clear_in_torch])
 def test_people_behind_make_way(answer: Callable[..., Tensor]) -> None:
     """In the open: of the correction of two, one behind the other, the person behind makes nearly all."""
-    place, step = torch.tensor([[[0.0, 0.0], [-0.5, 0.0]]]), torch.tensor([[[0.1, 0.0], [0.5, 0.0]]])
-    one = torch.ones(1, 2, dtype=torch.bool)
-    size = torch.full((1, 2), BODY_RADIUS)
-    result = answer(ProposedSteps(place, step, size + 1, one, one, ~one, size, ~one, step / 0.4), None)
+    result = answer(steps([[0.0, 0.0], [-0.5, 0.0]], [[0.1, 0.0], [0.5, 0.0]], 1.15), None)
     lacks = 2 * BODY_RADIUS + MARGIN - 0.1
     assert float(result[0, 0, 0]) == pytest.approx(0.1 + LEAST_SHARE * lacks, abs=5e-3)
     assert float(result[0, 1, 0]) == pytest.approx(0.5 - (1 - LEAST_SHARE) * lacks, abs=5e-3)
 
 
-def passed(scenario: str, policy: str, scenes: int, decisions: int) -> tuple[Tensor, int, int]:
-    """Return where all ended up (B, A, 2), and how often people touched others and walls."""
-    env = make_env(scenario, scenes, "compiled", clearance=0.2)
-    walks = load_policy(policy)
-    seen: TensorDictBase = env.reset(seed=3)
-    people = walls = 0
-    for _ in range(decisions):
-        seen = env.step(walks(seen))["next"]
-        info: Any = seen["agents", "info"]
-        people, walls = people + int(info["agent_contact"].sum()), walls + int(info["wall_contact"].sum())
-        if bool(seen["done"].all()):
-            break
-    return env.state.position.where(env.state.mask.unsqueeze(-1), torch.inf), people, walls
-
-
 @pytest.mark.parametrize(
-    "scenario",
+    ("scenario", "decisions"),
     [
-        "room_exit:people=20,entering=0,width=0.5",
-        "door:people=18,from_right=0,abreast=3,width=0.46,resolution=0.01",
-        "door:people=6,width=0.5,jitter=0,speed_std=0,offset=0",
+        ("room_exit:people=20,entering=0,width=0.9", 60),
+        ("room_exit:people=20,entering=0,width=0.5", 250),
+        ("door:people=18,from_right=0,abreast=3,width=0.46,resolution=0.01", 250),
+        ("door:people=6,width=0.5,jitter=0,speed_std=0,offset=0", 250),
     ],
 )
-def test_no_queue_locks(scenario: str) -> None:
+def test_no_queue_locks(scenario: str, decisions: int) -> None:
     """All get through the narrowest doors, without touching others or walls; also where two groups meet."""
-    place, people, walls = passed(scenario, "go_to_goal:safety=true", 2, 250)
-    assert not place.isfinite().any() and people == walls == 0
+    policy = load_policy("go_to_goal:safety=true")
+    assert contacts(policy, scenario, 2, decisions, clearance=0.2) == (0, 0, 0)
 
 
 @pytest.mark.parametrize("people", ["people=4", "people=4,from_right=1", "people=6,from_right=0"])
@@ -113,17 +93,13 @@ def test_no_social_walker_is_held_up_at_a_door_but_by_halts(
     assert torch.equal(success(walked).above, success(walked).below)
 
 
-def test_two_who_wait_head_on_in_a_narrow_door_pass() -> None:
+@pytest.mark.parametrize("rank", [[0.0, 1.0], [1.0, 0.0]])
+def test_two_who_wait_head_on_in_a_narrow_door_pass(rank: list[float]) -> None:
     """One lets the other through, in either order of the two."""
-    bank = MapBank([NARROW])
-    place, step = torch.tensor([[[-0.4, 0.0], [0.4, 0.0]]]), torch.tensor([[[0.4, 0.0], [-0.4, 0.0]]])
-    one = torch.ones(1, 2, dtype=torch.bool)
-    size = torch.full((1, 2), BODY_RADIUS)
+    bank, waits = MapBank([NARROW]), torch.ones(1, 2, dtype=torch.bool)
     walls = bank.walls_around(torch.tensor([bank.grids[0].map_id]), identity_pose(1))
-    for rank in ([[0.0, 1.0]], [[1.0, 0.0]]):
-        asked = ProposedSteps(
-            place, step, size + 1, one, one, one, size, ~one, 0 * step, rank=torch.tensor(rank)
-        )
-        move = kept_clear(asked, walls)[0, :, 0]
-        first, second = (move[0], -move[1]) if rank[0][0] else (-move[1], move[0])
-        assert first > second + 0.1
+    more = {"waits": waits, "rank": torch.tensor([rank]), "velocity": torch.zeros(1, 2, 2)}
+    asked = steps([[-0.4, 0.0], [0.4, 0.0]], [[0.4, 0.0], [-0.4, 0.0]], 1.15, **more)
+    move = kept_clear(asked, walls)[0, :, 0]
+    first, second = (move[0], -move[1]) if rank[0] else (-move[1], move[0])
+    assert first > second + 0.1

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 import torch
-from helpers.crowds import around, crowd
+from helpers.crowds import around, crowd, steps
 from torch import Tensor
 
 from pedzoo.core.geometry import blended, limit_speed, limited
@@ -44,8 +44,8 @@ def test_a_walk_is_what_the_simulation_makes_of_a_step() -> None:
 def test_on_blended_paths_people_do_not_touch(people: int) -> None:
     """However they come: they stop, where nothing else helps."""
     asked = crowd(people)
-    for steps, bound in ((asked.step, 0.15), (kept_clear(asked), 2 * BODY_RADIUS - 1e-3)):
-        path = path_of(asked, steps)
+    for walk, bound in ((asked.step, 0.15), (kept_clear(asked), 2 * BODY_RADIUS - 1e-3)):
+        path = path_of(asked, walk)
         apart = torch.cdist(path, path) + 9 * torch.eye(people)
         touching = apart.amin((0, 2, 3)) < bound
         assert bool(touching.any()) == (bound < 0.2)
@@ -56,8 +56,8 @@ def test_on_blended_paths_no_person_touches_a_wall() -> None:
     asked, walls = crowd(1, scenes=512), around(512)
     gap, _ = walls.closest(asked.position)
     free = gap[:, 0] > BODY_RADIUS
-    for steps, touches in ((asked.step, True), (kept_clear(asked, walls), False)):
-        path = path_of(asked, steps).movedim(0, 1).flatten(1, 2)
+    for walk, touches in ((asked.step, True), (kept_clear(asked, walls), False)):
+        path = path_of(asked, walk).movedim(0, 1).flatten(1, 2)
         gap, _ = walls.closest(path)
         assert bool((gap[free] < BODY_RADIUS - 2e-3).any()) is touches
 
@@ -103,14 +103,9 @@ def test_gradients_of_a_person_at_a_wall(answer: Callable[..., Tensor]) -> None:
 
     Before the wall, by a step that is cut short, the place counts: nearer by 1 cm, shorter by 1 cm.
     """
-    walls = around(2)
     place = torch.tensor([[[-0.15, 1.5]], [[-0.4, 1.5]]], requires_grad=True)
     step = torch.tensor([[[0.1, 0.2]], [[0.3, 0.2]]], requires_grad=True)
-    one = torch.ones(2, 1, dtype=torch.bool)
-    size = torch.full((2, 1), BODY_RADIUS)
-    stored = answer(
-        ProposedSteps(place, step, size + 1, one, one, ~one, size, ~one, (step / 0.4).detach()), walls
-    )
+    stored = answer(steps(place, step, 1.15), around(2))
     across = torch.autograd.grad(stored[..., 0].sum(), (place, step), retain_graph=True)
     along = torch.autograd.grad(stored[..., 1].sum(), (place, step))
     close: dict[str, Any] = {"atol": 1e-4, "rtol": 0}
@@ -120,17 +115,13 @@ def test_gradients_of_a_person_at_a_wall(answer: Callable[..., Tensor]) -> None:
     torch.testing.assert_close(along[1], torch.tensor([[[0.0, 1.0]], [[0.0, 1.0]]]), **close)
 
 
-def test_top_speeds_have_gradients() -> None:
-    """Torch has them: a step that is too long is as long as the top speed allows."""
+def test_top_speeds_have_gradients_and_strided_inputs_are_read() -> None:
+    """A step that is too long is as long as the top speed allows; torch has gradients of it."""
     asked = crowd(1, scenes=4)
     longest = asked.longest.clone().requires_grad_()
     stored = kept_clear(asked._replace(longest=longest, step=9 * asked.step))
     stored.norm(dim=-1).sum().backward()
     assert longest.grad is not None and torch.allclose(longest.grad, torch.ones(4, 1))
-
-
-def test_strided_inputs_are_read_as_they_are() -> None:
-    """Views of a batch need no copies."""
     asked = crowd(5, mixed=True)
     strided: Any = [torch.stack((part, part), -1)[..., 0] for part in asked if part is not None]
     assert torch.equal(kept_clear(ProposedSteps(*strided)), kept_clear(asked))
@@ -153,13 +144,3 @@ def test_the_torch_path_reads_nothing_back_to_the_host() -> None:
     seen: Any = env.reset(seed=0).select("agents", "maps", "map_id", "scene_pose").to("meta")
     step = torch.zeros(3, 4, 2, device="meta")
     assert safe(seen, step).shape == (3, 4, 2)
-
-
-@pytest.mark.parametrize("pair", [((0.0, 0.5), (PART, PART)), ((0.5, 0.0), (0.0, 1.0))])
-def test_in_the_open_an_old_velocity_changes_nothing(pair: tuple[tuple[float, float], ...]) -> None:
-    """A person alone may turn as they like."""
-    step, velocity = torch.tensor(pair).view(2, 1, 1, 2)
-    one = torch.ones(1, 1, dtype=torch.bool)
-    size = torch.full((1, 1), BODY_RADIUS)
-    asked = ProposedSteps(torch.zeros(1, 1, 2), step, size + 1, one, one, ~one, size, ~one, velocity)
-    assert torch.equal(kept_clear(asked), step)

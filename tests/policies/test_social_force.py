@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from helpers.scenes import scene
 from numpy.typing import NDArray
 from tensordict import TensorDict
 from torch import Tensor
 
-from pedzoo.core.batch import scene_batch
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose, move_to_scene, turn_to_scene
 from pedzoo.maps import segments as segment_table
@@ -66,30 +66,10 @@ def crowd(scenes: int, agents: int, side: float, seed: int = 0) -> tuple[Tensor,
     return position, 0.6 * velocity, desired
 
 
-def observation(
-    position: Tensor,
-    velocity: Tensor,
-    desired: Tensor,
-    map_id: int = -1,
-    pose: Tensor | None = None,
-    maps: MapBank | None = None,
-) -> TensorDict:
-    scenes, agents = position.shape[:2]
-    mask = torch.ones(scenes, agents, dtype=torch.bool)
-    return scene_batch(
-        maps=MapBank() if maps is None else maps,
-        map_id=torch.full((scenes, 1), map_id),
-        pose=identity_pose(scenes) if pose is None else pose,
-        history=position.unsqueeze(2).expand(-1, -1, 8, -1),
-        valid=mask.unsqueeze(-1).expand(-1, -1, 8),
-        mask=mask,
-        velocity=velocity,
-        pref_speed=desired.norm(dim=-1, keepdim=True),
-        goal=position,
-        desired_velocity=desired,
-        key=torch.arange(scenes)[:, None],
-        time=torch.zeros(scenes, 1),
-    )
+def commanded(batch: TensorDict, fluctuation: float = 0.0, **settings: Any) -> Tensor:
+    """Return what the policy commands (B, A, 2), m/s."""
+    policy = SocialForce(SocialForceSettings(fluctuation=fluctuation, **settings))
+    return policy(batch)["agents", "action"]
 
 
 def test_the_papers_parameters_are_the_default() -> None:
@@ -100,11 +80,7 @@ def test_the_papers_parameters_are_the_default() -> None:
     assert (result.view_angle, result.out_of_view, result.top_speed_ratio) == (100.0, 0.5, 1.3)
     assert result.wall_reach == pytest.approx(0.2 * math.log(5000))
     indoor = SocialForceSettings(preset="indoor", tau=0.4)
-    assert (indoor.wall_strength, indoor.wall_range, indoor.tau) == (
-        pytest.approx(2.2408, abs=1e-4),
-        0.1,
-        0.4,
-    )
+    assert (indoor.wall_strength, indoor.wall_range, indoor.tau) == (pytest.approx(2.2408, 1e-4), 0.1, 0.4)
 
 
 @pytest.mark.parametrize(
@@ -122,6 +98,7 @@ def test_the_papers_parameters_are_the_default() -> None:
         ("anisotropy=viev", "anisotropy=viev"),
         ("preset=1996", "unknown preset of social_force '1996': did you mean '1995'"),
         ("preset=indor", "did you mean 'indoor'"),
+        ("fluctuation=.inf", "fluctuation inf"),
         ("taw=1", "did you mean 'tau'"),
     ],
 )
@@ -130,19 +107,9 @@ def test_settings_that_cannot_be(settings: str, message: str) -> None:
         load_policy(f"social_force:{settings}")
 
 
-def test_names_that_are_not_known() -> None:
-    with pytest.raises(UserError, match="did you mean 'indoor'"):
-        SocialForceSettings(preset="indor")
-    with pytest.raises(UserError, match="did you mean 'view'"):
-        SocialForceSettings(anisotropy="viev")  # type: ignore[arg-type]
-    with pytest.raises(UserError, match="fluctuation inf"):
-        SocialForceSettings(fluctuation=math.inf)
-
-
-def test_driving_force_by_hand() -> None:
-    velocity, desired = torch.tensor([[0.5], [-0.1]]), torch.tensor([[1.3], [0.0]])
+def test_a_person_alone_accelerates_as_by_hand() -> None:
     # (1.3 - 0.5) / 0.5 and 0.1 / 0.5
-    alone = accelerate(torch.zeros(1, 1, 2), velocity.T[None], desired.T[None])
+    alone = accelerate(*(torch.tensor([[part]]) for part in ([0.0, 0.0], [0.5, -0.1], [1.3, 0.0])))
     assert alone.flatten().tolist() == pytest.approx([1.6, 0.2], abs=1e-4)
 
 
@@ -157,25 +124,6 @@ def test_repulsion_by_hand() -> None:
     # a person who stands: V0 / sigma exp(-distance / sigma) straight away
     force, away = repulsion(torch.tensor([[[0.0]], [[-0.6]]]), torch.zeros(2, 1, 1), 2.1, 0.3)
     assert (force * away).flatten().tolist() == pytest.approx([0, -7 * math.exp(-2)], rel=1e-6)
-
-
-def potential(offset: Tensor, step: Tensor) -> Tensor:
-    """V(b) as the paper writes it (eqs. 3 and 4)."""
-    whole = offset.norm(dim=0) + (offset - step).norm(dim=0)
-    return 2.1 * torch.exp(-((whole**2 - (step**2).sum(0)).sqrt() / 2) / 0.3)
-
-
-def test_repulsion_is_the_potentials_gradient() -> None:
-    torch.manual_seed(0)
-    offset, step = torch.randn(2, 5, 40, dtype=torch.float64), torch.randn(2, 5, 40, dtype=torch.float64)
-    offset, step = 0.6 * offset, 1.5 * step
-    force, away = repulsion(offset, step, 2.1, 0.3)
-    h = 1e-6
-    for axis in (0, 1):
-        shift = torch.zeros(2, 1, 1, dtype=torch.float64)
-        shift[axis] = h
-        slope = (potential(offset + shift, step) - potential(offset - shift, step)) / (2 * h)
-        assert torch.allclose((force * away)[axis], -slope, atol=1e-6, rtol=1e-6)
 
 
 def test_forces_stay_finite_at_the_potentials_centre() -> None:
@@ -203,26 +151,22 @@ def test_perception_by_hand() -> None:
 
 @pytest.mark.parametrize(("anisotropy", "weight"), [("view", 0.5), ("smooth", 0.75), ("none", 1.0)])
 def test_who_is_behind_counts_less(anisotropy: Any, weight: float) -> None:
-    position = torch.tensor([[[0.0, 0.0], [0.6, 0.0]]])
-    desired = torch.tensor([[[1.0, 0.0], [1.0, 0.0]]])
-    result = accelerate(position, torch.zeros(1, 2, 2), desired, replace(PAPER, anisotropy=anisotropy))
-    pushed = 7 * math.exp(-2)
-    driven = 1 / 0.5
+    position, desired = torch.tensor([[[0.0, 0.0], [0.6, 0.0]], [[1.0, 0.0], [1.0, 0.0]]]).unsqueeze(1)
+    result = accelerate(position, 0 * position, desired, replace(PAPER, anisotropy=anisotropy))
+    pushed, driven = 7 * math.exp(-2), 1 / 0.5
     assert result[0, :, 0].tolist() == pytest.approx([driven - pushed, driven + weight * pushed], abs=1e-3)
 
 
 def test_top_speed_by_hand() -> None:
-    policy = SocialForce(SocialForceSettings(fluctuation=0))
-    desired = torch.tensor([[[0.6, 0.8]]])
-    quick = policy(observation(torch.zeros(1, 1, 2), 5 * desired, desired))["agents", "action"]
+    desired, place = torch.tensor([[[0.6, 0.8]]]), torch.zeros(1, 1, 2)
+    quick = commanded(scene(place, 5 * desired, desired, pref_speed=1.0))
     assert quick.flatten().tolist() == pytest.approx([1.3 * 0.6, 1.3 * 0.8])
     # (1 - 0.5) / 0.5 s for 0.1 s: half of what is missing in 0.35 s, as exp(-t / tau) has it
-    slow = policy(observation(torch.zeros(1, 1, 2), 0.5 * desired, desired))["agents", "action"]
+    slow = commanded(scene(place, 0.5 * desired, desired, pref_speed=1.0))
     assert slow.flatten().tolist() == pytest.approx([0.6 * 0.6, 0.6 * 0.8])
     # the planner's direction counts, the speed is one's own
-    planned = observation(torch.zeros(1, 1, 2), 0.5 * desired, desired)
-    planned["agents", "desired_velocity"] *= 0.1
-    assert torch.allclose(policy(planned)["agents", "action"], slow)
+    planned = commanded(scene(place, 0.5 * desired, 0.1 * desired, pref_speed=1.0))
+    torch.testing.assert_close(planned, slow)
 
 
 def test_turn_mirror_and_shift_change_nothing() -> None:
@@ -256,14 +200,6 @@ def test_order_padding_and_other_scenes_change_nothing() -> None:
     assert (result[:, 25:] == 0).all()
 
 
-def test_people_whom_the_policy_does_not_move_act_on_the_others() -> None:
-    policy = SocialForce()
-    seen = observation(*crowd(5, 4, 2.0))
-    expected = policy(seen)["agents", "action"]
-    seen["agents", "controlled"] = torch.tensor([True, False, False, True]).expand(5, 4)
-    assert torch.equal(policy(seen)["agents", "action"], expected)
-
-
 def reference(position: Tensor, velocity: Tensor, desired: Tensor, settings: SocialForceSettings) -> Tensor:
     """Return accelerations (A, 2) of one scene by the paper's equations: all pairs, gradients by autograd."""
     position, velocity, desired = (part.double() for part in (position, velocity, desired))
@@ -286,9 +222,9 @@ def test_a_crowd_of_150_is_what_all_pairs_give() -> None:
     position, velocity, desired = crowd(2, 150, 16.0)
     settings = replace(PAPER, neighbor_dist=3.0)
     result = accelerate(position.double(), velocity.double(), desired.double(), settings)
-    for scene in range(2):
-        expected = reference(position[scene], velocity[scene], desired[scene], settings)
-        gap = (result[scene] - expected).norm(dim=1)
+    for number in range(2):
+        expected = reference(position[number], velocity[number], desired[number], settings)
+        gap = (result[number] - expected).norm(dim=1)
         # whose angle is 100 degrees to the last bit may be on the other side
         assert (gap < 1e-4).float().mean() > 0.98
     alone = accelerate(position, velocity, desired, replace(settings, max_neighbors=0))
@@ -305,32 +241,26 @@ def test_beyond_the_cut_off_the_force_is_negligible() -> None:
 
 
 def test_people_at_the_same_place_part() -> None:
-    still = torch.zeros(1, 3, 2)
-    place = torch.tensor([[[1.0, 1.0], [1.0, 1.0], [9.0, 9.0]]])
-    desired = torch.full((1, 3, 2), 1e-6)
+    place, desired = torch.tensor([[[1.0, 1.0], [1.0, 1.0], [9.0, 9.0]]]), torch.full((1, 3, 2), 1e-6)
     settings = replace(PAPER, anisotropy="none")
-    result = accelerate(place, still, desired, settings)
-    assert result.isfinite().all()
-    assert torch.allclose(result[0, 0], -result[0, 1], atol=1e-4)
-    assert float(result[0, 0].norm()) == pytest.approx(7 * math.exp(-0.01 / 0.3), rel=1e-3)
+    result, swapped, other = (
+        accelerate(place, 0 * place, desired, settings, identity=torch.tensor([identity]))[0, :2]
+        for identity in ([0, 1, 2], [1, 0, 2], [1, 7, 2])
+    )
+    assert result.isfinite().all() and torch.allclose(result[0], -result[1], atol=1e-4)
+    assert float(result[0].norm()) == pytest.approx(7 * math.exp(-0.01 / 0.3), rel=1e-3)
     # by who they are, not by where they are in the batch
-    swapped = accelerate(place, still, desired, settings, identity=torch.tensor([[1, 0, 2]]))
-    assert torch.allclose(swapped[0, :2], result[0, [1, 0]], atol=1e-4)
-    other = accelerate(place, still, desired, settings, identity=torch.tensor([[1, 7, 2]]))
-    assert not torch.allclose(other[0, 0], result[0, 0], atol=0.1)
+    assert torch.allclose(swapped, result[[1, 0]], atol=1e-4)
+    assert not torch.allclose(other[0], result[0], atol=0.1)
 
 
 def test_long_decisions_are_integrated_in_tenths_of_a_second() -> None:
     position, velocity, desired = crowd(6, 5, 3.0)
-    settings = replace(PAPER, neighbor_dist=50.0)
-    mask, identity, liked = (
-        torch.ones(6, 5, dtype=torch.bool),
-        torch.arange(5).expand(6, 5),
-        desired.norm(dim=-1),
-    )
-    long = social_force_velocity(position, velocity, desired, liked, mask, settings, 0.4, identity)
+    mask, identity = torch.ones(6, 5, dtype=torch.bool), torch.arange(5).expand(6, 5)
+    rest = desired, desired.norm(dim=-1), mask, replace(PAPER, neighbor_dist=50.0)
+    long = social_force_velocity(position, velocity, *rest, 0.4, identity)
     for _ in range(4):
-        velocity = social_force_velocity(position, velocity, desired, liked, mask, settings, 0.1, identity)
+        velocity = social_force_velocity(position, velocity, *rest, 0.1, identity)
         position = position + 0.1 * velocity
     assert torch.allclose(long, velocity, atol=1e-4)
 
@@ -405,26 +335,17 @@ def test_opposite_walls_cancel_in_the_middle() -> None:
     assert torch.allclose(result[1], -result[2], atol=1e-3)
 
 
-def test_a_convex_corner_counts_once() -> None:
+def test_convex_corners_count_once_and_both_walls_of_a_room() -> None:
     cells = np.zeros((80, 80), bool)
     cells[:40, :40] = True  # its corner is at (2, 2)
-    result = push(
-        block(cells), torch.tensor([[2.3, 2.4], [2.3, 2.0], [2.3, 1.999], [2.0, 2.3], [1.999, 2.3]])
-    )
-    assert result[0].tolist() == pytest.approx([0.6 * plain(0.5), 0.8 * plain(0.5)], abs=1e-4)
-    for wanted, one in zip(
-        ([plain(0.3), 0], [plain(0.3), 0], [0, plain(0.3)], [0, plain(0.3)]), result[1:], strict=True
-    ):
-        assert one.tolist() == pytest.approx(wanted, abs=1e-3)
-
-
-def test_both_walls_of_a_rooms_corner_count() -> None:
-    cells = np.zeros((80, 80), bool)
-    cells[:20] = cells[:, :20] = True
+    at = torch.tensor([[2.3, 2.4], [2.3, 2.0], [2.3, 1.999], [2.0, 2.3], [1.999, 2.3]])
+    near, far = plain(0.3), plain(0.5)
+    expected = torch.tensor([[0.6 * far, 0.8 * far], [near, 0], [near, 0], [0, near], [0, near]])
+    torch.testing.assert_close(push(block(cells), at), expected, atol=1e-3, rtol=0)
+    cells[:], cells[:20], cells[:, :20] = False, True, True
     result = push(block(cells), torch.tensor([[1.3, 1.5], [1.2, 1.2]]))
-    assert result.flatten().tolist() == pytest.approx(
-        [plain(0.3), plain(0.5), plain(0.2), plain(0.2)], abs=1e-3
-    )
+    expected = torch.tensor([[near, far], [plain(0.2), plain(0.2)]])
+    torch.testing.assert_close(result, expected, atol=1e-3, rtol=0)
 
 
 def test_at_a_bend_the_force_neither_doubles_nor_jumps(
@@ -444,12 +365,16 @@ def test_at_a_bend_the_force_neither_doubles_nor_jumps(
         assert result.norm(dim=1).min() > 0.9 * plain(distance)
 
 
-def test_a_doorway_is_symmetric_and_smooth() -> None:
+def doorway() -> MapBank:
+    """Return a wall of 0.15 m along x = 3.075 with a door of 0.85 m, centred at y = 3.025."""
     cells = np.zeros((121, 120), bool)
     cells[:, 60:63] = True
-    cells[52:69, 60:63] = False  # 0.85 m, centred at y = 3.025; the wall is 0.15 m thick
-    walls = block(cells)
-    centre = torch.tensor([3.075, 3.025])
+    cells[52:69, 60:63] = False
+    return block(cells)
+
+
+def test_a_doorway_is_symmetric_and_smooth() -> None:
+    walls, centre = doorway(), torch.tensor([3.075, 3.025])
     across = torch.linspace(-0.27, 0.27, 541)
     for x in (0.0, 0.05, -0.3):
         result = push(walls, centre + torch.stack((torch.full((541,), x), across), 1))
@@ -517,25 +442,26 @@ def test_people_look_at_the_segments_within_reach() -> None:
 
 
 def test_walls_turn_with_map_and_scene() -> None:
+    """Whoever moves the others, and in any batch."""
     cells = np.random.default_rng(0).random((30, 30)) < 0.1
-    policy = SocialForce(SocialForceSettings(fluctuation=0))
     grid = OccupancyGrid(cells.astype(np.uint8) * OCCUPIED, 0.2, (1.0, -2.0, 0.4), name="random")
     bank = MapBank([grid])
     position, velocity, desired = crowd(20, 4, 5.0)
     position = position + torch.tensor([0.0, -1.0])
-    here = policy(observation(position, velocity, desired, grid.map_id, maps=bank))["agents", "action"]
+    here = commanded(scene(position, velocity, desired, maps=bank))
     pose = torch.tensor([[2.1, -1.0, 4.0, -7.0]]).expand(20, 4)
-    parts = move_to_scene(position, pose), turn_to_scene(velocity, pose), turn_to_scene(desired, pose)
-    there = policy(observation(*parts, grid.map_id, pose, bank))["agents", "action"]
-    assert torch.allclose(there, turn_to_scene(here, pose), atol=1e-3)
-    some = policy(observation(position[3:5], velocity[3:5], desired[3:5], grid.map_id, maps=bank))[
-        "agents", "action"
-    ]
-    assert torch.equal(some, here[3:5])
-    blind = SocialForce(SocialForceSettings(fluctuation=0, walls=False))
-    free = blind(observation(position, velocity, desired, grid.map_id, maps=bank))["agents", "action"]
+    turned = scene(
+        *(move_to_scene(position, pose), turn_to_scene(velocity, pose), turn_to_scene(desired, pose)),
+        maps=bank,
+    )
+    turned["scene_pose"] = pose
+    torch.testing.assert_close(commanded(turned), turn_to_scene(here, pose), atol=1e-3, rtol=0)
+    moved = torch.tensor([True, False, False, True]).expand(2, 4)
+    some = scene(*(part[3:5] for part in (position, velocity, desired)), controlled=moved, maps=bank)
+    assert torch.equal(commanded(some), here[3:5])
+    free = commanded(scene(position, velocity, desired, maps=bank), walls=False)
     assert not torch.allclose(free, here, atol=0.1)
-    assert torch.equal(policy(observation(position, velocity, desired))["agents", "action"], free)
+    assert torch.equal(commanded(scene(position, velocity, desired)), free)
 
 
 def test_places_on_and_in_walls_give_numbers() -> None:
@@ -578,19 +504,17 @@ def test_actions_are_differentiable() -> None:
 
 
 def test_fluctuations_free_people_who_meet_head_on() -> None:
-    position = torch.tensor([[[0.0, 0.0], [2.0, 0.0]]])
-    velocity = torch.tensor([[[1.0, 0.0], [-1.0, 0.0]]])
-    exact, usual = SocialForce(SocialForceSettings(fluctuation=0)), SocialForce()
-    straight = exact(observation(position, velocity, velocity))["agents", "action"]
+    position, velocity = torch.tensor([[[0.0, 0.0], [2.0, 0.0]], [[1.0, 0.0], [-1.0, 0.0]]]).unsqueeze(1)
+    straight = commanded(scene(position, velocity, velocity))
     assert straight[0, 0, 1] < 0 and straight[0, 1, 1] == -straight[0, 0, 1]  # both keep to the right
-    once, again = (usual(observation(position, velocity, velocity))["agents", "action"] for _ in range(2))
+    once, again = (commanded(scene(position, velocity, velocity), fluctuation=0.1) for _ in range(2))
     assert torch.equal(once, again)
     assert 0 < (once - straight).norm(dim=-1).max() < 0.05
     place, now, nearest = position, velocity, math.inf
     for step in range(60):
-        seen = observation(place, now, velocity)
+        seen = scene(place, now, velocity)
         seen["time"] = torch.full((1, 1), 0.1 * step)
-        now = usual(seen)["agents", "action"]
+        now = commanded(seen, fluctuation=0.1)
         place = place + 0.1 * now
         nearest = min(nearest, float((place[0, 0] - place[0, 1]).norm()))
     assert place[0, 0, 0] > place[0, 1, 0] + 1
@@ -600,21 +524,12 @@ def test_fluctuations_free_people_who_meet_head_on() -> None:
 @pytest.mark.parametrize(("preset", "passes"), [("1995", False), ("indoor", True)])
 @pytest.mark.parametrize("side", [0.0, 0.1])
 def test_a_lone_person_needs_the_indoor_preset_to_pass_a_door(preset: Any, passes: bool, side: float) -> None:
-    cells = np.zeros((121, 120), bool)
-    cells[:, 60:63] = True
-    cells[52:69, 60:63] = False  # 0.85 m, centred at y = 3.025
-    policy = SocialForce(SocialForceSettings(preset=preset))
-    bank = block(cells)
+    bank = doorway()
     map_id = torch.tensor([bank.grids[0].map_id])
-    place, velocity, goal = (
-        torch.tensor([[[1.0, 3.025 + side]]]),
-        torch.zeros(1, 1, 2),
-        torch.tensor([5.0, 3.025]),
-    )
+    place, velocity = torch.tensor([[[1.0, 3.025 + side]]]), torch.zeros(1, 1, 2)
     for _ in range(60):
-        way = goal - place
-        desired = 1.3 * way / way.norm(dim=-1, keepdim=True)
-        velocity = policy(observation(place, velocity, desired, int(map_id), maps=bank))["agents", "action"]
+        desired = 1.3 * torch.nn.functional.normalize(torch.tensor([5.0, 3.025]) - place, dim=-1)
+        velocity = commanded(scene(place, velocity, desired, maps=bank), preset=preset, fluctuation=0.1)
         place = place + 0.1 * velocity
         assert bank.signed_distance(place, map_id, identity_pose(1)).min() > 0.2
     assert (float(place[0, 0, 0]) > 4) == passes

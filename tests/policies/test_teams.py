@@ -6,9 +6,10 @@ import json
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
 import pytest
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
@@ -17,13 +18,13 @@ from pedzoo.cli.main import main
 from pedzoo.core.batch import ROBOT, agents_of, ids_of, scene_batch
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import blended, identity_pose
-from pedzoo.eval.rollout import prepare, rollout, run
+from pedzoo.eval.rollout import prepare, run
 from pedzoo.eval.suite import EvaluationCase, WorkUnit
 from pedzoo.eval.trained_on import for_fold, has_seen
 from pedzoo.eval.work_units import digest
 from pedzoo.maps.bank import MapBank
 from pedzoo.policies.controller.controller import Controller
-from pedzoo.policies.crowd_names import Member, is_crowd, members, parts
+from pedzoo.policies.crowd_names import is_crowd, members, parts
 from pedzoo.policies.load import load_policy, teams
 from pedzoo.policies.policy import Policy
 from pedzoo.policies.teams import Teams
@@ -62,7 +63,7 @@ class Clock(Told):
 TOLD, CLOCK = f"{__file__}:Told", f"{__file__}:Clock"
 
 
-def scene(time: float | list[float] = 0.0, keys: Any = (7, 8, 9), people: int = 4, **more: Any) -> TensorDict:
+def scene(time: Any = 0.0, keys: Any = (7, 8, 9), people: int = 4, **more: Any) -> TensorDictBase:
     """Return scenes of people who walk along x at 0.8 m/s."""
     size = (len(keys), people)
     velocity = torch.tensor([0.8, 0.0]).expand(*size, 2)
@@ -87,9 +88,9 @@ def scene(time: float | list[float] = 0.0, keys: Any = (7, 8, 9), people: int = 
     )
 
 
-def policies(crowd: Teams) -> list[Any]:
-    """Return the policies of the teams."""
-    return [cast("Any", team).policy for team in crowd.teams]
+def calls_of(crowd: Any) -> list[list[list[float]]]:
+    """Return when each team's policy was asked about each scene, call by call, seconds."""
+    return [team.policy.calls for team in crowd.teams]
 
 
 def answer(crowd: Any, batch: TensorDictBase) -> Tensor:
@@ -124,7 +125,7 @@ def test_a_plus_joins_policies_outside_paths_and_numbers(text: str, result: list
     assert is_crowd(text) == (len(result) > 1 or "share" in text)
 
 
-def test_a_plus_in_the_name_of_a_file_that_exists_is_part_of_it(
+def test_a_plus_in_the_name_of_an_existing_file_is_part_of_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -132,26 +133,28 @@ def test_a_plus_in_the_name_of_a_file_that_exists_is_part_of_it(
         (tmp_path / name).mkdir()
         (tmp_path / name / "my+file.py").write_text(Path(__file__).read_text())
     (tmp_path / "best+last.ckpt").touch()
-    for name in (
-        "best+last.ckpt",
-        "a+orca/my+file.py:Told",
-        "./deep/my+file.py:Told",
-        str(tmp_path / "a+orca"),
-    ):
+    files = "best+last.ckpt", "a+orca/my+file.py:Told", "./deep/my+file.py:Told", str(tmp_path / "a+orca")
+    for name in files:
         assert parts(f"{name}:share=0.5+orca+{name}") == [f"{name}:share=0.5", "orca", name]
-    crowd = load_policy("a+orca/my+file.py:Told:dt=0.1,share=0.5+orca")
-    assert [type(policy).__name__ for policy in policies(cast("Teams", crowd))] == ["Told", "Orca"]
+    crowd: Any = load_policy("a+orca/my+file.py:Told:dt=0.1,share=0.5+orca")
+    assert [type(team.policy).__name__ for team in crowd.teams] == ["Told", "Orca"]
 
 
-def test_teams_without_a_share_have_equal_parts_of_the_rest() -> None:
-    assert members("orca:share=0.5,radius=0.3+go_to_goal+sgan.zara1") == [
-        Member("orca:radius=0.3", 0.5),
-        Member("go_to_goal", 0.25),
-        Member("sgan.zara1", 0.25),
-    ]
-    assert members("orca:share=1") == [Member("orca", 1.0)]
-    thirds = members("orca+orca+orca")
-    assert [member.share for member in thirds] == pytest.approx([1 / 3] * 3)
+@pytest.mark.parametrize(
+    ("text", "shares"),
+    [
+        (
+            "orca:share=0.5,radius=0.3+go_to_goal+sgan.zara1",
+            {"orca:radius=0.3": 0.5, "go_to_goal": 0.25, "sgan.zara1": 0.25},
+        ),
+        ("orca:share=1", {"orca": 1.0}),
+        ("orca+go_to_goal+sgan.zara1", {"orca": 1 / 3, "go_to_goal": 1 / 3, "sgan.zara1": 1 / 3}),
+    ],
+)
+def test_teams_without_a_share_share_the_rest(text: str, shares: dict[str, float]) -> None:
+    result = members(text)
+    assert [member.policy for member in result] == [*shares]
+    assert [member.share for member in result] == pytest.approx([*shares.values()])
 
 
 @pytest.mark.parametrize(
@@ -191,34 +194,31 @@ def test_shares_come_true_over_many_people() -> None:
 
 
 def test_a_person_has_a_team_whatever_the_batch_and_the_slot() -> None:
-    crowd = teams("orca+go_to_goal")
+    crowd, order = teams("orca+go_to_goal"), torch.tensor([4, 2, 0, 5, 1, 3])
     whole = crowd.assigned(scene(keys=range(50), people=6))[0]
     alone = [crowd.assigned(scene(time=3.7, keys=[key], people=2))[0] for key in range(50)]
     assert torch.equal(torch.cat(alone), whole[:, :2])
-    order = torch.randperm(6, generator=torch.Generator().manual_seed(0))
     shuffled = crowd.assigned(scene(keys=range(50), people=6, id=order.expand(50, 6)))[0]
     assert torch.equal(shuffled, whole[:, order])
 
 
 def test_each_agent_has_one_team_that_sees_all_others() -> None:
-    crowd = teams(f"{TOLD}:x=0.1,dt=0.1+{TOLD}:x=0.2,dt=0.1+{TOLD}:x=0.3,dt=0.1")
-    batch = scene(keys=range(20), people=6)
+    crowd: Any = teams(f"{TOLD}:x=0.1,dt=0.1+{TOLD}:x=0.2,dt=0.1+{TOLD}:x=0.3,dt=0.1")
     controlled = torch.rand(20, 6, generator=torch.Generator().manual_seed(1)) < 0.8
-    agents_of(batch)["controlled"] = controlled
+    batch: Any = scene(keys=range(20), people=6, controlled=controlled)
     action = answer(crowd, batch)
-    moved = torch.stack([policy.moved[0] for policy in policies(crowd)])
+    moved = torch.stack([team.policy.moved[0] for team in crowd.teams])
     assert torch.equal(moved.sum(0), controlled.long())
     wanted = (moved * torch.tensor([0.1, 0.2, 0.3]).view(3, 1, 1)).sum(0)
     assert torch.allclose(action[..., 0], wanted)
-    assert torch.equal(cast("Any", batch)["agents", "controlled"], controlled), "the batch stays as it was"
+    assert torch.equal(batch["agents", "controlled"], controlled), "the batch stays as it was"
 
 
 def test_robots_have_their_own_policy() -> None:
-    crowd = teams(people=f"{TOLD}:x=0.1,dt=0.1+{TOLD}:x=0.2,dt=0.1", robots=Told(0.1, x=9.0))
+    crowd: Any = teams(people=f"{TOLD}:x=0.1,dt=0.1+{TOLD}:x=0.2,dt=0.1", robots=Told(0.1, x=9.0))
     kind = torch.tensor([0, ROBOT, 0, ROBOT]).expand(3, 4)
-    action = answer(crowd, scene(kind=kind))[..., 0]
-    assert torch.equal(action == 9.0, kind == ROBOT)
-    assert torch.equal(policies(crowd)[2].moved[0], kind == ROBOT)
+    assert torch.equal(answer(crowd, scene(kind=kind))[..., 0] == 9.0, kind == ROBOT)
+    assert torch.equal(crowd.teams[2].policy.moved[0], kind == ROBOT)
     mixed = answer(teams(people=f"{TOLD}:x=0.1,dt=0.1"), scene(kind=kind))[..., 0]
     assert torch.allclose(mixed, torch.tensor(0.1)), "else robots are moved as people"
 
@@ -227,81 +227,62 @@ def test_robots_have_their_own_policy() -> None:
 
 
 def test_each_team_decides_at_its_own_interval() -> None:
-    crowd = teams(f"{TOLD}:dt=0.4+{TOLD}:dt=0.1+{TOLD}:dt=0.2")
+    """Asked twice, it says the same; a team without agents is not asked."""
+    crowd = teams(people=f"{TOLD}:dt=0.4+{CLOCK}:dt=0.1+{TOLD}:dt=0.2", robots=Told(0.1))
     assert crowd.decision_dt == 0.1
     for step in range(9):
-        answer(crowd, scene(time=0.1 * step, keys=range(30)))
-    slow, fast, middle = ([calls[0] for calls in policy.calls] for policy in policies(crowd))
-    assert slow == [0.0, 0.4, 0.8]
-    assert fast == [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8]
-    assert middle == [0.0, 0.2, 0.4, 0.6, 0.8]
-
-
-def test_a_team_without_agents_is_not_asked() -> None:
-    crowd = teams(people=f"{TOLD}:dt=0.4", robots=Told(0.1))
-    answer(crowd, scene())
-    assert [len(policy.calls) for policy in policies(crowd)] == [1, 0]
-    answer(crowd, scene(controlled=torch.zeros(3, 4, dtype=torch.bool), time=0.4))
-    assert [len(policy.calls) for policy in policies(crowd)] == [1, 0]
+        batch = scene(time=0.1 * step, keys=range(30))
+        assert torch.equal(answer(crowd, batch), answer(crowd, batch))
+    slow, fast, middle, robots = ([calls[0] for calls in team] for team in calls_of(crowd))
+    assert slow[::2] == slow[1::2] == [0.0, 0.4, 0.8]
+    assert fast[::2] == fast[1::2] == [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8]
+    assert middle[::2] == middle[1::2] == [0.0, 0.2, 0.4, 0.6, 0.8]
+    assert robots == []
 
 
 def test_newcomers_decide_at_once_and_then_with_their_team() -> None:
-    crowd = teams(people=f"{CLOCK}:dt=0.4", robots=Told(0.1))
-    slow, person = policies(crowd)[0], torch.tensor([[0, 1, 2]])
-    some = torch.tensor([[True, True, False]])
-    velocities = {}
+    crowd, person = teams(people=f"{CLOCK}:dt=0.4", robots=Told(0.1)), torch.tensor([[0, 1, 2]])
+    some, velocities = torch.tensor([[True, True, False]]), []
     for step in range(5):
-        time = 0.1 * step
         more = {"controlled": some | (step >= 2), "id": torch.where(person == 0, 5 * (step >= 3), person)}
-        velocities[step] = answer(crowd, scene(time=time, keys=[7], people=3, **more))[0, :, 0]
-    assert [calls[0] for calls in slow.calls] == [0.0, 0.2, 0.3, 0.4]
+        now = scene(time=0.1 * step, keys=[7], people=3, **more)
+        velocities.append(answer(crowd, now)[0, :, 0].tolist())
+    assert [calls[0] for calls in calls_of(crowd)[0]] == [0.0, 0.2, 0.3, 0.4]
 
     def walked(decided: float, step: int) -> float:
-        plan = blended(torch.tensor([0.8, 0.0]), torch.tensor([1 + decided, 0.0]), 4)
-        return plan[0, step].item()
+        return blended(torch.tensor([0.8, 0.0]), torch.tensor([1 + decided, 0.0]), 4)[0, step].item()
 
-    assert velocities[2].tolist() == pytest.approx([walked(0.0, 2), walked(0.0, 2), walked(0.2, 0)])
-    assert velocities[3].tolist() == pytest.approx([walked(0.3, 0), walked(0.0, 3), walked(0.2, 1)]), (
-        "another person"
-    )
-    assert velocities[4].tolist() == pytest.approx([walked(0.4, 0)] * 3)
+    assert velocities[2] == pytest.approx([walked(0.0, 2), walked(0.0, 2), walked(0.2, 0)])
+    # the first one is another person now
+    assert velocities[3] == pytest.approx([walked(0.3, 0), walked(0.0, 3), walked(0.2, 1)])
+    assert velocities[4] == pytest.approx([walked(0.4, 0)] * 3)
 
 
 def test_scenes_in_which_no_person_decides_are_not_asked_about() -> None:
     crowd = teams(people=f"{TOLD}:dt=0.4", robots=Told(0.1))
     for step in range(6):
         answer(crowd, scene(time=[0.1 * step, 0.1 * step + 0.2, 0.1 * step + 4.0]))
-    # the second scene is two steps ahead, but all begin with the first call
-    assert policies(crowd)[0].calls == [[0.0, 0.2, 4.0], [0.4, 0.6, 4.4]]
     answer(crowd, scene(time=[0.6, 0.0, 4.6]))  # the second begins anew
-    assert policies(crowd)[0].calls[2:] == [[0.0]]
+    # the second scene is two steps ahead, but all begin with the first call
+    assert calls_of(crowd)[0] == [[0.0, 0.2, 4.0], [0.4, 0.6, 4.4], [0.0]]
 
 
 def test_other_batches_and_changed_slots_do_not_mix_plans() -> None:
     """What a scene is told does not depend on what else the crowd is asked about in between."""
-    times = [0.1 * step for step in range(12)]
-    alone = teams(f"{CLOCK}:dt=0.4+{CLOCK}:dt=0.2")
-    wanted = [answer(alone, scene(time=time, keys=range(6))) for time in times]
-    crowd = teams(f"{CLOCK}:dt=0.4+{CLOCK}:dt=0.2")
+    alone, crowd = (teams(f"{CLOCK}:dt=0.4+{CLOCK}:dt=0.2") for _ in range(2))
     order = torch.tensor([2, 0, 3, 1])
-    for step, time in enumerate(times):
+    for step in range(12):
+        time = 0.1 * step
+        wanted = answer(alone, scene(time=time, keys=range(6)))
         if step % 3 == 2:
-            result = torch.cat(
-                [answer(crowd, scene(time=time, keys=range(low, low + 2))) for low in (4, 0, 2)]
-            ).roll(-2, 0)
+            some = [answer(crowd, scene(time=time, keys=range(low, low + 2))) for low in (4, 0, 2)]
+            result = torch.cat(some).roll(-2, 0)
         elif step % 3 == 1:
             result = answer(crowd, scene(time=time, keys=range(6), id=order.expand(6, 4)))[:, order.argsort()]
         else:
             result = answer(crowd, scene(time=time, keys=range(6)))
         answer(crowd, scene(time=time + 0.1, keys=range(20, 29), people=7))
-        torch.testing.assert_close(result, wanted[step])
-
-
-def test_a_crowd_asked_twice_says_the_same() -> None:
-    crowd = teams(f"{CLOCK}:dt=0.4+{TOLD}:dt=0.1")
-    for step in range(6):
-        batch = scene(time=0.1 * step)
-        assert torch.equal(answer(crowd, batch), answer(crowd, batch))
+        torch.testing.assert_close(result, wanted)
 
 
 @pytest.mark.parametrize("fast", [0.1, 0.2])
@@ -400,23 +381,15 @@ def test_a_team_that_fails_ends_its_scenes_alone(dt: float, value: str) -> None:
 def test_a_teams_safety_layer_avoids_all_of_another_team() -> None:
     """Two people meet head-on, a little aside: only the first has the layer, the second keeps its course."""
     crowd = teams("go_to_goal:safety=true,share=0.5+go_to_goal:dt=0.1")
-    keys = [
-        key for key in range(40) if crowd.assigned(scene(keys=[key], people=2))[0].tolist() == [[True, False]]
-    ]
-    size = (len(keys), 2)
-    ahead = torch.tensor([[1.2, 0.0], [-1.2, 0.0]]).expand(*size, 2)
-    begin = torch.tensor([[-0.5, 0.0], [0.5, 0.1]]).expand(*size, 2)
-    ago = torch.arange(-7, 1).view(8, 1) * 0.4
-    way = {
-        "velocity": ahead,
-        "desired_velocity": ahead,
-        "history": begin.unsqueeze(2) + ago * ahead.unsqueeze(2),
-    }
-    moved = torch.zeros(*size, 2)
+    theirs = crowd.assigned(scene(keys=range(40), people=2))[0].tolist()
+    keys = [key for key in range(40) if theirs[key] == [True, False]]
+    ahead = torch.tensor([[1.2, 0.0], [-1.2, 0.0]]).expand(len(keys), 2, 2)
+    begin = torch.tensor([[-0.5, 0.0], [0.5, 0.1]]).expand(len(keys), 2, 2)
+    way = {"history": begin.unsqueeze(2) + torch.arange(-7, 1).view(8, 1) * 0.4 * ahead.unsqueeze(2)}
+    way |= {"velocity": ahead, "desired_velocity": ahead}
+    moved = torch.zeros(len(keys), 2, 2)
     for step in range(4):
-        batch = scene(time=0.1 * step, keys=keys, people=2)
-        agents_of(batch).update(TensorDict(way, size))
-        moved += 0.1 * answer(crowd, batch)
+        moved += 0.1 * answer(crowd, scene(time=0.1 * step, keys=keys, people=2, **way))
     torch.testing.assert_close(moved[:, 1], 0.4 * ahead[:, 1])
     parts_of_step = torch.linspace(0, 1, 50).view(-1, 1, 1)
     apart = begin[:, 0] - begin[:, 1] + parts_of_step * (moved[:, 0] - moved[:, 1])
@@ -428,40 +401,25 @@ def test_recorded_people_stay_with_their_team() -> None:
     env = make_env("replay:fold=embedded", decision_dt=0.1)
     crowd = cast("Teams", load_policy("orca:share=0.5+go_to_goal"))
     results: dict[int, set[bool]] = {}
-    slots: dict[int, set[int]] = {}
     now = env.reset()
     for _ in range(120):
         team, person, there = crowd.assigned(now)[0][0], ids_of(now)[0], agents_of(now)["mask"][0]
         for slot in there.nonzero()[:, 0].tolist():
             results.setdefault(int(person[slot]), set()).add(bool(team[slot]))
-            slots.setdefault(slot, set()).add(int(person[slot]))
-        result = env.step(crowd(now))
-        now = env.step_mdp(result)
+        now = env.step_mdp(env.step(crowd(now)))
     assert all(len(teams) == 1 for teams in results.values())
     assert {team for teams in results.values() for team in teams} == {True, False}
 
 
-def test_a_mixed_crowd_replays_a_recording() -> None:
-    result, env = rollout("orca:share=0.5+sgan_goal.indoor", "replay:fold=embedded", "compiled", episodes=1)
-    env.physics.close()
-    assert not result.failed.any()
-    assert (result.controlled & (result.reached > 0)).any(), "a person arrives"
-
-
 def test_a_mixed_crowd_is_a_controller() -> None:
     """People come and go, and their numbers change slots."""
-    crowd = cast("Teams", load_policy("orca:share=0.5+go_to_goal"))
-    controller = Controller(crowd, dt=0.1)
-    people = {name: (float(x), 0.0) for x, name in enumerate("abcdef")}
+    controller = Controller(cast("Teams", load_policy("orca:share=0.5+go_to_goal")), dt=0.1)
+    people = {name: np.array((float(x), 0.0)) for x, name in enumerate("abcdef")}
     for step in range(8):
         if step == 3:
             del people["b"]
-        goals = dict.fromkeys(people, (30.0, 5.0))
-        velocity = controller.step(people, goals)
-        people = {
-            name: (xy[0] + 0.1 * velocity[name][0], xy[1] + 0.1 * velocity[name][1])
-            for name, xy in people.items()
-        }
+        velocity = controller.step(people, dict.fromkeys(people, (30.0, 5.0)))
+        people = {name: xy + 0.1 * velocity[name] for name, xy in people.items()}
     assert all(xy[0] > x + 0.3 for x, (name, xy) in enumerate(sorted(people.items())))
 
 
@@ -479,16 +437,10 @@ def test_rollout_of_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "did you mean 'sgan_goal_map.indoor'" in capsys.readouterr().err
 
 
-def test_evaluate_of_the_command_line_refuses_a_misspelt_part(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["evaluate", "orcaa:share=0.5+go_to_goal", "--suite", "door"]) == 2
-    assert "did you mean 'orca'" in capsys.readouterr().err
-
-
 def test_evaluate_from_python() -> None:
     crowd = "orca:share=0.5+go_to_goal"
     report = pedzoo.evaluate([crowd], suites=["door"], episodes=2, physics="compiled")
     assert {row["name"] for row in report["rows"]} == {crowd}
-    assert "rollout" in dir(pedzoo) and pedzoo.rollout.__wrapped__ is rollout
     assert {"orca", "sgan_goal_map.indoor", "bent_line"} <= set(pedzoo.list_policies())
     assert pedzoo.list_policies("orc*") == ["orca"]
 
@@ -496,9 +448,8 @@ def test_evaluate_from_python() -> None:
 def test_weights_of_a_mixed_crowd_have_not_seen_the_fold() -> None:
     crowd = "orca:share=0.5+sgan_goal.zara1:noise=step"
     assert for_fold(crowd, "hotel") == "orca:share=0.5+sgan_goal.hotel:noise=step"
-    assert (
-        has_seen(crowd, "hotel") and not has_seen(crowd, "zara1") and not has_seen("orca+go_to_goal", "eth")
-    )
+    assert has_seen(crowd, "hotel")
+    assert not has_seen(crowd, "zara1") and not has_seen("orca+go_to_goal", "eth")
 
 
 def test_a_unit_of_a_mixed_crowd_knows_its_weights(monkeypatch: pytest.MonkeyPatch) -> None:

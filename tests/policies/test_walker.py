@@ -57,18 +57,18 @@ def drawn(walker: Walker, **where: Any) -> Tensor:
         return walker(scene(**where))["agents", "action"] * 0.4
 
 
-def test_noise_of_an_episode_is_a_persons_own_and_stays() -> None:
-    walker = Walker(Echo(), noise="episode")
-    first = drawn(walker)
-    assert torch.equal(drawn(walker, time=4.0), first)
-    assert len(first.flatten(0, 1).unique(dim=0)) == 12
-    assert not torch.equal(drawn(walker, key=100), first)
-
-
-def test_noise_of_a_step_changes() -> None:
-    walker = Walker(Echo(), noise="step")
-    assert not torch.equal(drawn(walker, time=0.4), drawn(walker, time=0.8))
-    assert torch.equal(drawn(walker, time=0.4), drawn(walker, time=0.4))
+@pytest.mark.parametrize("noise", ["episode", "step", "scene", "mixed"])
+def test_noise_goes_by_scene_person_time_and_seed(noise: Any) -> None:
+    """That of an episode stays, that of a step changes, one of a scene is the same for all in it."""
+    first = drawn(Walker(Echo(), noise), time=0.4)
+    assert torch.equal(drawn(Walker(Echo(), noise, noise_seed=0), time=0.4), first)
+    assert len(first.flatten(0, 1).unique(dim=0)) == (3 if noise == "scene" else 12)
+    assert torch.equal(first, first[:, :1].expand_as(first)) == (noise == "scene")
+    assert torch.equal(drawn(Walker(Echo(), noise), time=4.0), first) == (noise in ("episode", "scene"))
+    seeds = [drawn(Walker(Echo(), noise, noise_seed=seed), time=0.4) for seed in (1, 2)]
+    for other in (*seeds, drawn(Walker(Echo(), noise), time=0.4, key=100)):
+        assert not (other == first).any()
+    assert not (seeds[0] == seeds[1]).any()
 
 
 @pytest.mark.parametrize(("numbers", "stay"), [(2, 1), (5, 3), (8, 4), (1, 1)])
@@ -76,31 +76,15 @@ def test_mixed_noise_is_half_of_the_episode_half_of_the_step(numbers: int, stay:
     """The first half of the numbers stays for an episode as `episode` has it, the rest is that of `step`."""
     model = Echo()
     model.noise_dim = numbers
+    cases: Any = (("mixed", 0.4), ("mixed", 4.0), ("episode", 4.0), ("step", 4.0))
     with set_exploration_type(ExplorationType.RANDOM):
-        early, late, always, now = (
-            drawing.noise_of(scene(time=time))
-            for drawing, time in (
-                (Walker(model, noise="mixed"), 0.4),
-                (Walker(model, noise="mixed"), 4.0),
-                (Walker(model, noise="episode"), 4.0),
-                (Walker(model, noise="step"), 4.0),
-            )
-        )
-    assert early is not None and late is not None and always is not None and now is not None
-    assert late.shape == (3, 4, numbers)
-    assert torch.equal(late[..., :stay], early[..., :stay]) and torch.equal(
-        late[..., :stay], always[..., :stay]
-    )
+        noises: Any = [Walker(model, noise=noise).noise_of(scene(time=time)) for noise, time in cases]
+    early, late, always, now = noises
+    assert late.shape == (3, 4, numbers) and episode_noise_dim(numbers) == stay
+    assert torch.equal(late[..., :stay], early[..., :stay])
+    assert torch.equal(late[..., :stay], always[..., :stay])
     assert torch.equal(late[..., stay:], now[..., stay:])
     assert not (late[..., stay:] == early[..., stay:]).any()
-    assert episode_noise_dim(numbers) == stay
-
-
-@pytest.mark.parametrize("noise", ["episode", "step", "scene", "mixed"])
-def test_another_noise_seed_is_another_noise_for_the_same_scenes(noise: Any) -> None:
-    first, same, other, third = (drawn(Walker(Echo(), noise, noise_seed=seed)) for seed in (0, 0, 1, 2))
-    assert torch.equal(first, same) and torch.equal(first, drawn(Walker(Echo(), noise)))
-    assert not (first == other).any() and not (other == third).any()
 
 
 EARLIER = [2.02319288, 0.02603248, -1.06847107, 0.15305239]
@@ -110,12 +94,6 @@ def test_noise_is_what_it_was_in_earlier_versions() -> None:
     """Tables and cards rest on it: numbers of 2026-11 for seed 0."""
     result = drawn(Walker(Echo()), scenes=1, people=2)
     assert result.flatten().tolist() == pytest.approx(EARLIER, abs=1e-5)
-
-
-def test_noise_of_a_scene_is_the_same_for_all_in_it() -> None:
-    first = drawn(Walker(Echo(), noise="scene"))
-    assert torch.equal(first, first[:, :1].expand_as(first))
-    assert len(first[:, 0].unique(dim=0)) == 3
 
 
 def test_noise_does_not_depend_on_who_else_is_there() -> None:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from pedzoo.core.geometry import limit_speed
+from pedzoo.core.geometry import limit_speed, limited
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.maps.walls import LocalWalls
 
@@ -150,8 +150,8 @@ class ProposedSteps(NamedTuple):
         half = 0.5 * (TRACE_SECONDS * self.velocity.movedim(-1, 0) - command)
         size, length = ((values.square().sum(0) + 1e-12).sqrt() for values in (half, command))
         half = half * (length / size).clamp_max(1.0)
-        begin = _limited(command + half, _QUARTER * self.longest)
-        middle = begin + 2 * _limited(command - 0.5 * half, _QUARTER * self.longest)
+        begin = limited(command + half, _QUARTER * self.longest)
+        middle = begin + 2 * limited(command - 0.5 * half, _QUARTER * self.longest)
         return torch.where(self.moved, torch.stack((begin, middle, middle + command)), straight)
 
 
@@ -318,10 +318,6 @@ class WallConstraints(NamedTuple):
         if places.requires_grad:
             gap = gap + ((places - places.detach()) * away).sum(0)
         return gap, away
-
-
-def _limited(move: Tensor, longest: Tensor) -> Tensor:
-    return move * (longest / move.square().sum(0).clamp_min(1e-12).sqrt()).clamp_max(1.0)
 
 
 def _plus(radius: Tensor, margin: float, usual: float) -> Tensor:

@@ -12,7 +12,7 @@ the avoidance to people.
 """
 
 import math
-from typing import cast
+from typing import Any, cast
 
 import torch
 from tensordict import TensorDictBase
@@ -160,9 +160,27 @@ def kept_clear(steps: ProposedSteps, walls: LocalWalls | None = None, shoulders:
     """
     if not loops_take(steps):
         return kept_clear_in_torch(steps, walls, shoulders)
-    from pedzoo.policies.safety_layer.slopes import KeptClear
+    return _KeptClear.apply(steps.position, steps.step, steps.velocity, steps, walls, shoulders)
 
-    return KeptClear.apply(steps.position, steps.step, steps.velocity, steps, walls, shoulders)
+
+class _KeptClear(torch.autograd.Function):
+    """Records the corrections of steps if gradients are asked for, and goes back over them."""
+
+    @staticmethod
+    def forward(ctx: Any, *given: Any) -> Tensor:
+        """Return the steps (B, A, 2), of positions, steps and velocities, then all of `kept_clear`."""
+        from pedzoo.policies.safety_layer.loops import kept  # numba takes a second
+
+        out = torch.empty_like(given[1], memory_format=torch.contiguous_format)
+        ctx.stored = kept(*given[3:], out, any(ctx.needs_input_grad))
+        return out
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Any) -> tuple[Tensor | None, ...]:
+        """Return gradients (B, A, 2) of positions, steps and velocities."""
+        from pedzoo.policies.safety_layer.slopes import slopes_of
+
+        return *slopes_of(ctx.stored, gradients[0]), None, None, None
 
 
 def safe(batch: TensorDictBase, step: Tensor, shoulders: float = SHOULDERS) -> Tensor:

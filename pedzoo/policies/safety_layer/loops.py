@@ -8,9 +8,12 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from pedzoo.core.compiled import compiled, jit
 from pedzoo.core.types import TRACE_SECONDS
+from pedzoo.maps.walls import LocalWalls
 from pedzoo.maps.walls_numba import quarter, wall_gap
 from pedzoo.policies.safety_layer.clearance import (
     AHEAD,
@@ -27,6 +30,7 @@ from pedzoo.policies.safety_layer.clearance import (
     SHARES,
     SPREAD,
     TIE,
+    ProposedSteps,
 )
 
 _LEAD = LEAD_SECONDS / TRACE_SECONDS
@@ -455,3 +459,43 @@ def keep_clear(people, walls, shoulders, out, trace):
         for a in range(agents):
             share = SHARES[level[a]]
             trace.shares[b, a], out[b, a] = share, share * step[a]
+
+
+def kept(
+    steps: ProposedSteps, walls: LocalWalls | None, shoulders: float, out: Tensor, records: bool
+) -> tuple[People, float, Trace]:
+    """Write steps (B, A, 2) to ``out`` by `keep_clear`; return what the way back needs if it ``records``."""
+    rank = torch.zeros_like(steps.longest) if steps.rank is None else steps.rank
+    parts = (*steps[:2], TRACE_SECONDS * steps.velocity, *steps[2:8], rank)
+    given = [part.detach().contiguous() for part in parts]
+    people = People(*map(as_complex, given[:3]), *(part.numpy() for part in given[3:]))
+    arrays = _NO_WALLS
+    if walls is not None:
+        frames, places = walls.frame.t().float().contiguous(), walls.place.t().contiguous()
+        arrays = WallArrays(frames.numpy(), places.numpy(), *walls.walls.arrays)
+    size = steps.moved.shape
+    trace = Trace(
+        narrow=np.empty(size, np.bool_),
+        slope=np.empty(size, np.complex64),
+        shares=np.empty(size, np.float32),
+        used=np.empty(size[0], np.int64),
+        record=np.empty((size[0], ROUNDS, size[1], 4) if records else (0, 0, 0, 4), np.complex128),
+        stands=np.empty(size, np.bool_),
+    )
+    keep_clear(people, arrays, float(shoulders), as_complex(out), trace)
+    return people, float(shoulders), trace
+
+
+def as_complex(vectors: Tensor) -> Any:
+    """Return contiguous vectors (..., 2) as complex numbers (...) in the same memory."""
+    return vectors.numpy().view(np.complex64)[..., 0]
+
+
+_NO_WALLS = WallArrays(
+    np.zeros((0, 7), np.float32),
+    np.zeros((0, 3), np.int32),
+    np.zeros(1, np.int32),
+    np.zeros((1, 1), np.float32),
+    np.zeros(1, np.float32),
+    0.0,
+)

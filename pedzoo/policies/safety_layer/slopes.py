@@ -1,11 +1,10 @@
-"""The way back over the safety layer's loops, for gradients; and the way of tensors into both.
+"""The way back over the safety layer's loops, for gradients.
 
 Gradients are those of the torch path: parts of a way, shares of steps and directions of walls count as
 constants. The gradient by (x, y) is the complex number x + iy, too.
 """
 
 import math
-from typing import Any
 
 import numpy as np
 import torch
@@ -13,17 +12,15 @@ from torch import Tensor
 
 from pedzoo.core.compiled import compiled, jit
 from pedzoo.core.types import TRACE_SECONDS
-from pedzoo.maps.walls import LocalWalls
-from pedzoo.policies.safety_layer.clearance import BEYOND, FIRST, HEAD_ON, ROUNDS, ProposedSteps
+from pedzoo.policies.safety_layer.clearance import BEYOND, FIRST, HEAD_ON
 from pedzoo.policies.safety_layer.loops import (
     PAIR,
     People,
     Trace,
-    WallArrays,
+    as_complex,
     closest,
     correction,
     dot,
-    keep_clear,
     limited,
     meetings,
     place_on,
@@ -196,65 +193,9 @@ def keep_clear_slope(people, shoulders, trace, gradient, of_position, of_step, o
             of_step[b, a], of_position[b, a], of_velocity[b, a] = of, place[a], before[a]
 
 
-class KeptClear(torch.autograd.Function):
-    """Records the corrections of steps if gradients are asked for, and goes back over them."""
-
-    @staticmethod
-    def forward(ctx: Any, *given: Any) -> Tensor:
-        """Return the steps (B, A, 2).
-
-        Given are positions, steps and velocities, then all of the steps, the walls and the shoulders.
-        """
-        steps, walls, shoulders = given[3:]
-        people, out = _people(steps), torch.empty_like(steps.step, memory_format=torch.contiguous_format)
-        size, records = steps.moved.shape, any(ctx.needs_input_grad)
-        trace = Trace(
-            narrow=np.empty(size, np.bool_),
-            slope=np.empty(size, np.complex64),
-            shares=np.empty(size, np.float32),
-            used=np.empty(size[0], np.int64),
-            record=np.empty((size[0], ROUNDS, size[1], 4) if records else (0, 0, 0, 4), np.complex128),
-            stands=np.empty(size, np.bool_),
-        )
-        keep_clear(people, _wall_arrays(walls), float(shoulders), _complex(out), trace)
-        if records:
-            ctx.stored = people, float(shoulders), trace
-        return out
-
-    @staticmethod
-    def backward(ctx: Any, *gradients: Any) -> tuple[Tensor | None, ...]:
-        """Return gradients (B, A, 2) of positions, steps and velocities."""
-        gradient = gradients[0].detach().contiguous()
-        place, step, velocity = (torch.empty_like(gradient) for _ in range(3))
-        keep_clear_slope(*ctx.stored, *(_complex(part) for part in (gradient, place, step, velocity)))
-        return place, step, TRACE_SECONDS * velocity, None, None, None
-
-
-def _complex(vectors: Tensor) -> Any:
-    """Return contiguous vectors (..., 2) as complex numbers (...) in the same memory."""
-    return vectors.numpy().view(np.complex64)[..., 0]
-
-
-def _people(steps: ProposedSteps) -> People:
-    rank = torch.zeros_like(steps.longest) if steps.rank is None else steps.rank
-    parts = [
-        part.detach().contiguous() for part in (*steps[:2], TRACE_SECONDS * steps.velocity, *steps[2:8], rank)
-    ]
-    return People(*map(_complex, parts[:3]), *(part.numpy() for part in parts[3:]))
-
-
-_NO_WALLS = WallArrays(
-    np.zeros((0, 7), np.float32),
-    np.zeros((0, 3), np.int32),
-    np.zeros(1, np.int32),
-    np.zeros((1, 1), np.float32),
-    np.zeros(1, np.float32),
-    0.0,
-)
-
-
-def _wall_arrays(walls: LocalWalls | None) -> WallArrays:
-    if walls is None:
-        return _NO_WALLS
-    frames, places = walls.frame.t().float().contiguous(), walls.place.t().contiguous()
-    return WallArrays(frames.numpy(), places.numpy(), *walls.walls.arrays)
+def slopes_of(stored: tuple[People, float, Trace], gradient: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return gradients (B, A, 2) of positions, steps and velocities, for that of what `kept` has stored."""
+    gradient = gradient.detach().contiguous()
+    place, step, velocity = (torch.empty_like(gradient) for _ in range(3))
+    keep_clear_slope(*stored, *(as_complex(part) for part in (gradient, place, step, velocity)))
+    return place, step, TRACE_SECONDS * velocity
