@@ -52,13 +52,13 @@ def crowd(people: int, seed: int = 0, scenes: int = 64, mixed: bool = False) -> 
 
 
 def steps(position: Any, step: Any, longest: float = 0.8, **more: Tensor) -> ProposedSteps:
-    """Return the steps of one scene, or of several, of people who walk already as they ask to."""
+    """Return the steps of one scene, or of several, of people who stand so far."""
     position, step = (torch.as_tensor(values, dtype=torch.float32) for values in (position, step))
     position, step = (values if values.dim() == 3 else values.unsqueeze(0) for values in (position, step))
     there = torch.ones(position.shape[:2], dtype=torch.bool)
     other = {"longest": torch.full(there.shape, longest), "present": there, "moved": there}
     other |= {"waits": torch.zeros_like(there), "robot": torch.zeros_like(there)}
-    other |= {"radius": torch.full(there.shape, BODY_RADIUS), "velocity": step.detach() / STEP_SECONDS}
+    other |= {"radius": torch.full(there.shape, BODY_RADIUS), "velocity": torch.zeros_like(step.detach())}
     return ProposedSteps(position, step, **other | more)
 
 

@@ -18,6 +18,7 @@ from pedzoo.metrics.arrival import deadlock, success
 from pedzoo.models.architectures import social_walker
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.safety_layer.clearance import (
+    BEYOND,
     LEAST_SHARE,
     MARGIN,
     kept_clear_in_torch,
@@ -61,7 +62,7 @@ def test_of_two_who_wait_one_goes_first() -> None:
 def test_people_behind_make_way(answer: Callable[..., Tensor]) -> None:
     """In the open: of the correction of two, one behind the other, the person behind makes nearly all."""
     result = answer(steps([[0.0, 0.0], [-0.5, 0.0]], [[0.1, 0.0], [0.5, 0.0]], 1.15), None)
-    lacks = 2 * BODY_RADIUS + MARGIN - 0.1
+    lacks = (2 * BODY_RADIUS + MARGIN - (0.5 - BEYOND * 0.4)) / BEYOND
     assert float(result[0, 0, 0]) == pytest.approx(0.1 + LEAST_SHARE * lacks, abs=5e-3)
     assert float(result[0, 1, 0]) == pytest.approx(0.5 - (1 - LEAST_SHARE) * lacks, abs=5e-3)
 

@@ -19,12 +19,11 @@ from pedzoo.core.geometry import identity_pose, move_to_scene, turn_to_scene
 from pedzoo.maps import segments as segment_table
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
-from pedzoo.maps.segments import SegmentTable, edges, outlines
+from pedzoo.maps.segments import outlines
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.rule_based.social_force import (
     SocialForce,
     SocialForceSettings,
-    WallPoints,
     repulsion,
     smooth_weight,
     social_force_velocity,
@@ -268,13 +267,20 @@ def test_long_decisions_are_integrated_in_tenths_of_a_second() -> None:
 # --- walls
 
 
-def block(cells: NDArray[np.bool_], cell: float = 0.05, yaw: float = 0.0) -> MapBank:
-    """Return the bank of a floor plan."""
-    grid = OccupancyGrid(cells.astype(np.uint8) * OCCUPIED, cell, (0.0, 0.0, yaw), name=f"{cells.sum()}")
-    return MapBank([grid])
+def block(*walls: tuple[slice, slice], shape: tuple[int, int] = (80, 80), free: Any = ()) -> MapBank:
+    """Return a floor plan of cells of 0.05 m: ``walls`` are full, and then some are ``free``."""
+    cells = np.zeros(shape, np.uint8)
+    for part in walls:
+        cells[part] = OCCUPIED
+    for part in free:
+        cells[part] = 0
+    return MapBank([OccupancyGrid(cells, 0.05, name=f"{shape} {cells.sum()}")])
 
 
-def points_of(bank: MapBank, places: Tensor) -> WallPoints:
+EVERY, CORNER = slice(None), (slice(40), slice(40))
+
+
+def points_of(bank: MapBank, places: Tensor) -> tuple[Tensor, Tensor]:
     """Return the points of walls that act at places (N, 2)."""
     table = bank.walls.segments(PAPER.wall_reach, hollows=False, dtype=places.dtype)
     return wall_points(table, places.T, torch.zeros(len(places), dtype=torch.long))
@@ -291,31 +297,24 @@ def plain(distance: float) -> float:
 
 
 def test_a_straight_wall_by_hand_in_however_many_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    cells = np.zeros((80, 200), bool)
-    cells[:20] = True  # y < 1 is wall
     at = torch.tensor([[5.0, 1.3], [5.03, 1.3], [4.987, 1.05], [5.0, 1.0005]])
-    expected = torch.tensor(
-        [[0.0, 50 * 0.223130], [0, 50 * 0.223130], [0, 50 * 0.778801], [0, 50 * 0.997503]]
-    )
-    torch.testing.assert_close(push(block(cells), at), expected, atol=1e-3, rtol=0)
+    expected = torch.tensor([[0.0, 0.223130], [0, 0.223130], [0, 0.778801], [0, 0.997503]]) * 50
 
     def cut(occupied: NDArray[np.bool_]) -> list[NDArray[np.float64]]:
         pieces = np.linspace(0, 1, 41)[:-1, None]
-        return [
-            np.concatenate(
-                [a + pieces * (b - a) for a, b in zip(polygon, np.roll(polygon, -1, 0), strict=True)]
-            )
-            for polygon in outlines(occupied)
-        ]
+        sides = [zip(one, np.roll(one, -1, 0), strict=True) for one in outlines(occupied)]
+        return [np.concatenate([a + pieces * (b - a) for a, b in side]) for side in sides]
 
-    monkeypatch.setattr(segment_table, "outlines", cut)
-    torch.testing.assert_close(push(block(cells), at), expected, atol=1e-3, rtol=0)
-    assert points_of(block(cells), at).weight.sum(0).tolist() == [1, 1, 1, 1]
+    for pieces in (outlines, cut):
+        monkeypatch.setattr(segment_table, "outlines", pieces)
+        walls = block((slice(20), EVERY), shape=(80, 200))  # y < 1 is wall
+        torch.testing.assert_close(push(walls, at), expected, atol=1e-3, rtol=0)
+        assert points_of(walls, at)[1].sum(0).tolist() == [1, 1, 1, 1]
 
 
 def test_a_wall_across_the_cells_is_one_wall() -> None:
     y, x = np.mgrid[:300, :300]
-    walls = block(0.37 * x - y > 20)  # a staircase
+    walls = block(0.37 * x - y > 20, shape=(300, 300))  # type: ignore[arg-type] # a staircase
     along, away = torch.tensor([[1.0, 0.37], [-0.37, 1.0]]) / math.hypot(0.37, 1)
     at = torch.tensor([7.5, 1.775]) + torch.arange(-1.5, 1.5, 0.01)[:, None] * along + 0.4 * away
     result = push(walls, at)
@@ -327,24 +326,21 @@ def test_a_wall_across_the_cells_is_one_wall() -> None:
 
 
 def test_opposite_walls_cancel_in_the_middle() -> None:
-    cells = np.zeros((40, 200), bool)
-    cells[:8] = cells[-8:] = True  # a corridor of 1.2 m
-    result = push(block(cells), torch.tensor([[5.0, 1.0], [5.0, 0.7], [5.0, 1.3]]))
+    corridor = block((slice(8), EVERY), (slice(32, None), EVERY), shape=(40, 200))  # 1.2 m wide
+    result = push(corridor, torch.tensor([[5.0, 1.0], [5.0, 0.7], [5.0, 1.3]]))
     assert result[0].norm() < 1e-4
     assert result[1].tolist() == pytest.approx([0, plain(0.3) - plain(0.9)], abs=1e-3)
     assert torch.allclose(result[1], -result[2], atol=1e-3)
 
 
 def test_convex_corners_count_once_and_both_walls_of_a_room() -> None:
-    cells = np.zeros((80, 80), bool)
-    cells[:40, :40] = True  # its corner is at (2, 2)
     at = torch.tensor([[2.3, 2.4], [2.3, 2.0], [2.3, 1.999], [2.0, 2.3], [1.999, 2.3]])
     near, far = plain(0.3), plain(0.5)
     expected = torch.tensor([[0.6 * far, 0.8 * far], [near, 0], [near, 0], [0, near], [0, near]])
-    torch.testing.assert_close(push(block(cells), at), expected, atol=1e-3, rtol=0)
-    cells[:], cells[:20], cells[:, :20] = False, True, True
-    result = push(block(cells), torch.tensor([[1.3, 1.5], [1.2, 1.2]]))
+    torch.testing.assert_close(push(block(CORNER), at), expected, atol=1e-3, rtol=0)
+    room = block((slice(20), EVERY), (EVERY, slice(20)))
     expected = torch.tensor([[near, far], [plain(0.2), plain(0.2)]])
+    result = push(room, torch.tensor([[1.3, 1.5], [1.2, 1.2]]))
     torch.testing.assert_close(result, expected, atol=1e-3, rtol=0)
 
 
@@ -353,7 +349,7 @@ def test_at_a_bend_the_force_neither_doubles_nor_jumps(
 ) -> None:
     bent = np.array([[0.0, 0.0], [200, 0], [200, 60], [100, 40], [0, 60]])  # 11 degrees to either side
     monkeypatch.setattr(segment_table, "outlines", lambda occupied: [bent])
-    walls = block(np.ones((2, 2), bool))
+    walls = block((EVERY, EVERY), shape=(2, 2))
     for height in (0.15, 0.3, 0.6):
         at = torch.stack(
             (torch.linspace(4.5, 5.5, 1001), 2 + height + torch.linspace(-0.1, 0.1, 1001).abs()), 1
@@ -367,10 +363,8 @@ def test_at_a_bend_the_force_neither_doubles_nor_jumps(
 
 def doorway() -> MapBank:
     """Return a wall of 0.15 m along x = 3.075 with a door of 0.85 m, centred at y = 3.025."""
-    cells = np.zeros((121, 120), bool)
-    cells[:, 60:63] = True
-    cells[52:69, 60:63] = False
-    return block(cells)
+    wall = slice(60, 63)
+    return block((EVERY, wall), shape=(121, 120), free=[(slice(52, 69), wall)])
 
 
 def test_a_doorway_is_symmetric_and_smooth() -> None:
@@ -388,26 +382,23 @@ def test_a_doorway_is_symmetric_and_smooth() -> None:
 
 
 def test_hollows_in_walls_do_not_push() -> None:
-    solid = np.zeros((60, 60), bool)
-    solid[20:30] = True
-    hollow = solid.copy()
-    hollow[22:26, 3:50] = False  # 0.2 m wide: no person stands in there
-    at = torch.tensor([[1.5, 1.8], [1.2, 0.6]])
-    assert torch.equal(push(block(hollow), at), push(block(solid), at))
-    wide = solid.copy()
-    wide[21:29, 3:50] = False  # 0.4 m
-    assert not torch.allclose(push(block(wide), at), push(block(solid), at), rtol=1e-3)
+    at, wall, inside = torch.tensor([[1.5, 1.8], [1.2, 0.6]]), (slice(20, 30), EVERY), slice(3, 50)
+    solid = push(block(wall, shape=(60, 60)), at)
+    # 0.2 m wide: no person stands in there
+    assert torch.equal(push(block(wall, shape=(60, 60), free=[(slice(22, 26), inside)]), at), solid)
+    wide = push(block(wall, shape=(60, 60), free=[(slice(21, 29), inside)]), at)
+    assert not torch.allclose(wide, solid, rtol=1e-3)
 
 
 def test_in_clutter_the_force_changes_smoothly() -> None:
     random = np.random.default_rng(3)
-    cells = np.zeros((160, 160), bool)
-    cells[[0, -1]] = cells[:, [0, -1]] = True
+    ends = slice(None, None, 159)
+    boxes: list[Any] = [(ends, EVERY), (EVERY, ends)]
     for _ in range(25):
         row, column = random.integers(5, 150, 2)
         high, wide = random.integers(1, 9, 2)
-        cells[row : row + high, column : column + wide] = True
-    walls = block(cells)
+        boxes.append((slice(row, row + high), slice(column, column + wide)))
+    walls = block(*boxes, shape=(160, 160))
     start = torch.from_numpy(random.random((300, 2)) * 7 + 0.5).float()
     angle = torch.from_numpy(random.random(300) * 7).float()
     line = torch.arange(120)[:, None, None] * 0.005 * torch.stack((angle.cos(), angle.sin()), 1) + start
@@ -419,26 +410,6 @@ def test_in_clutter_the_force_changes_smoothly() -> None:
     one_wall = 0.005 / 0.2 * NEAREST * (-field[1:] / 0.2).exp()
     assert fair.sum() > 10_000
     assert (change / one_wall)[fair].max() < 5
-
-
-def test_people_look_at_the_segments_within_reach() -> None:
-    random = np.random.default_rng(1)
-    maps = [outlines(random.random((40, 60)) < share) for share in (0.2, 0.6)]
-    segments = [np.concatenate([edges(polygon * 0.3) for polygon in one]) for one in maps]
-    table = SegmentTable.build(segments, 1.1, None).to(torch.device("cpu"), torch.float64)
-    place = torch.from_numpy(random.random((2, 400))) * torch.tensor([[22.0], [16.0]]) - 2
-    row = torch.from_numpy(random.integers(-1, 2, 400))
-    number, valid = table.nearest(place, row, torch.full((400,), 1.1, dtype=torch.float64))
-    result = torch.zeros(400, table.segments.shape[1]).index_put_(
-        (torch.arange(400), number), valid.float(), accumulate=True
-    )[:, :-1]
-    start, along, length = table.segments[:5, None, :-1].split((2, 2, 1))
-    off = place[:, :, None] - start
-    t = (off * along).sum(0).clamp_min(0).minimum(length[0])
-    near = (off - t * along).norm(dim=0) < 1.1
-    outside = along[0] * off[1] - along[1] * off[0] < 0
-    own = torch.tensor([0] * len(segments[0]) + [1] * len(segments[1])) == row[:, None]
-    assert torch.equal(result, (near & outside & own).float())
 
 
 def test_walls_turn_with_map_and_scene() -> None:
@@ -465,37 +436,27 @@ def test_walls_turn_with_map_and_scene() -> None:
 
 
 def test_places_on_and_in_walls_give_numbers() -> None:
-    cells = np.zeros((80, 80), bool)
-    cells[:40, :40] = True
     at = torch.tensor([[1.0, 2.0], [2.0, 2.0], [1.0, 1.0], [1.9, 1.9], [math.nan, 0.0], [1e4, -1e4]])
-    assert push(block(cells), at).isfinite().all()
-    assert push(block(np.zeros((5, 5), bool)), at).abs().sum() == 0
+    assert push(block(CORNER), at).isfinite().all()
+    assert push(block(), at).abs().sum() == 0
     assert push(MapBank(), torch.zeros(0, 2)).shape == (0, 2)
 
 
 def test_actions_are_differentiable() -> None:
-    cells = np.zeros((80, 80), bool)
-    cells[:20] = True
-    cells[30:40, 30:40] = True
-    walls = block(cells)
-    position = torch.tensor([[[1.0, 1.3], [1.4, 1.35], [1.3, 1.8], [0.4, 1.6]]], dtype=torch.float64)
+    walls = block((slice(20), EVERY), (slice(30, 40), slice(30, 40)))
+    position = torch.tensor([[[1.0, 1.3], [1.4, 1.35], [1.3, 1.8], [0.4, 1.6]]]).double()
     _, velocity, desired = (part.double() for part in crowd(1, 4, 1.0))
+    mask, identity = torch.ones(1, 4, dtype=torch.bool), torch.arange(4)[None]
 
-    def action(position: Tensor, velocity: Tensor, desired: Tensor, speed: Tensor) -> Tensor:
-        mask, identity = torch.ones(1, 4, dtype=torch.bool), torch.arange(4)[None]
+    def force(place: Tensor, rows: Tensor | None) -> Tensor:
+        return wall_force(*points_of(walls, place.T), 10.0, 0.2)
 
-        def force(place: Tensor, rows: Tensor | None) -> Tensor:
-            return wall_force(*points_of(walls, place.T), 10.0, 0.2)
-
-        return social_force_velocity(
-            position, velocity, desired, speed, mask, PAPER, 0.2, identity, walls=force
-        )
+    def action(*state: Tensor) -> Tensor:
+        return social_force_velocity(*state, mask, PAPER, 0.2, identity, walls=force)
 
     inputs = [part.requires_grad_() for part in (position, velocity, desired, torch.ones(1, 4).double())]
     assert torch.autograd.gradcheck(action, inputs, atol=1e-4)
-    same = torch.zeros(1, 4, 2, requires_grad=True)
-    still = torch.zeros(1, 4, 2)
-    mask, identity = torch.ones(1, 4, dtype=torch.bool), torch.arange(4)[None]
+    same, still = torch.zeros(1, 4, 2, requires_grad=True), torch.zeros(1, 4, 2)
     social_force_velocity(same, still, still, torch.ones(1, 4), mask, PAPER, 0.1, identity).sum().backward()
     assert same.grad is not None and same.grad.isfinite().all()
 

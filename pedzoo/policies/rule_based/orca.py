@@ -80,26 +80,16 @@ class OrcaSettings:
         check_range(self, "orca", "jitter max_neighbors max_obstacles", "0 or more")
 
     def radii(self, body: Tensor, robot: Tensor, controlled: Tensor) -> Tensor:
-        """Return the radii (...) of the disks that ORCA avoids, metres.
+        """Return the radii (...) of the disks that ORCA avoids, metres, for those of the bodies.
 
         ``radius`` stands for persons with the usual body. Robots, and agents of another body that ORCA does
-        not move, count with their own one, and wider persons with at least that.
-
-        Args:
-            body: Radii of the bodies (...), metres.
-            robot: Which agents are robots (...) bool.
-            controlled: Which agents ORCA moves (...) bool.
+        not move, not ``controlled``, count with their own one, and wider persons with at least that.
         """
         own = torch.where(controlled & ~robot, body.clamp_min(self.radius), body)
         return torch.where(robot | ~is_person_sized(body), own, self.radius)
 
     def wall_reach(self, max_speed: Tensor, radius: Tensor | None = None) -> Tensor:
-        """Return the distance (...) within which walls matter, metres.
-
-        Args:
-            max_speed: Top speeds (...), m/s.
-            radius: Radii of the disks (...), metres; None for ``radius`` of the settings.
-        """
+        """Return within what distance (...) walls matter to disks of a top speed, m/s, and radius, metres."""
         return self.time_horizon_obst * max_speed + (self.radius if radius is None else radius)
 
 
@@ -195,14 +185,8 @@ def agent_lines(
 ) -> Tensor:
     """Return the constraints (4, K, N) of N people from their nearest neighbours, nearest first.
 
-    Args:
-        position: Positions (B, A, 2), metres; numbers for absent people, too.
-        velocity: Velocities (B, A, 2), m/s; likewise.
-        radius: Radii of the disks (B, A), metres; likewise.
-        share: How much of avoiding each of them is left to the others (B, A), 0.5 or 1; likewise.
-        mask: Which people are present (B, A).
-        rows: Which of the B * A people are asked for (N,) long; None: all.
-        settings: Time step, neighbours and horizon.
+    ``rows`` (N,) long are theirs of the B * A people, None for all. ``share`` (B, A), 0.5 or 1, is how much
+    of avoiding each is left to the others. All else is as of `orca_velocity`, with numbers for absent people.
     """
     neighbor, near = nearest(position, mask, settings.neighbor_dist, settings.max_neighbors, rows)
     moving = (position.flatten(0, 1).T, velocity.flatten(0, 1).T)
@@ -243,13 +227,8 @@ def agent_lines(
 def wall_lines(walls: Segments, velocity: Tensor, radius: Tensor, settings: OrcaSettings) -> Tensor:
     """Return the constraints (4, K, N) of N people from the wall segments near them, nearest first.
 
-    Those that do not count are 0; compiled loops leave them out.
-
-    Args:
-        walls: K segments of each person, nearest first.
-        velocity: Velocities (2, N), m/s.
-        radius: Radii of the disks (N,), metres.
-        settings: Horizon and number of segments.
+    ``velocity`` (2, N) is in m/s, the ``radius`` (N,) of the disks in metres. Constraints that do not count
+    are 0; compiled loops leave them out.
     """
     walls, scale = walls.nearest(settings.max_obstacles), 1 / settings.time_horizon_obst
     if compiles(velocity):
@@ -337,11 +316,8 @@ def _lines(walls: Segments, own_x: Tensor, own_y: Tensor, radius: Tensor, scale:
 def solve(lines: Tensor, walls: int, preferred: Tensor, max_speed: Tensor) -> Tensor:
     """Return the velocities (2, N): permitted ones, or where there are none, those violating lines least.
 
-    Args:
-        lines: Constraints (4, L, N) as above.
-        walls: How many of the L come from walls; these are never relaxed.
-        preferred: Preferred velocities (2, N), m/s.
-        max_speed: Top speeds (N,), m/s.
+    The first ``walls`` of the ``lines`` (4, L, N) are never relaxed. Preferred velocities (2, N) and top
+    speeds (N,) are in m/s.
     """
     if compiles(lines, preferred, max_speed):
         result = torch.empty(preferred.shape)

@@ -7,7 +7,7 @@ first, (2, K, N) for K others of N people: on a CPU several times faster than pa
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, cast, get_args
+from typing import Any, Literal, cast, get_args
 
 import torch
 from tensordict import TensorDictBase
@@ -228,20 +228,11 @@ def wall_force(offset: Tensor, weight: Tensor, strength: float, reach: float) ->
     return force.cumsum(1)[:, -1]
 
 
-class WallPoints(NamedTuple):
-    """M points of walls for each of N people.
+def wall_points(table: SegmentTable, place: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the M points of walls, within the table's reach, that act on people at ``place`` (2, N), metres.
 
-    Attributes:
-        offset: From the point to the person (2, M, N), metres, in the frame of the floor plan.
-        weight: 1 for minima of the distance, down to -1 for maxima, 0 for points that do not act (M, N).
-    """
-
-    offset: Tensor
-    weight: Tensor
-
-
-def wall_points(table: SegmentTable, place: Tensor, row: Tensor) -> WallPoints:
-    """Return the points of walls, within the table's reach, that act on people at ``place`` (2, N), metres.
+    That is the offset from each to the person (2, M, N), metres, in the frame of the floor plan, and a weight
+    (M, N): 1 for minima of the distance, down to -1 for maxima, 0 for points that do not act.
 
     The paper lets every border act with its nearest point (eq. 5), and leaves open what one border is. On a
     floor plan one wall is many cells, a room is one outline, and the nearest point of a doorway flips from
@@ -278,7 +269,7 @@ def wall_points(table: SegmentTable, place: Tensor, row: Tensor) -> WallPoints:
     nearest_before = off + before * (-past).minimum(length_before[0])
     likeness = dot(*(direction(torch.where(hollow, part, 0)) for part in (offset, nearest_before)))
     weight = torch.where(hollow, -(2 * likeness).clamp(0, 1), 0)
-    return WallPoints(torch.cat((offset, off), dim=1), torch.cat((acts.to(weight.dtype), weight)))
+    return torch.cat((offset, off), dim=1), torch.cat((acts.to(weight.dtype), weight))
 
 
 LONGEST_STEP = 0.1
@@ -451,9 +442,8 @@ class SocialForce(Policy):
         def force(place: Tensor, rows: Tensor | None) -> Tensor:
             mine = [part if rows is None else part.index_select(0, rows) for part in (pose, row, wider)]
             table = bank.walls.segments(settings.wall_reach, hollows=False, dtype=place.dtype)
-            points = wall_points(table, move_to_map(place.T, mine[0]).T.contiguous(), mine[1])
-            offset = closer(points.offset, mine[2])
-            total = wall_force(offset, points.weight, settings.wall_strength, settings.wall_range)
+            offset, weight = wall_points(table, move_to_map(place.T, mine[0]).T.contiguous(), mine[1])
+            total = wall_force(closer(offset, mine[2]), weight, settings.wall_strength, settings.wall_range)
             return turn_to_scene(total.T, mine[0]).T
 
         return force
