@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, cast
+from typing import cast
 
 import numpy as np
 import torch
@@ -23,23 +23,15 @@ SPOT, ROOM = 0.02, 0.02
 """Metres: agents who are nearer to each other share a spot, and the room that they get between bodies."""
 
 
-class Neighbors(NamedTuple):
-    """Up to K people near each of N people, nearest first (in single precision), equally near ones in order.
-
-    Attributes:
-        index: Their places b * A + a in the flattened batch (K, N) long; the person's own where not ``near``.
-        near: Which of the K there are (K, N) bool; None: all.
-    """
-
-    index: Tensor
-    near: Tensor | None
-
-
 @torch.no_grad()
 def nearest(
     position: Tensor, mask: Tensor, reach: float, most: int | None, rows: Tensor | None = None
-) -> Neighbors:
-    """Return each person's nearest others; absent people have none and are no person's.
+) -> tuple[Tensor, Tensor | None]:
+    """Return up to K others near each of N people; absent people have none and are no person's.
+
+    They are the nearest first (in single precision), equally near ones in order. Returned are their places
+    b * A + a in the flattened batch (K, N) long, the person's own where there is none, and which of the K
+    there are (K, N) bool, None for all.
 
     Args:
         position: Positions (B, A, 2), metres; anything for absent people.
@@ -52,14 +44,14 @@ def nearest(
     most = agents - 1 if most is None else min(agents - 1, most)
     place = torch.arange(mask.numel(), device=mask.device) if rows is None else rows
     if most < 1 or not len(place):
-        return Neighbors(place.new_zeros(0, len(place)), None)
+        return place.new_zeros(0, len(place)), None
     search = _of_all_pairs if agents <= ALL_PAIRS else _of_trees
     squared, other = search(torch.where(mask.unsqueeze(-1), position, torch.nan), reach, place)
     squared, other = squared[:, :most], other[:, :most]
     near = squared < torch.inf
     least, count = (int(bound) for bound in near.sum(1).aminmax())
     index = torch.where(near, other, place.unsqueeze(1))[:, :count].T.contiguous()
-    return Neighbors(index, None if least == count else near[:, :count].T.contiguous())
+    return index, None if least == count else near[:, :count].T.contiguous()
 
 
 def _of_all_pairs(position: Tensor, reach: float, place: Tensor) -> tuple[Tensor, Tensor]:

@@ -6,11 +6,12 @@ from functools import lru_cache
 from typing import Any
 
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 
 from pedzoo.core.batch import scene_batch
 from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
+from pedzoo.policies.policy import Policy
 from pedzoo.sim.make import prepare_scenario
 from pedzoo.sim.scenario import PreparedScenario
 
@@ -61,3 +62,19 @@ def scene(
         key=torch.zeros(len(there), 1, dtype=torch.long),
         time=torch.zeros(len(there), 1),
     )
+
+
+class Watch(Policy):
+    """Walks straight to the goal, at a factor of the desired velocity, and keeps what it saw."""
+
+    def __init__(self, dt: float = 0.4, factor: float = 1.0) -> None:
+        """Set the clock and the factor."""
+        super().__init__(dt)
+        self.factor = factor
+        self.seen: list[Any] = []
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the desired velocities."""
+        self.seen.append(tensordict.clone())
+        tensordict["agents", "action"] = tensordict["agents", "desired_velocity"] * self.factor
+        return tensordict

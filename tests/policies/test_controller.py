@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 import torch
-from tensordict import TensorDictBase
+from helpers.scenes import Watch
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 import pedzoo
@@ -22,7 +22,6 @@ from pedzoo.maps.plans import rectangles, room, wall
 from pedzoo.policies.controller.arguments import number_of
 from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.load import load_policy
-from pedzoo.policies.policy import Policy
 
 # two rooms of 5 x 6 m with a door of 1.2 m between, and a third behind a wall without one
 ROOMS = rectangles(
@@ -32,22 +31,6 @@ ROOMS = rectangles(
 
 THICK = rectangles([*room((0, 0), (15, 6), 0.2), (4.2, 0.0, 6.2, 6.0), *wall((10, 0), (10, 6), 0.2)], 0.1)
 """A room with a block, and another one behind a wall without a door."""
-
-
-class Straight(Policy):
-    """The desired velocity times a factor; keeps the batches that it was asked about."""
-
-    def __init__(self, factor: float = 1.0, dt: float = 0.4) -> None:
-        """Set the factor and the clock."""
-        super().__init__(dt)
-        self.factor = factor
-        self.seen: list[Any] = []
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write every person's velocity."""
-        self.seen.append(tensordict.clone())
-        tensordict["agents", "action"] = tensordict["agents", "desired_velocity"] * self.factor
-        return tensordict
 
 
 def arrays(answer: dict[Any, np.ndarray]) -> np.ndarray:
@@ -148,7 +131,7 @@ def test_noise_goes_by_seed_and_id_who_else_is_there():
 
 
 def test_newcomers_have_walked_here():
-    policy = Straight()
+    policy = Watch()
     controller = Controller(policy, pref_speed={"b": 2.0})
     controller.step({"a": [1.0, 1.0], "b": [0.0, 0.0]}, {"a": (11, 1), "b": (0, 9)}, {"a": (0.0, -0.5)})
     a, b = (sorted("ab", key=number_of).index(one) for one in "ab")
@@ -162,7 +145,7 @@ def test_newcomers_have_walked_here():
 
 
 def test_people_are_remembered_while_they_are_named():
-    policy = Straight()
+    policy = Watch()
     controller = Controller(policy)
     goals = {0: (100.0, 0.0), 1: (0.0, 100.0)}
     for tick in range(10):
@@ -180,7 +163,7 @@ def test_people_are_remembered_while_they_are_named():
 
 
 def test_newcomers_are_decided_at_once_others_at_the_interval():
-    policy = Straight()
+    policy = Watch()
     controller, answers = Controller(policy, dt=0.1), []
     for tick in range(9):
         people = {0: (0.0, 0.1 * tick)} | ({1: [1.0, 1.0]} if tick >= 6 else {})
@@ -207,7 +190,7 @@ def test_newcomers_are_decided_at_once_others_at_the_interval():
 )
 def test_between_two_decisions_velocities_blend(dt: float, shares: list[float]):
     """From 1.3 m/s along x to 1.3 m/s along y: half-way in the first 0.1 s, made up for in the next 0.2 s."""
-    controller, place, result = Controller(Straight(), dt=dt), np.zeros(2), []
+    controller, place, result = Controller(Watch(), dt=dt), np.zeros(2), []
     for _ in shares:
         place = place + dt * controller.step({0: place}, {0: (100.0, 0.0)})[0]
     turn = place
@@ -220,10 +203,10 @@ def test_between_two_decisions_velocities_blend(dt: float, shares: list[float]):
 
 
 def test_velocities_are_shortened_to_the_top_speed():
-    fast = Controller(Straight(factor=3.0), pref_speed=1.0).step({"a": (0, 0)}, {"a": (3, 4)})
+    fast = Controller(Watch(factor=3.0), pref_speed=1.0).step({"a": (0, 0)}, {"a": (3, 4)})
     np.testing.assert_allclose(fast["a"], (1.3 * 0.6, 1.3 * 0.8), rtol=1e-6)
     assert fast["a"].dtype == np.float64
-    still = Controller(Straight(factor=0.0)).step({"a": (0, 0)}, {"a": (3, 4)})
+    still = Controller(Watch(factor=0.0)).step({"a": (0, 0)}, {"a": (3, 4)})
     assert still["a"].tolist() == [0, 0]
 
 
@@ -242,7 +225,7 @@ def test_orca_at_its_own_clock_and_through_the_door():
 
 
 def test_goals_that_no_person_has_any_more_are_forgotten():
-    policy = Straight()
+    policy = Watch()
     controller = Controller(policy, rectangles(room((0, 0), (5, 5), 0.1), resolution=0.1))
     cells = np.stack(np.meshgrid(np.arange(1, 4, 0.2), np.arange(1, 4, 0.2)), -1).reshape(-1, 2)
     for goal in cells[:100]:
@@ -273,7 +256,7 @@ def test_goals_that_no_person_has_any_more_are_forgotten():
     ],
 )
 def test_what_cannot_be_walked_is_refused(positions, goals, message):
-    controller = Controller(Straight(), THICK)
+    controller = Controller(Watch(), THICK)
     with pytest.raises(UserError, match=message):
         controller.step(positions, goals)
     assert list(controller.step({"cy": (1, 1)}, {"cy": (3, 3)})) == ["cy"]
@@ -285,7 +268,7 @@ def test_steps_that_are_no_steps_of_a_simulator_are_refused(dt: float):
     with pytest.raises(
         UserError, match=rf"dt {dt}: expected seconds between two .* at most 0\.4 s{unit}".replace("+", r"\+")
     ):
-        Controller(Straight(), dt=dt)
+        Controller(Watch(), dt=dt)
 
 
 def test_settings_out_of_range_are_refused(tmp_path: Path):
@@ -294,9 +277,9 @@ def test_settings_out_of_range_are_refused(tmp_path: Path):
     with pytest.raises(UserError, match="execute_steps 4"):
         Controller(pedzoo.policy("sgan_goal.zara1", execute_steps=4))
     with pytest.raises(UserError, match=r"pref_speed -1 of 'a'"):
-        Controller(Straight(), pref_speed=-1).step({"a": (0, 0)}, {"a": (1, 0)})
+        Controller(Watch(), pref_speed=-1).step({"a": (0, 0)}, {"a": (1, 0)})
     with pytest.raises(UserError, match="not finite for 'a'"):
-        Controller(Straight(factor=float("nan"))).step({"a": (0, 0)}, {"a": (1, 0)})
+        Controller(Watch(factor=float("nan"))).step({"a": (0, 0)}, {"a": (1, 0)})
 
 
 def test_ids_have_numbers_that_no_run_changes():
@@ -305,13 +288,13 @@ def test_ids_have_numbers_that_no_run_changes():
     assert number_of(-1) >= 0
 
 
-def seen(policy: Straight, key: str) -> torch.Tensor:
+def seen(policy: Watch, key: str) -> torch.Tensor:
     """Return what the policy was last told of all agents."""
     return cast("torch.Tensor", agents_of(policy.seen[-1])[key])
 
 
 def test_companies_are_seen_until_they_change() -> None:
-    policy = Straight()
+    policy = Watch()
     controller = Controller(policy)
     people = {name: (0.0, float(y)) for y, name in enumerate("abc")}
     goals = {name: (9.0, float(y)) for y, name in enumerate("abc")}
@@ -351,7 +334,7 @@ def test_who_has_arrived_stands_until_another_goal(name: str, goal: Any):
 
 
 def test_a_goal_counts_as_reached_between_two_calls_and_once():
-    policy = Straight()
+    policy = Watch()
     controller = Controller(policy)
     controller.step({"a": (0.0, 0.0), "b": (0.0, 9.0)}, {"a": (1.0, 0.2), "b": (99.0, 9.0)})
     controller.step({"a": (2.0, 0.0), "b": (0.0, 9.0)})  # past it, 0.2 m beside
@@ -366,7 +349,7 @@ def test_a_goal_counts_as_reached_between_two_calls_and_once():
 
 
 def test_others_are_seen_and_not_returned():
-    policy = Straight()
+    policy = Watch()
     controller = Controller(policy)
     for tick in range(10):
         result = controller.step(
@@ -398,7 +381,7 @@ def test_others_are_seen_and_not_returned():
 
 
 def test_a_box_is_several_discs_with_histories_of_their_own():
-    policy = Straight()
+    policy = Watch()
     controller = Controller(policy)
     for tick in range(3):
         discs = np.array([[4.0, 0.2 * tick], [5.0, 0.4 * tick], [6.0, 0.6 * tick]])
@@ -432,7 +415,7 @@ def test_a_clock_that_jitters_gives_regular_histories():
         angle = 0.6 * np.asarray(time)
         return 2 * np.stack((np.cos(angle), np.sin(angle)), -1)
 
-    draw, policy = np.random.default_rng(0), Straight()
+    draw, policy = np.random.default_rng(0), Watch()
     controller = Controller(policy, dt=0.1)
     times = 1.7e9 + 0.1 * np.arange(100) + draw.uniform(-0.04, 0.04, 100)
     for time in times:
@@ -483,7 +466,7 @@ def test_people_walk_alike_by_a_clock_that_jitters(name: str):
     ],
 )
 def test_wrong_others_radii_and_times_change_nothing(given, message):
-    policy = Straight()
+    policy = Watch()
     controller = Controller(policy)
     controller.step({"anna": (1, 1)}, {"anna": (8, 1)}, time=3.0)
     with pytest.raises(UserError, match=message):

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from helpers.scenes import Watch
 from numpy.typing import NDArray
-from tensordict import TensorDictBase
 
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
@@ -19,7 +19,6 @@ from pedzoo.core.types import STEP_SECONDS
 from pedzoo.maps.plans import rectangles, room
 from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.load import load_policy
-from pedzoo.policies.policy import Policy
 
 RULES = ("go_to_goal", "orca", "social_force:preset=indoor")
 LEARNED = ("go_to_goal:safety=true", "sgan_goal_map.indoor", "social_walker.indoor")
@@ -101,20 +100,19 @@ def test_people_start_and_brake_as_people_do(name: str, dt: float) -> None:
 def test_goals_that_come_change_and_go_at_any_moment(name: str, dt: float) -> None:
     """New people at speed, goals within the braking distance, changed while braking, and taken away."""
     start = 60.0 * np.stack((np.arange(8), np.zeros(8)), 1)
-    east, north = np.array([1.0, 0.0]), np.array([0.0, 1.0])
-    first = [start[0] + 4 * east, start[1] + 0.5 * east, start[2] + 0.1 * east, None]
-    first += [row + 4 * east for row in start[4:]]
-    later = {0: dict(enumerate(first))}
-    later[math.ceil(2.9 / dt)] = {4: start[4] + 6 * east + 2 * north, 5: None}
-    later[math.ceil(3.1 / dt)] = {6: start[6] + 5 * east - 3 * north, 5: start[5] + 7 * east}
-    later[math.ceil(7.0 / dt)] = {7: start[7] + 8 * east}
-    moving = {one: 1.3 * east for one in range(8)}
-    path, answers = walked(Controller(policy_of(name), dt=dt), start, later, moving, 14.0)
-    aim = np.array([*first[:3], path[-1, 3], later[math.ceil(2.9 / dt)][4], start[5] + 7 * east])
-    aim = np.concatenate((aim, [later[math.ceil(3.1 / dt)][6], start[7] + 8 * east]))
-    at_rest(path, answers, aim, dt)
+    ways = {0: [(4, 0), (0.5, 0), (0.1, 0), None, *[(4, 0)] * 4]}
+    later = {2.9: {4: (6, 2), 5: None}, 3.1: {6: (5, -3), 5: (7, 0)}, 7.0: {7: (8, 0)}}
+    ways |= {math.ceil(time / dt): way for time, way in later.items()}
+    goals: dict[int, Any] = {}
+    for call, given in ways.items():
+        some = given.items() if isinstance(given, dict) else enumerate(given)
+        goals[call] = {one: None if way is None else start[one] + way for one, way in some}
+    moving = {one: (1.3, 0.0) for one in range(8)}
+    path, answers = walked(Controller(policy_of(name), dt=dt), start, goals, moving, 14.0)
+    last = [(4, 0), (0.5, 0), (0.1, 0), path[-1, 3] - start[3], (6, 2), (7, 0), (5, -3), (8, 0)]
+    at_rest(path, answers, start + np.array(last), dt)
     assert np.linalg.norm(path[-1, 3] - start[3]) < 0.7  # who is to stand brakes
-    change = accelerations(np.concatenate(([1.3 * east + 0 * start], answers)), dt)
+    change = accelerations(np.concatenate(([(1.3, 0.0) + 0 * start], answers)), dt)
     assert change.max() <= 2.5 + 1e-6
     # the next goal comes in time: nobody stops in between
     assert np.linalg.norm(answers[math.ceil(2.9 / dt) : math.ceil(4 / dt), 4], axis=1).min() > 0.3
@@ -134,21 +132,6 @@ def test_nobody_is_touched_where_many_arrive(name: str) -> None:
         nearest = np.linalg.norm(path[-1] - goals, axis=1)
         assert nearest.min() < 0.3 and np.median(nearest) < 0.8
         assert np.linalg.norm(answers[-1][nearest < 0.3], axis=1).max() < 0.1
-
-
-class Watch(Policy):
-    """Walks straight to the goal, and keeps what it saw."""
-
-    def __init__(self, decision_dt: float = 0.4) -> None:
-        """Set the clock."""
-        super().__init__(decision_dt)
-        self.seen: list[Any] = []
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write the desired velocities."""
-        self.seen.append(tensordict.clone())
-        tensordict["agents", "action"] = tensordict["agents", "desired_velocity"]
-        return tensordict
 
 
 def curve(time: Any) -> Array:
@@ -222,12 +205,12 @@ def test_times_in_other_units_are_refused_and_change_nothing(times: Any, message
 
 
 def test_milliseconds_are_noticed_and_pauses_allowed() -> None:
-    controller = Controller(Watch(), dt=0.02)
-    controller.step({0: (0.0, 0.0)}, {0: (9.0, 0.0)}, time=0.0)
-    controller.step({0: (0.0, 0.0)}, time=20.0)  # a pause, perhaps
+    controller, people = Controller(Watch(), dt=0.02), {0: (0.0, 0.0)}
+    controller.step(people, {0: (9.0, 0.0)}, time=0.0)
+    controller.step(people, time=20.0)  # a pause, perhaps
     with pytest.raises(UserError, match="are these milliseconds"):
-        controller.step({0: (0.0, 0.0)}, time=40.0)
-    controller.step({0: (0.0, 0.0)}, time=20.02)
+        controller.step(people, time=40.0)
+    controller.step(people, time=20.02)
 
 
 @pytest.mark.parametrize(
@@ -235,7 +218,7 @@ def test_milliseconds_are_noticed_and_pauses_allowed() -> None:
     [
         (
             {"radius": {0: 1e9}},
-            r"radius 1000000000.0 of 0: expected metres, above 0 and at most 10: .*millimetres",
+            "radius 1000000000.0 of 0: expected metres, above 0 and at most 10: .*millimetres",
         ),
         ({"radius": {0: 30}}, "radius 30 of 0: .* are these centimetres"),
         ({"radius": {"robot": 300}, "others": {"robot": (3, 3)}}, "radius 300 of 'robot'"),

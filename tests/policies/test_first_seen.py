@@ -73,12 +73,12 @@ def test_people_who_are_not_known_for_eight_rows_wait_for_them() -> None:
 
 def test_people_who_are_moved_from_now_on_are_called() -> None:
     """They may have been seen before, as those who stand in a door for a while."""
-    memory, left = FirstSeenMemory(), torch.tensor([9.0, 6.0])
-    for step, expected in ((0, [False, False]), (1, [False, False]), (2, [True, False]), (3, [False, False])):
+    memory, left, seen = FirstSeenMemory(), torch.tensor([9.0, 6.0]), {}
+    for step in range(4):
         batch = scenes(step, left)
         agents_of(batch)["controlled"] = torch.tensor([step >= 2, True]).expand(2, -1)
         seen = agents_of(memory.add(batch))
-        assert seen["called"][0, :, 0].tolist() == expected
+        assert seen["called"][0, :, 0].tolist() == [step == 2, False]
     assert seen["elapsed"][0, :, 0].tolist() == pytest.approx([0.4, 1.2])
 
 

@@ -99,8 +99,8 @@ def test_a_scene_finds_the_same_alone(all_pairs: int) -> None:
 @WAYS
 def test_double_precision(all_pairs: int) -> None:
     position, mask = scene("random")
-    single, double = (nearest(part, mask, 3.0, 6) for part in (position, position.double()))
-    assert torch.equal(single.index, double.index)
+    single, double = (nearest(part, mask, 3.0, 6)[0] for part in (position, position.double()))
+    assert torch.equal(single, double)
     edge = torch.tensor([[[0.0, 0.0], [3 - 1e-12, 0.0], [0.0, 3.0]]], dtype=torch.float64)
     index, near = nearest(edge, torch.ones(1, 3, dtype=torch.bool), 3.0, None)
     assert near is not None
@@ -111,7 +111,7 @@ def test_a_crowd_is_searched_in_little_memory() -> None:
     """People among 20,000 are not compared with all others: 400 million pairs would be 1.6 GB."""
     position = 400 * torch.rand(1, 20_000, 2, generator=torch.Generator().manual_seed(0))
     mask = torch.ones(1, 20_000, dtype=torch.bool)
-    near = nearest(position, mask, 3.0, 10).near
+    _, near = nearest(position, mask, 3.0, 10)
     assert near is not None
     assert near.sum() == pytest.approx(20_000 * 20_000 * math.pi * 9 / 160_000, rel=0.05)
 

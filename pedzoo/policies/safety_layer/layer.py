@@ -158,7 +158,10 @@ def kept_clear(steps: ProposedSteps, walls: LocalWalls | None = None, shoulders:
     Differentiable. Walls are those of `MapBank.walls_around`; ``shoulders`` is the room in narrow places,
     metres: 0 for bodies alone.
     """
-    if not loops_take(steps):
+    numbers = [part for part in steps if part is not None and part.is_floating_point()]
+    # top speeds and radii have gradients in torch only
+    constants = torch.is_grad_enabled() and (steps.longest.requires_grad or steps.radius.requires_grad)
+    if constants or not compiles(*numbers):
         return kept_clear_in_torch(steps, walls, shoulders)
     return _KeptClear.apply(steps.position, steps.step, steps.velocity, steps, walls, shoulders)
 
@@ -190,7 +193,11 @@ def safe(batch: TensorDictBase, step: Tensor, shoulders: float = SHOULDERS) -> T
     there = agents["mask"].unsqueeze(-1)
     history, velocity = cast("Tensor", agents["history"]), cast("Tensor", agents["velocity"])
     here = history[:, :, -1]
-    waits = (history - here.unsqueeze(2)).norm(dim=-1).amax(2) < WAITED
+    waits, rank = (history - here.unsqueeze(2)).norm(dim=-1).amax(2) < WAITED, None
+    if waits.device.type != "cpu" or bool(waits.any()):  # else nobody needs it
+        keys = batch.get("scene_key", None)  # 0 where nothing names the scenes
+        keys = torch.zeros_like(batch["map_id"]) if keys is None else keys
+        rank = randomness.uniform(randomness.join(keys, "rank", ids_of(batch)))
     steps = ProposedSteps(
         torch.where(there, here, 0.0),
         torch.where(moved.unsqueeze(-1), step, velocity * STEP_SECONDS).where(there, 0.0),
@@ -201,27 +208,7 @@ def safe(batch: TensorDictBase, step: Tensor, shoulders: float = SHOULDERS) -> T
         cast("Tensor", agents["radius"])[..., 0],
         agents["kind"] == ROBOT,
         torch.where(there, velocity, 0.0),
-        _ranks(batch, waits),
+        rank,
     )
     walls = bank.walls_around(batch["map_id"][:, 0], batch["scene_pose"]) if bank.grids else None
     return kept_clear(steps._replace(step=yielding(steps, walls)), walls, shoulders)
-
-
-def _ranks(batch: TensorDictBase, waits: Tensor) -> Tensor | None:
-    """Return a number of every agent (B, A), which two who wait need; None on the CPU where none waits."""
-    if waits.device.type == "cpu" and not bool(waits.any()):
-        return None
-    return randomness.uniform(randomness.join(scene_keys(batch), "rank", ids_of(batch)))
-
-
-def scene_keys(batch: TensorDictBase) -> Tensor:
-    """Return what names the scenes (B, 1) long; 0 where nothing does."""
-    keys = batch.get("scene_key", None)
-    return torch.zeros_like(batch["map_id"]) if keys is None else cast("Tensor", keys)
-
-
-def loops_take(steps: ProposedSteps) -> bool:
-    """Return whether the compiled loops may take these: top speeds and radii have gradients in torch only."""
-    numbers = [part for part in steps if part is not None and part.is_floating_point()]
-    constants = torch.is_grad_enabled() and (steps.longest.requires_grad or steps.radius.requires_grad)
-    return not constants and compiles(*numbers)
