@@ -23,14 +23,10 @@ from pedzoo.policies.safety_layer.layer import safe
 
 
 def stay_in_place(batch: TensorDictBase, step: Tensor) -> Tensor:
-    """Return the steps (B, A, 2), metres, in which people who hold a place go to it instead.
+    """Return the ``step`` (B, A, 2), metres, of a model, in which people who hold a place go to it instead.
 
     People hold a place whose desired velocity is less than the speed that they like: it ends there in one
     step. No model has learned to stand for as long as it is asked to.
-
-    Args:
-        batch: The scenes.
-        step: What the model says (B, A, 2), metres.
     """
     share = desired_speed_share(batch)
     if share is None:
@@ -228,11 +224,7 @@ def episode_noise_dim(noise_dim: int) -> int:
 
 
 def check_interval(scenes: TensorDictBase, decision_dt: float, what: str) -> None:
-    """Refuse scenes of an environment that decides at another step than the policy ``what``.
-
-    Raises:
-        UserError: It does.
-    """
+    """Raise a `UserError` for an environment that decides at another step than the policy ``what``."""
     trace = scenes.get(("agents", "info", "trace"), None)
     if trace is not None and trace.shape[2] != round(decision_dt / TRACE_SECONDS):
         raise UserError(

@@ -69,6 +69,7 @@ def scene(time: Any = 0.0, keys: Any = (7, 8, 9), people: int = 4, **more: Any) 
     velocity = torch.tensor([0.8, 0.0]).expand(*size, 2)
     history = torch.arange(people)[:, None, None] + torch.arange(8)[:, None] * 0.4 * velocity.unsqueeze(2)
     fields: dict[str, Any] = {
+        "history": history,
         "velocity": velocity,
         "mask": torch.ones(size, dtype=torch.bool),
         "id": torch.arange(people).expand(size),
@@ -79,7 +80,6 @@ def scene(time: Any = 0.0, keys: Any = (7, 8, 9), people: int = 4, **more: Any) 
         maps=MapBank(),
         map_id=torch.full((len(keys), 1), -1),
         pose=identity_pose(len(keys)),
-        history=history,
         valid=torch.ones(*size, 8, dtype=torch.bool),
         pref_speed=torch.full((*size, 1), 1.3),
         key=torch.tensor(keys).unsqueeze(1),

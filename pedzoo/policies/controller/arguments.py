@@ -1,4 +1,4 @@
-"""Arguments of a controller: checked, and turned into arrays."""
+"""Arguments of a controller: checked, and turned into arrays. What cannot be raises a `UserError`."""
 
 import numbers
 from collections.abc import Hashable, Mapping, Set
@@ -52,11 +52,7 @@ def number_of(one: Hashable) -> int:
 
 
 def number(value: Any, what: str, expected: str, one: Hashable | None = None) -> float:
-    """Return a value as a number; messages call it ``what`` of agent ``one``, and say what was ``expected``.
-
-    Raises:
-        UserError: It is none, or text.
-    """
+    """Return a value as a number; messages call it ``what`` of agent ``one``, and what was ``expected``."""
     try:
         if not isinstance(value, str):
             return float(value)
@@ -77,22 +73,14 @@ def _above_zero(value: Any, what: str, unit: str, one: Hashable, most: float, do
 
 
 def metres_of(one: Hashable, radius: Any) -> float:
-    """Return the radius of an agent's body, metres.
-
-    Raises:
-        UserError: It is not above 0, or above 10 m.
-    """
+    """Return the radius of an agent's body, metres."""
     unit = "millimetres" if isinstance(radius, numbers.Real) and radius > 100 * WIDEST else "centimetres"
     doubt = f"are these {unit}? A larger body is several discs"
     return _above_zero(radius, "radius", "metres", one, WIDEST, doubt)
 
 
 def speed_of(one: Hashable, pref_speed: float | Mapping[Any, float]) -> float:
-    """Return the speed that an agent likes, m/s: `PREF_SPEED` for others.
-
-    Raises:
-        UserError: It is not above 0, or above 10 m/s.
-    """
+    """Return the speed that an agent likes, m/s: `PREF_SPEED` for others."""
     if isinstance(one, DiscKey):
         return PREF_SPEED
     given = pref_speed.get(one, PREF_SPEED) if isinstance(pref_speed, Mapping) else pref_speed
@@ -101,11 +89,7 @@ def speed_of(one: Hashable, pref_speed: float | Mapping[Any, float]) -> float:
 
 
 def by_id(given: Any, what: str) -> Mapping[Any, Any]:
-    """Return an argument that has a value for every id, an empty one for None; messages call it ``what``.
-
-    Raises:
-        UserError: It is no mapping.
-    """
+    """Return an argument that has a value for every id, an empty one for None; messages call it ``what``."""
     if not isinstance(given, Mapping | None):
         raise UserError(f"{what} {given!r:.100}: expected a mapping by id, {what}={{'anna': ...}}")
     return given or {}
@@ -119,11 +103,7 @@ def of_present(present: Mapping[Any, Any], given: Mapping[Any, Any]) -> dict[Any
 def check_radius_ids(
     radius: Mapping[Any, Any], people: Mapping[Any, Any], others: Mapping[Any, Any], before: Set[Any]
 ) -> None:
-    """Check that radii are those of people, of other agents, or of ids from ``before`` who have left.
-
-    Raises:
-        UserError: An id is of none of them.
-    """
+    """Check that radii are those of people, of other agents, or of ids from ``before`` who have left."""
     for one in radius:
         if not (one in people or one in others or one in before):
             text = all(isinstance(each, str) for each in (one, *people, *others))
@@ -144,11 +124,7 @@ def origin_of(places: Mapping[Any, Any]) -> NDArray[np.float64]:
 
 
 def as_discs(others: Mapping[Any, Any]) -> dict[DiscKey, Any]:
-    """Return the discs of other agents, each with its position (2,): given as (2,), or (k, 2) for several.
-
-    Raises:
-        UserError: A value has another shape.
-    """
+    """Return the discs of other agents, each with its position (2,): given as (2,), or (k, 2) for several."""
     discs: dict[DiscKey, Any] = {}
     for one, value in others.items():
         try:
@@ -170,9 +146,6 @@ def as_points(
     """Return the values of a dictionary, each two numbers, less an origin (2,), as (n, 2) float64.
 
     Messages call the values ``what``.
-
-    Raises:
-        UserError: A value is anything else, not finite, or too far from the origin.
     """
     try:
         points = np.array([_plain(xy) for xy in given.values()], dtype=np.float64).reshape(len(given), 2)
@@ -202,11 +175,7 @@ def as_places(given: Mapping[Any, Any], what: str, origin: NDArray[np.float64]) 
 
 
 def as_velocities(given: Mapping[Any, Any]) -> Tensor:
-    """Return given velocities, as `as_points` does.
-
-    Raises:
-        UserError: One is none, or faster than 100 m/s.
-    """
+    """Return given velocities, as `as_points` does."""
     result = as_points(given, "velocity", farthest=np.inf)
     if (result.norm(dim=1) > SWIFTEST).any():
         one = list(given)[int(result.norm(dim=1).argmax())]

@@ -1,4 +1,7 @@
-"""The clock of a simulator that calls: when the policy decides, and where agents were every 0.4 s."""
+"""The clock of a simulator that calls: when the policy decides, and where agents were every 0.4 s.
+
+Times that cannot be raise a `UserError`.
+"""
 
 from __future__ import annotations
 
@@ -53,11 +56,7 @@ class CallerClock(NamedTuple):
 
     @classmethod
     def of(cls, dt: float, decision_dt: float) -> CallerClock:
-        """Return a clock before its first call, with positions on the way to it.
-
-        Raises:
-            UserError: ``dt`` is too short or too long.
-        """
+        """Return a clock before its first call, with positions on the way to it."""
         seconds = number(dt, "dt", "seconds, a number")
         if not SHORTEST - _ROUNDING <= seconds <= LONGEST + 1e-6:
             unit = f"; {dt:g} milliseconds are {dt / 1000:g}" if 1 <= seconds <= 1000 * LONGEST else ""
@@ -79,12 +78,7 @@ class CallerClock(NamedTuple):
         return self.decided == self.now
 
     def called(self, time: float | None) -> tuple[CallerClock, int]:
-        """Return the clock at the next call, at ``time`` or counted, and how many oldest positions to drop.
-
-        Raises:
-            UserError: The time is not finite, does not go forward, has another unit, or is given at some
-                calls only.
-        """
+        """Return the clock at the next call, at ``time`` or counted; and how many old positions to drop."""
         if self.calls and (time is None) != (self.start is None):
             raise UserError(
                 f"time {time}: expected at every call or at none; reset() starts anew with another clock"

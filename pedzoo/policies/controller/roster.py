@@ -1,4 +1,7 @@
-"""The agents of a scene that they enter and leave, their state, and their goals, which keep changing."""
+"""The agents of a scene that they enter and leave, their state, and their goals, which keep changing.
+
+What a caller gives wrongly raises a `UserError`: see `pedzoo.policies.controller.controller.Controller.step`.
+"""
 
 from __future__ import annotations
 
@@ -111,9 +114,6 @@ class Roster(NamedTuple):
         Args:
             present: By id: the people, and the `DiscKey` of other agents.
             pref_speed: The speed that newcomers like, m/s: one for all, or by id (1.3 for the others).
-
-        Raises:
-            UserError: A preferred speed is not above 0.
         """
         if present.keys() == self.row.keys():
             return self
@@ -135,11 +135,7 @@ class Roster(NamedTuple):
         return Roster({one: i for i, one in enumerate(ids)}, **merged)
 
     def check_moves(self, position: Tensor) -> None:
-        """Check that agents have come to ``position`` (N, 2), metres, since the last call.
-
-        Raises:
-            UserError: One was more than a kilometre away.
-        """
+        """Check that agents have come to ``position`` (N, 2), metres, since the last call."""
         moved = (position - self.past[:, -1]).abs().numpy()
         if (moved > JUMP).any():
             row, column = np.unravel_index(np.nan_to_num(moved).argmax(), moved.shape)
@@ -149,11 +145,7 @@ class Roster(NamedTuple):
             )
 
     def with_radius(self, radius: Mapping[Any, Any]) -> Roster:
-        """Return the roster with bodies of ``radius``, metres by id; other agents keep theirs.
-
-        Raises:
-            UserError: A radius is not above 0.
-        """
+        """Return the roster with bodies of ``radius``, metres by id; other agents keep theirs."""
         if not radius:
             return self
         metres, changed = {one: metres_of(one, value) for one, value in radius.items()}, self.radius.clone()
@@ -255,9 +247,6 @@ class OnlineGoals(NamedTuple):
             position: Where they are (N, 2), metres.
             goals: Where some of the people are going, by id; None to stand.
             now: Seconds since the first call.
-
-        Raises:
-            UserError: A person has no goal, or one that is in a wall, outside the map or out of reach.
         """
         given = {one: goal for one, goal in goals.items() if goal is not None}
         rows, points = people.rows(given), as_places(given, "goal", self.origin)
