@@ -122,12 +122,14 @@ def controller(
 
 def _is_of_policy(text: str) -> bool:
     """Return whether a text names a policy, or a model with settings of how it walks."""
-    if is_crowd(text):
+    if is_crowd(text) or _is_policy_class(spec := parse(text)):
         return True
-    spec = parse(text)
-    if names_code(spec.name) and issubclass(POLICIES.get(spec.name), Policy):
-        return True
-    return spec.name in POLICIES.names() or bool(spec.settings.keys() - _settings_of_model(spec))
+    return bool(spec.settings.keys() - _settings_of_model(spec))
+
+
+def _is_policy_class(spec: Spec | SpecText) -> bool:
+    own = names_code(spec.name) and issubclass(POLICIES.get(spec.name), Policy)
+    return own or spec.name in POLICIES.names()
 
 
 def _settings_of_model(spec: Spec | SpecText) -> set[str]:
@@ -172,8 +174,7 @@ def _one_policy(name: str) -> Policy | Walker:
             f"{spec.name!r} is no policy: expected a subclass of pedzoo.policies.policy.Policy, or of "
             "pedzoo.models.base.Forecaster"
         )
-    own = names_code(spec.name) and issubclass(POLICIES.get(spec.name), Policy)
-    if own or spec.name in POLICIES.names():
+    if _is_policy_class(spec):
         kind, cls = "policy", POLICIES.get(spec.name, Policy)
     elif is_file(spec.name) or spec.name in MODELS.names() or find(spec.name):
         model, settings = spec.name, dict(spec.settings)

@@ -187,8 +187,8 @@ class Teams(Policy):
 
     def fresh(self) -> Self:
         """Return a crowd of the same policies that has seen no scene yet."""
-        crowds = (crowd and [(one.fresh(), share) for one, share in crowd] for crowd in self._crowds)
-        result = type(self)(*crowds)
+        crowds = [crowd and [(one.fresh(), share) for one, share in crowd] for crowd in self._crowds]
+        result = type(self)(crowds[0] or [], crowds[1])
         result.name = self.name
         return result
 

@@ -122,11 +122,11 @@ def test_turn_mirror_and_shift_change_nothing() -> None:
 
 
 def test_order_padding_and_other_scenes_change_nothing() -> None:
-    state = crowd(30, 6, 3.0)
+    state: Any = crowd(30, 6, 3.0)
     whole, order = walk(*state), torch.randperm(6)
     assert torch.equal(walk(*(part[:, order] for part in state)), whole[:, order])
     assert torch.equal(walk(*(part[7:8] for part in state)), whole[7:8])
-    padded = [torch.cat((part, torch.full((30, 2, 2), math.nan)), 1) for part in state]
+    padded: Any = [torch.cat((part, torch.full((30, 2, 2), math.nan)), 1) for part in state]
     result = walk(*padded, mask=(torch.arange(8) < 6).expand(30, 8))
     assert torch.equal(result[:, :6], whole)
     assert (result[:, 6:] == 0).all()
@@ -134,7 +134,7 @@ def test_order_padding_and_other_scenes_change_nothing() -> None:
 
 def test_double_precision_agrees() -> None:
     """Which torch computes, and compiled loops do not."""
-    state = crowd(50, 6, 5.0)
+    state: Any = crowd(50, 6, 5.0)
     exact = walk(*(part.double() for part in state))
     assert exact.dtype == torch.float64
     torch.testing.assert_close(walk(*state).double(), exact, atol=1e-4, rtol=0)
@@ -151,12 +151,13 @@ def test_passive_people_keep_their_velocity_and_are_avoided() -> None:
 
 
 def test_nearest_neighbours_only() -> None:
-    position, velocity, preferred = state = crowd(30, 6, 3.0)
+    state: Any = crowd(30, 6, 3.0)
+    position, velocity, preferred = state
     gaps = torch.cdist(position, position) + 9 * torch.eye(6)
     for agent in range(6):
         pair = torch.stack((torch.full((30,), agent), gaps[:, agent].argmin(1)), 1)[..., None]
         alone = walk(*(part.gather(1, pair.expand(-1, -1, 2)) for part in state))
-        assert torch.equal(walk(*state, replace(SETTINGS, max_neighbors=1))[:, agent], alone[:, 0])
+        assert torch.equal(walk(*state, settings=replace(SETTINGS, max_neighbors=1))[:, agent], alone[:, 0])
     for few in (replace(SETTINGS, max_neighbors=0), replace(SETTINGS, neighbor_dist=1e-4)):
         assert torch.equal(walk(position, velocity, preferred, few, top_speed=9.0), preferred)
 

@@ -108,7 +108,8 @@ def test_settings_that_cannot_be(settings: str, message: str) -> None:
 
 def test_a_person_alone_accelerates_as_by_hand() -> None:
     # (1.3 - 0.5) / 0.5 and 0.1 / 0.5
-    alone = accelerate(*(torch.tensor([[part]]) for part in ([0.0, 0.0], [0.5, -0.1], [1.3, 0.0])))
+    state: Any = [torch.tensor([[part]]) for part in ([0.0, 0.0], [0.5, -0.1], [1.3, 0.0])]
+    alone = accelerate(*state)
     assert alone.flatten().tolist() == pytest.approx([1.6, 0.2], abs=1e-4)
 
 
@@ -451,8 +452,10 @@ def test_actions_are_differentiable() -> None:
     def force(place: Tensor, rows: Tensor | None) -> Tensor:
         return wall_force(*points_of(walls, place.T), 10.0, 0.2)
 
-    def action(*state: Tensor) -> Tensor:
-        return social_force_velocity(*state, mask, PAPER, 0.2, identity, walls=force)
+    def action(*state: Any) -> Tensor:
+        position, velocity, desired, speed = state
+        options: Any = {"walls": force, "identity": identity, "seconds": 0.2}
+        return social_force_velocity(position, velocity, desired, speed, mask, PAPER, **options)
 
     inputs = [part.requires_grad_() for part in (position, velocity, desired, torch.ones(1, 4).double())]
     assert torch.autograd.gradcheck(action, inputs, atol=1e-4)

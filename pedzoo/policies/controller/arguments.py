@@ -74,7 +74,8 @@ def _above_zero(value: Any, what: str, unit: str, one: Hashable, most: float, do
 
 def metres_of(one: Hashable, radius: Any) -> float:
     """Return the radius of an agent's body, metres."""
-    unit = "millimetres" if isinstance(radius, numbers.Real) and radius > 100 * WIDEST else "centimetres"
+    far = isinstance(radius, numbers.Real) and float(radius) > 100 * WIDEST
+    unit = "millimetres" if far else "centimetres"
     doubt = f"are these {unit}? A larger body is several discs"
     return _above_zero(radius, "radius", "metres", one, WIDEST, doubt)
 

@@ -60,13 +60,9 @@ class DwaSettings:
 
 
 def arc(heading: Tensor, speed: Tensor, turn_rate: Tensor, seconds: Tensor | float) -> Tensor:
-    """Return how far (..., 2) constant speed and turn rate lead, metres.
+    """Return how far (..., 2) a constant speed, m/s, and turn rate, rad/s, lead in some seconds, metres.
 
-    Args:
-        heading: At the beginning (...), radians.
-        speed: Forwards (...), m/s.
-        turn_rate: To the left (...), rad/s.
-        seconds: For which they are held (...).
+    The ``heading`` (...), radians, is that at the beginning.
     """
     half = 0.5 * turn_rate * seconds
     chord = speed * seconds * torch.sinc(half / math.pi)

@@ -108,12 +108,8 @@ def people_gap(
 ) -> Tensor:
     """Return the least distances of bodies in each step (B, S, H), metres; infinite without people.
 
-    Args:
-        robot: The robots.
-        people: Those around them, at constant velocity.
-        samples: Velocities of the robots (B, S, 2), m/s.
-        time_step: Seconds of a step.
-        horizon: How many steps, H.
+    Robots go at the velocities ``samples`` (B, S, 2), m/s, people at theirs, for ``horizon`` steps of
+    ``time_step`` seconds.
     """
     if not people.mask.shape[1]:
         return samples.new_full((*samples.shape[:2], horizon), torch.inf)

@@ -175,7 +175,8 @@ class _KeptClear(torch.autograd.Function):
         from pedzoo.policies.safety_layer.loops import kept  # numba takes a second
 
         out = torch.empty_like(given[1], memory_format=torch.contiguous_format)
-        ctx.stored = kept(*given[3:], out, any(ctx.needs_input_grad))
+        steps, walls, shoulders = given[3:]
+        ctx.stored = kept(steps, walls, shoulders, out, any(ctx.needs_input_grad))
         return out
 
     @staticmethod
