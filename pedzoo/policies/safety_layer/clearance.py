@@ -46,12 +46,8 @@ LEAST_SHARE = 0.05
 def precedence(step: Tensor, away: Tensor, wait: Tensor, rank: Tensor | None, velocity: Tensor) -> Tensor:
     """Return how clearly the first of two goes before the second (B, A, A): 1, or -1 for behind, 0: neither.
 
-    Args:
-        step: Where people want to go (B, A, 2), metres.
-        away: From each to each other's place (2, B, A, A): mine less theirs, metres.
-        wait: Which pairs wait, both of them (B, A, A) bool.
-        rank: Numbers of the people (B, A); None for equal ones.
-        velocity: Of the people (B, A, 2), m/s.
+    ``step`` is where people want to go (B, A, 2), metres, ``away`` from each to each other's place
+    (2, B, A, A). Pairs ``wait`` (B, A, A) where both do. See `ProposedSteps` for the rank and the velocity.
     """
     step = step.movedim(-1, 0)
     toward = step / step.norm(dim=0).clamp_min(LEAST_ASKED)

@@ -277,16 +277,10 @@ def precedence(people, b, a, o, away, step, wait):
 
 @jit
 def meetings(people, b, step, shoulders, narrow, pairs, stands):
-    """Write the pairs of a scene that may come too near, and return their number.
+    """Write the ``pairs`` of scene ``b`` that may come too near, and return their number.
 
-    Args:
-        people: All scenes.
-        b: The scene.
-        step: The steps of its agents (A,).
-        shoulders: Room in narrow places, metres.
-        narrow: Who is in one (A,).
-        pairs: Is written, of the type `PAIR`.
-        stands: Is written: which agents stand to make way (A,).
+    Its agents go by steps (A,); who is in a ``narrow`` place (A,) needs ``shoulders``, metres. Which agents
+    stand to make way (A,) is written, too.
     """
     count = 0
     stands[:] = False
@@ -387,14 +381,9 @@ def shares_of(people, b, step, pairs, count, near, room, walls, level):
 
 @compiled()
 def keep_clear(people, walls, shoulders, out, trace):
-    """Write steps (B, A), metres, without contacts: see `pedzoo.policies.safety_layer.layer.kept_clear`.
+    """Write steps (B, A), metres, without contacts, to ``out``, and how they came about to ``trace``.
 
-    Args:
-        people: As they want to walk.
-        walls: Those of each scene.
-        shoulders: Room in narrow places, metres.
-        out: The steps, which are written.
-        trace: Is written.
+    See `pedzoo.policies.safety_layer.layer.kept_clear`.
     """
     scenes, agents = people.moved.shape
     step, change = np.zeros(agents, np.complex128), np.zeros(agents, np.complex128)
