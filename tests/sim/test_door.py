@@ -149,31 +149,6 @@ def test_people_who_walk_together() -> None:
     assert torch.allclose(right[..., 1], torch.tensor([-0.075, 0.675]).expand(SCENES, 2), atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ("away=0.5", r"away 0\.5: expected a number or \[least,most\], from 1"),
-        ("away=[4,2.5]", r"away \(4\.0, 2\.5\): expected a number or \[least,most\]"),
-        ("away=[2,3,4]", r"away=\[2,3,4\]: expected float"),
-        ("sync=-1", r"sync -1\.0: expected at least 0 s"),
-        ("sync=0.4,from_right=0", r"sync 0\.4: expected at least 0 s, and people from both sides"),
-        ("from_right=3", "from_right 3 of 2 people: expected 0 to 2"),
-        ("abreast=4", "abreast 4: expected 1 to 3"),
-        ("width=0.83", r"width 0\.83 is no multiple of the resolution 0\.05: the nearest are 0\.8 and 0\.85"),
-        ("width=[0.85,0.83]", r"width 0\.83 is no multiple"),
-        ("thickness=0", r"thickness 0\.0"),
-        ("people=0", "people 0: expected 1 to 10,000"),
-        ("people=100000000", "people 100000000: expected 1 to 10,000"),
-        ("speed=.nan", "speed nan, speed_std 0.2: expected at least 0.3 and 0"),
-        ("speed=0.1", r"speed 0\.1"),
-        ("speed_ratio=0", r"speed_ratio 0\.0"),
-    ],
-)
-def test_doors_that_cannot_be(settings: str, message: str) -> None:
-    with pytest.raises(UserError, match=message):
-        make_scenario(f"door:{settings}")
-
-
 def test_a_number_is_a_range_of_one() -> None:
     draws = Draws.for_episodes(1, torch.arange(50))
     assert torch.equal(Uniform("x", "y", 0.3).draw(draws, 2), torch.full((50, 2), 0.3))

@@ -97,21 +97,6 @@ def test_how_many_people(name: str) -> None:
 
 
 @EVERY
-def test_scenes_depend_on_seed_and_number_alone(name: str) -> None:
-    scenario = prepared(f"{name}:people=9")
-    whole = make_env(scenario, num_envs=9, seed=3).reset()
-    for i in (0, 8):
-        alone = make_env(scenario, seed=3, first_episode=i).reset()
-        for key in ("history", "goal", "desired_velocity", "pref_speed"):
-            assert torch.equal(alone["agents", key][0], whole["agents", key][i]), key
-        assert torch.equal(alone["map_id"][0], whole["map_id"][i])
-    history = whole["agents", "history"]
-    other = make_env(scenario, num_envs=9, seed=4).reset()["agents", "history"]
-    assert float((history - other).abs().amax((1, 2, 3)).min()) > 0.01
-    assert float((history[1:] - history[:-1]).abs().amax((1, 2, 3)).min()) > 0.01
-
-
-@EVERY
 def test_people_meet_after_the_warm_start(name: str) -> None:
     """During it those in front have not turned aside for others, nor slowed down."""
     scenario, state = made(f"{name}:jitter=0,speed_std=0"), begun(f"{name}:jitter=0,speed_std=0", 4).state
@@ -286,43 +271,6 @@ def test_on_the_circle_all_want_to_the_other_side(people: int) -> None:
     assert float((state.position.norm(dim=-1) - radius).abs().mean()) < 0.25
     assert float((state.position + state.goal_point).norm(dim=-1).mean()) < 0.25
     assert float(apart(state.position).min()) > 0.6
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ("hallway:width=[2,1.83]", r"width 1\.83 is no multiple of the resolution 0\.05: .* 1\.8 and 1\.85"),
-        ("hallway:width=[]", r"hallway: width \[\]: expected a number, or a list of some"),
-        ("hallway:width=[2,2]", r"hallway: width \[2\.0, 2\.0\]: 2 is there twice"),
-        ("hallway:width=[2,wide]", r"hallway:width=\[2,wide\]: expected float \| Sequence\[float\]"),
-        ("hallway:width=.inf", r"width inf: expected a number"),
-        ("hallway:aside=-1", r"aside -1\.0, delay 1\.0: expected at least 0 m"),
-        ("hallway:delay=60", r"delay 60\.0: expected at least 0 m, and 0 to 10 s"),
-        ("hallway:width=-1", r"hallway: width -1\.0.* expected above 0"),
-        ("hallway:people=4,against=4", r"against 4 of 4 people: expected 1 to 3"),
-        ("hallway:width=[2,3],offset=0.8", r"offset 0\.8 in a corridor of 2\.0 m: expected at most 0\.70 m"),
-        ("hallway:jitter=0.5", r"jitter 0\.5: expected 0 to 0\.15 m"),
-        ("hallway:speed=0.1", r"speed 0\.1"),
-        ("overtaking:speed_ratio=1", r"speed_ratio 1\.0: expected at least 1\.2"),
-        ("overtaking:slow=2", r"slow 2 of 2 people: expected 1 to 1"),
-        ("intersection:arms=5", r"arms 5: expected 2 to 4"),
-        ("intersection:turn=2", r"turn 2\.0: expected a share"),
-        ("room_exit:entering=4", r"entering 4 of 4 people: expected 0 to 3"),
-        ("room_exit:corridor=1.99", r"corridor 1\.99"),
-        ("parallel:gap=[1,0.5]", r"gap 0\.5: expected at least 0\.8 m"),
-        ("parallel:change=-1", r"change -1\.0: expected a share"),
-        ("circle:radius=[4,1]", r"radius 1\.0 for 4 people: expected at least 2\.00 m"),
-        ("circle:people=50,radius=5", r"expected at least 7\.96 m"),
-        (
-            "blind_corner:people=400",
-            r"people 400: expected 2 to 300, as more need a floor plan .*; goals:people=N",
-        ),
-        ("perpendicular:width=2", "known: .*people"),
-    ],
-)
-def test_encounters_that_cannot_be(settings: str, message: str) -> None:
-    with pytest.raises(UserError, match=message):
-        make_scenario(settings)
 
 
 def test_passages_that_no_person_fits_through() -> None:

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import pytest
 import torch
 from helpers.scenes import prepared
-from torchrl.envs import check_env_specs
+from torchrl.envs import check_env_specs, step_mdp
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import move_to_scene, turn_to_scene
@@ -25,6 +25,7 @@ from pedzoo.maps.plans import flat
 from pedzoo.models.zoo.loading import baselines, list_models, load, save_weights
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.walker import Walker
+from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env, make_scenario
 from pedzoo.sim.scenario import MIN_INITIAL_PATH
 from pedzoo.sim.scenarios.goals import Goals
@@ -66,6 +67,101 @@ def test_scenarios_stay_as_they_were_made(name: str) -> None:
     assert first.planner.clearance == 0.25
     for mine, again in zip(begun[:5], first.layout(draws)[:5], strict=True):
         assert isinstance(mine, torch.Tensor) and torch.equal(mine, again)
+
+
+@EVERY_SCENARIO
+def test_a_scene_depends_on_seed_and_number_alone(name: str) -> None:
+    """The same alone and among others, at first and a few decisions later; other seeds differ."""
+    scene = prepared(name)
+    whole, alone = (make_env(scene, n, seed=3, first_episode=first) for n, first in ((9, 0), (1, 5)))
+    for step, (every, one) in enumerate(zip(walked(whole, 5), walked(alone, 5), strict=True)):
+        for key in ("history", "goal", "desired_velocity", "pref_speed", "group", "controlled"):
+            theirs, mine = every["agents", key][5], one["agents", key][0]
+            torch.testing.assert_close(mine, theirs, atol=1e-4 if step else 0, rtol=0, msg=key)
+        assert torch.equal(one["map_id"][0], every["map_id"][5])
+    if scene.script is None:
+        first, other = (make_env(scene, 9, seed=seed).reset()["agents", "history"] for seed in (3, 4))
+        assert float((first - other).abs().amax((1, 2, 3)).min()) > 0.01
+        assert float((first[1:] - first[:-1]).abs().amax((1, 2, 3)).min()) > 0.01
+
+
+def walked(env: PedestrianEnv, steps: int) -> list[Any]:
+    """Return what is seen before each decision of people who walk as they desire."""
+    seen: list[Any] = [env.reset()]
+    for _ in range(steps):
+        now = seen[-1].clone()
+        now["agents", "action"] = now["agents", "desired_velocity"]
+        seen.append(step_mdp(env.step(now)))
+    return seen
+
+
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        ("door:away=0.5", r"away 0\.5: expected a number or \[least,most\], from 1"),
+        ("door:away=[4,2.5]", r"away \(4\.0, 2\.5\): expected a number or \[least,most\]"),
+        ("door:away=[2,3,4]", r"away=\[2,3,4\]: expected float"),
+        ("door:sync=-1", r"sync -1\.0: expected at least 0 s"),
+        ("door:sync=0.4,from_right=0", r"sync 0\.4: expected at least 0 s, and people from both sides"),
+        ("door:from_right=3", "from_right 3 of 2 people: expected 0 to 2"),
+        ("door:abreast=4", "abreast 4: expected 1 to 3"),
+        (
+            "door:width=0.83",
+            r"width 0\.83 is no multiple of the resolution 0\.05: the nearest are 0\.8 and 0\.85",
+        ),
+        ("door:width=[0.85,0.83]", r"width 0\.83 is no multiple"),
+        ("door:thickness=0", r"thickness 0\.0"),
+        ("door:people=0", "people 0: expected 1 to 10,000"),
+        ("door:people=100000000", "people 100000000: expected 1 to 10,000"),
+        ("door:speed=.nan", "speed nan, speed_std 0.2: expected at least 0.3 and 0"),
+        ("door:speed=0.1", r"speed 0\.1"),
+        ("door:speed_ratio=0", r"speed_ratio 0\.0"),
+        ("standing:people=1", "standing: people 1: expected at least 2"),
+        ("standing:at=-1.8", r"at -1\.8, away 2\.5: expected to stand at least 1 m nearer to the wall"),
+        ("standing:seconds=0", r"standing: seconds 0\.0: expected a number or \[least,most\], from 0\.1"),
+        ("standing:width=0.83", r"standing: width 0\.83 is no multiple"),
+        ("hallway:width=[2,1.83]", r"width 1\.83 is no multiple of the resolution 0\.05: .* 1\.8 and 1\.85"),
+        ("hallway:width=[]", r"hallway: width \[\]: expected a number, or a list of some"),
+        ("hallway:width=[2,2]", r"hallway: width \[2\.0, 2\.0\]: 2 is there twice"),
+        ("hallway:width=[2,wide]", r"hallway:width=\[2,wide\]: expected float \| Sequence\[float\]"),
+        ("hallway:width=.inf", r"width inf: expected a number"),
+        ("hallway:aside=-1", r"aside -1\.0, delay 1\.0: expected at least 0 m"),
+        ("hallway:delay=60", r"delay 60\.0: expected at least 0 m, and 0 to 10 s"),
+        ("hallway:width=-1", r"hallway: width -1\.0.* expected above 0"),
+        ("hallway:people=4,against=4", r"against 4 of 4 people: expected 1 to 3"),
+        ("hallway:width=[2,3],offset=0.8", r"offset 0\.8 in a corridor of 2\.0 m: expected at most 0\.70 m"),
+        ("hallway:jitter=0.5", r"jitter 0\.5: expected 0 to 0\.15 m"),
+        ("hallway:speed=0.1", r"speed 0\.1"),
+        ("overtaking:speed_ratio=1", r"speed_ratio 1\.0: expected at least 1\.2"),
+        ("overtaking:slow=2", r"slow 2 of 2 people: expected 1 to 1"),
+        ("intersection:arms=5", r"arms 5: expected 2 to 4"),
+        ("intersection:turn=2", r"turn 2\.0: expected a share"),
+        ("room_exit:entering=4", r"entering 4 of 4 people: expected 0 to 3"),
+        ("room_exit:corridor=1.99", r"corridor 1\.99"),
+        ("parallel:gap=[1,0.5]", r"gap 0\.5: expected at least 0\.8 m"),
+        ("parallel:change=-1", r"change -1\.0: expected a share"),
+        ("circle:radius=[4,1]", r"radius 1\.0 for 4 people: expected at least 2\.00 m"),
+        ("circle:people=50,radius=5", r"expected at least 7\.96 m"),
+        (
+            "blind_corner:people=400",
+            r"people 400: expected 2 to 300, as more need a floor plan .*; goals:people=N",
+        ),
+        ("perpendicular:width=2", "known: .*people"),
+        ("waiting:waiting=36,people=40", "waiting 36 of 40 people: expected 0 to 35 who wait"),
+        ("waiting:waiting=4,people=4", "waiting 4 of 4 people: .* and 1 to 18 others"),
+        ("waiting:stay=1.5", r"stay 1\.5: expected a share"),
+        ("queue:people=3,coming=3", "coming 3 of 3 people: expected 0 to 2"),
+        ("queue:seconds=0", r"queue: seconds 0"),
+        ("groups:size=[1,3]", r"size \(?\[?1, 3\)?\]?: expected \[least,most\], from 2 to 4"),
+        ("groups:door=1.02", r"door 1\.02 is no multiple"),
+        ("two_way:people=1", "people 1: expected at least 2"),
+        ("two_way:density=3", r"density 3\.0: expected people per square metre, up to 2"),
+        ("two_way:width=0.4", r"0\.40 m by .*: expected at least 0\.5 m"),
+    ],
+)
+def test_settings_that_give_no_scene_are_refused(spec: str, message: str) -> None:
+    with pytest.raises(UserError, match=message):
+        make_scenario(spec)
 
 
 def test_the_scenario_of_contributing_works(tmp_path: Path) -> None:

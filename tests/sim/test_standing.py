@@ -8,7 +8,6 @@ import pytest
 import torch
 from torchrl.envs import step_mdp
 
-from pedzoo.core.errors import UserError
 from pedzoo.core.randomness import Draws
 from pedzoo.eval.comparison import row
 from pedzoo.eval.rollout import rollout
@@ -89,32 +88,3 @@ def test_no_person_stands_in_a_wall() -> None:
     env.reset()
     distance, _ = env.bank.closest_wall(env.state.position, env.state.map_id, env.state.pose)
     assert float(distance[:, -1].min()) > 0.19
-
-
-def test_who_stands_is_a_constant_to_autograd() -> None:
-    env = make_env(STANDS, num_envs=2)
-    now: Any = env.reset()
-    gain = torch.ones(2, 3, 2, requires_grad=True)
-    for _ in range(5):
-        now["agents", "action"] = gain * now["agents", "desired_velocity"]
-        now = step_mdp(env.step(now), exclude_reward=False)
-        assert now["agents", "reward"][:, 2].eq(0).all()
-    place = now["agents", "history"][:, :, -1]
-    apart = (place[:, :2] - place[:, 2:]).square().sum()
-    (slope,) = torch.autograd.grad(now["agents", "reward"].sum() + apart, gain)
-    assert slope.isfinite().all() and slope[:, :2].norm(dim=-1).gt(0).all()
-    assert slope[:, 2].eq(0).all()
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ("people=1", "standing: people 1: expected at least 2"),
-        ("at=-1.8", r"at -1\.8, away 2\.5: expected to stand at least 1 m nearer to the wall"),
-        ("seconds=0", r"standing: seconds 0\.0: expected a number or \[least,most\], from 0\.1"),
-        ("width=0.83", r"standing: width 0\.83 is no multiple"),
-    ],
-)
-def test_scenes_that_cannot_be(settings: str, message: str) -> None:
-    with pytest.raises(UserError, match=message):
-        make_scenario(f"standing:{settings}")

@@ -10,7 +10,6 @@ from helpers.walks import made
 from torchrl.envs import step_mdp
 
 from pedzoo.core.batch import companions_of
-from pedzoo.core.errors import UserError
 from pedzoo.core.randomness import Draws
 from pedzoo.eval.evaluate import evaluate
 from pedzoo.eval.rollout import rollout
@@ -207,36 +206,9 @@ def test_scenes_end_even_if_no_person_moves(scenario: str) -> None:
     assert now["truncated"].all() and steps > 40
 
 
-@pytest.mark.parametrize("scenario", ["queue", "waiting", "groups", "two_way:people=10", "standing"])
-def test_a_scene_is_the_same_alone_and_among_others(scenario: str) -> None:
-    both = [walked(make_env(scenario, num_envs=n, first_episode=f), 12)[-1] for n, f in ((4, 0), (1, 2))]
-    for key in ("history", "goal", "group", "controlled"):
-        torch.testing.assert_close(both[0]["agents", key][2], both[1]["agents", key][0], atol=1e-4, rtol=0)
-
-
 @pytest.mark.parametrize("scenario", ["queue", "waiting"])
 def test_a_step_reads_nothing_back_to_the_host(scenario: str) -> None:
     env = make_env(scenario, num_envs=2)
     action = env.reset()["agents", "desired_velocity"].to("meta")
     after, _, _ = kernel.step(env.state.to("meta"), action, env.physics, env.rules)
     assert after.stands.device.type == "meta"
-
-
-@pytest.mark.parametrize(
-    ("scenario", "message"),
-    [
-        ("waiting:waiting=36,people=40", "waiting 36 of 40 people: expected 0 to 35 who wait"),
-        ("waiting:waiting=4,people=4", "waiting 4 of 4 people: .* and 1 to 18 others"),
-        ("waiting:stay=1.5", r"stay 1\.5: expected a share"),
-        ("queue:people=3,coming=3", "coming 3 of 3 people: expected 0 to 2"),
-        ("queue:seconds=0", r"queue: seconds 0"),
-        ("groups:size=[1,3]", r"size \(?\[?1, 3\)?\]?: expected \[least,most\], from 2 to 4"),
-        ("groups:door=1.02", r"door 1\.02 is no multiple"),
-        ("two_way:people=1", "people 1: expected at least 2"),
-        ("two_way:density=3", r"density 3\.0: expected people per square metre, up to 2"),
-        ("two_way:width=0.4", r"0\.40 m by .*: expected at least 0\.5 m"),
-    ],
-)
-def test_scenes_that_cannot_be(scenario: str, message: str) -> None:
-    with pytest.raises(UserError, match=message):
-        make_scenario(scenario)
