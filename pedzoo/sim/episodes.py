@@ -277,7 +277,7 @@ class EpisodeQueue:
         self._depth = min(max(1, made // rows), _DEEPEST)
         self._taken = torch.full((rows,), self._depth)
         self._ahead: tuple[Tensor, ...] = ()
-        self._same: tuple[Tensor | None, ...] = ()  # fields that are the same in all episodes until now
+        self._begun = False
 
     def choose(self, rows: Tensor, seed: Tensor, first: Tensor, stride: int) -> None:
         """Choose other episodes for some rows (N,) long: their seeds and first numbers (N,) long."""
@@ -287,27 +287,18 @@ class EpisodeQueue:
     def begin_all(self) -> Scenes:
         """Return the next episode of every row."""
         rows = torch.arange(len(self._number))
-        if self._same:
-            return self._exchanged(self._same, rows, self._next(rows))
-        begun = self._made(rows, 1)
-        self._same = tuple(_shared(field, field) for field in begun)
-        return Scenes.of(begun)
+        if not self._begun:
+            self._begun = True
+            return Scenes.of(self._made(rows, 1))
+        place = self._next(rows)
+        return Scenes.of(made.index_select(0, place) for made in self._ahead)
 
     def begin_some(self, scenes: Scenes, ended: Tensor) -> Scenes:
         """Return the scenes, with the next episode in the rows that have ended (B,) bool."""
         index = ended.nonzero().view(-1)
-        return self._exchanged((*scenes.state, *scenes.guidance), index, self._next(index.cpu()))
-
-    def _exchanged(self, fields: tuple[Tensor | None, ...], index: Tensor, place: Tensor) -> Scenes:
-        """Return scenes whose rows at ``index`` are the ones made ahead at ``place``."""
-        whole, new = len(index) == len(self._number), []
-        for field, made, same in zip(fields, self._ahead, self._same, strict=True):
-            if same is not None and (whole or field is same):
-                new.append(same)  # no step has changed it, and all episodes begin with it
-                continue
-            chosen = made.index_select(0, place)
-            new.append(chosen if field is None or whole else field.index_copy(0, index, chosen))
-        return Scenes.of(new)
+        place, fields = self._next(index.cpu()), (*scenes.state, *scenes.guidance)
+        pairs = zip(fields, self._ahead, strict=True)
+        return Scenes.of(field.index_copy(0, index, made.index_select(0, place)) for field, made in pairs)
 
     def _next(self, rows: Tensor) -> Tensor:
         """Return where the next episodes of rows are among those made ahead, which are made if need be."""
@@ -319,7 +310,6 @@ class EpisodeQueue:
             for old, new in zip(self._ahead, made, strict=bool(self._ahead)):
                 old.index_copy_(0, places, new)
             self._ahead = self._ahead or made
-            self._same = tuple(map(_shared, self._same, made))
             self._taken.index_fill_(0, empty, 0)
         place = rows * depth + self._taken[rows]
         self._taken.index_add_(0, rows, torch.ones_like(rows))
@@ -332,8 +322,3 @@ class EpisodeQueue:
         seed = self._seed[rows].repeat_interleave(episodes)
         state = self._episodes.begin(Draws.for_episodes(seed, number.view(-1)))
         return (*self._opened(state), *self._rules.guidance(state))
-
-
-def _shared(same: Tensor | None, made: Tensor) -> Tensor | None:
-    """Return a field that is the same in all episodes, None where new ones differ."""
-    return same if same is not None and bool((made == same[:1]).all()) else None

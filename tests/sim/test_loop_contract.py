@@ -460,6 +460,18 @@ def test_a_partial_reset_changes_only_the_scenes_that_are_reset() -> None:
     assert torch.equal(env.state.key[1:2], Draws.for_episodes(0, torch.tensor([4])).key)
 
 
+def test_rows_begin_the_episodes_of_their_numbers_whole() -> None:
+    settings: dict[str, Any] = {"scenario": "goals:map=apartment.7,people=2,goals=1", "num_envs": 6}
+    env, other = make_env(**settings), make_env(**settings, first_episode=6)
+    now, ended = env.reset(), torch.zeros(6, dtype=torch.bool)
+    while not ended.any():
+        before, now = env.step_and_maybe_reset(GoToGoal()(now))
+        ended = before["next", "done"][:, 0]
+    other.reset()
+    for name, mine, theirs in zip(env.state._fields, env.state, other.state, strict=True):
+        assert torch.equal(mine[ended], theirs[ended]), name
+
+
 def test_episodes_follow_one_another_in_a_long_rollout() -> None:
     env = make_env("door", num_envs=3, seed=5)
     policy = load_policy("orca")
