@@ -50,7 +50,10 @@ def test_speeds_may_differ_at_the_door() -> None:
 
 
 def test_walls_are_as_thick_and_doors_as_wide_as_named() -> None:
-    grid = make_env("door:width=0.9,thickness=0.1,people=1").bank.grids[0]
+    bank = make_env("door:width=[0.7,0.9],thickness=0.1,people=1").bank
+    grid = next(
+        one for one in bank.grids if one.map_id == bank.id_of("door:width=0.9,thickness=0.1,offset=0.6")
+    )
     x, y, _ = grid.origin
     column = round(-x / grid.resolution)
     opening = (~grid.occupied("wall")[:, column]).sum() * grid.resolution

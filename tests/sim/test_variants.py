@@ -9,7 +9,6 @@ from torch import Tensor
 from pedzoo.core.randomness import Draws
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.eval.rollout import rollout
-from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env, make_scenario
 from pedzoo.sim.scenarios._base import Variants
@@ -28,12 +27,6 @@ LISTS = (
 )
 
 ENCOUNTERS = "blind_corner circle hallway intersection overtaking parallel perpendicular room_exit".split()
-
-
-def opening(grid: OccupancyGrid, x: float) -> float:
-    """Return the free length of a column, metres."""
-    column = int((x - grid.origin[0]) / grid.resolution)
-    return float((~grid.occupied("wall")[:, column]).sum() * grid.resolution)
 
 
 def starts(env: PedestrianEnv) -> Tensor:
@@ -57,14 +50,6 @@ def test_every_plan_occurs_and_its_scenes_fit_it(spec: str) -> None:
             high = low + torch.tensor(grid.cells.shape[::-1]) * grid.resolution
             assert ((points[scene] > low) & (points[scene] < high)).all()
     assert state.remaining_path.isfinite().all()
-
-
-def test_a_plan_is_as_wide_as_it_is_called() -> None:
-    bank = make_env("door:width=[0.7,1.2]").bank
-    grids = {grid.map_id: grid for grid in bank.grids}
-    for width in (0.7, 1.2):
-        grid = grids[bank.id_of(f"door:width={width},thickness=0.15,offset=0.6")]
-        assert opening(grid, 0.0) == pytest.approx(width)
 
 
 def test_doors_of_any_width_are_walked_through() -> None:

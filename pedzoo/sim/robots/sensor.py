@@ -51,13 +51,18 @@ class RobotView(NamedTuple):
         """Headings of robots (B, R), radians."""
         return self.robot(self.state.heading)
 
+    @property
+    def ahead(self) -> Tensor:
+        """Unit vectors (B, R, 2) of the headings."""
+        return direction_of(self.heading)
+
     def own(self, vectors: Tensor) -> Tensor:
         """Return vectors (B, R, ..., 2) of the world in the robots' frames: x ahead, y to the left."""
-        return unrotate(vectors, _aligned(direction_of(self.heading), vectors))
+        return unrotate(vectors, _aligned(self.ahead, vectors))
 
     def world(self, vectors: Tensor) -> Tensor:
         """Return vectors (B, R, ..., 2) of the robots' frames in the world's: the inverse of `own`."""
-        return rotate(vectors, _aligned(direction_of(self.heading), vectors))
+        return rotate(vectors, _aligned(self.ahead, vectors))
 
     def own_places(self, points: Tensor) -> Tensor:
         """Return points (B, R, ..., 2) of the world in the robots' frames, from their positions, metres."""
