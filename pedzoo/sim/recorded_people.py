@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -174,34 +174,32 @@ def top_speed_of(pref_speed: Tensor) -> Tensor:
 
 
 def people_of(
-    recordings: Sequence[Tracks],
-    rows: Sequence[int],
-    planner: Planner,
-    share: float = 1.0,
-    speed: SpeedOf = "observed",
-    stops: bool = False,
+    recordings: Sequence[Tracks], rows: Sequence[int], planner: Planner, **options: Any
 ) -> tuple[RecordedPeople, Tensor]:
-    """Return the people of recordings, and all rows of their tracks (N, 2), person after person.
+    """Return the people of `without_goals`, whose exits and stops are goals of the planner where possible.
 
-    Args:
-        recordings: Tracks with a row in every frame of 0.4 s, the first of which is frame 0.
-        rows: Row of each recording's floor plan in the planner's bank, -1 for none.
-        planner: Finds the paths; exits become its goals.
-        share: People who could be taken over later than this share of a recording's time are played back.
-        speed: ``observed`` for the mean speed of the first 8 rows, ``track`` for that of all, and
-            ``estimated`` for what `_estimated` makes of the first 8.
-        stops: Whether people have the places where they stopped as goals, too; see `stops_of`.
+    ``rows`` are those of the recordings' floor plans in the planner's bank, -1 for none.
     """
-    people, xy = without_goals(recordings, share, speed, stops)
+    people, xy = without_goals(recordings, **options)
     for number, row in enumerate(rows):
         people = _with_goals(people, people.recording == number, row, planner)
-    return _with_stops(people, rows, planner) if stops else people, xy
+    return _with_stops(people, rows, planner) if options.get("stops") else people, xy
 
 
 def without_goals(
     recordings: Sequence[Tracks], share: float = 1.0, speed: SpeedOf = "observed", stops: bool = False
 ) -> tuple[RecordedPeople, Tensor]:
-    """Return what `people_of` returns, before any path is planned: exits are goals, and none is blocked."""
+    """Return the people of recordings, and all rows of their tracks (N, 2), person after person.
+
+    No path is planned: exits are goals, and none is blocked.
+
+    Args:
+        recordings: Tracks with a row in every frame of 0.4 s, the first of which is frame 0.
+        share: People who could be taken over later than this share of a recording's time are played back.
+        speed: ``observed`` for the mean speed of the first 8 rows, ``track`` for that of all, and
+            ``estimated`` for what `_estimated` makes of the first 8.
+        stops: Whether people have the places where they stopped as goals, too; see `stops_of`.
+    """
     per_recording = [_of(number, tracks, share, speed, stops) for number, tracks in enumerate(recordings)]
     *columns, stopped = zip(*per_recording, strict=True)
     people = RecordedPeople(*map(torch.cat, columns), stops=Stops.joined([*stopped]))

@@ -394,19 +394,7 @@ def test_noise_belongs_to_the_scene_not_to_the_batch() -> None:
     assert torch.allclose(small.trace[:, :, :steps], large.trace[:2, :, :steps], atol=1e-4)
 
 
-# 8. Bodies: see test_dynamics.py
-
-
-def test_no_person_leaves_a_closed_building() -> None:
-    env = make_env("goals:people=4,pool=6", num_envs=16)
-    now = env.reset()
-    generator = torch.Generator().manual_seed(0)
-    for _ in range(30):
-        now["agents", "action"] = 5 * torch.randn(16, 4, 2, generator=generator)
-        now = step_mdp(env.step(now))
-    state = env.state
-    distance, _ = env.bank.closest_wall(state.position, state.map_id, state.pose)
-    assert float(distance[state.mask].min()) > BODY_RADIUS - 0.02
+# 8. Bodies: see test_dynamics.py and test_backends.py
 
 
 # 9. Failure

@@ -292,7 +292,7 @@ def make_robot_env(
     else:
         given = [robot] if isinstance(robot, str | Spec | RobotBody) else list(robot)
         bodies = [one if isinstance(one, RobotBody) else build(ROBOTS, one, RobotBody) for one in given]
-        made = with_robots(scenario, bodies, robot_goals, present, body_radius)
+        made = with_robots(scenario, bodies, robot_goals, present=present, body_radius=body_radius)
         prepared = made.prepare(clearance_of(bodies) if clearance is None else clearance)
     senses = [sensors] if isinstance(sensors, str | Sensor) else sensors
     return RobotEnv(

@@ -48,7 +48,7 @@ class RobotScenes(Scenario):
         present: bool = True,
         body_radius: float = BODY_RADIUS,
     ) -> None:
-        """Take the scenario of N + R people; `with_robots` makes it, and says what the arguments are."""
+        """Take the scenario of N + R people; `with_robots` makes it. See the class for the arguments."""
         robot_goals = as_integer("robot_goals", robot_goals)
         if not bodies or robot_goals < 1:
             raise UserError(f"{len(bodies)} robots, robot_goals {robot_goals}: expected at least 1 of each")
@@ -154,11 +154,7 @@ class RobotScenes(Scenario):
 
 
 def with_robots(
-    scenario: str | Spec,
-    bodies: Sequence[RobotBody],
-    robot_goals: int = 1,
-    present: bool = True,
-    body_radius: float = BODY_RADIUS,
+    scenario: str | Spec, bodies: Sequence[RobotBody], robot_goals: int = 1, **options: Any
 ) -> RobotScenes:
     """Return the scenes of a scenario, by its name with settings, with robots beside its people.
 
@@ -168,8 +164,7 @@ def with_robots(
             back. With ``simulated=around`` the people's policy moves them.
         bodies: Of the robots.
         robot_goals: Goals that each robot has to reach.
-        present: Without it the robots are missing: the same people, in the same scenes.
-        body_radius: Of a person, metres.
+        options: More of `RobotScenes`: ``present``, ``body_radius``.
 
     Raises:
         UserError: An unknown name or setting, or a scenario without places for so many robots.
@@ -203,7 +198,7 @@ def with_robots(
             f"{inner.people} people and {len(bodies)} robots: robots take the places of the last people of "
             f"{spec.name}: expected at least as many people"
         )
-    return RobotScenes(inner, bodies, robot_goals, present, body_radius)
+    return RobotScenes(inner, bodies, robot_goals, **options)
 
 
 def _more(people: Any, robots: int) -> Any:

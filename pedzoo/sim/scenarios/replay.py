@@ -137,8 +137,8 @@ class Replay(Scenario):
         bank = MapBank([scene.grid for scene in recorded if scene.grid is not None], self.unknown)
         planner = Planner(bank, clearance, cell=CELL, share=SHARE)
         map_id = torch.tensor([scene.grid.map_id if scene.grid else -1 for scene in recorded])
-        rows = bank.index(map_id).tolist()
-        people, xy = people_of(tracks, rows, planner, self.share, self.speed_of, self.stops)
+        settings = {"share": self.share, "speed": self.speed_of, "stops": self.stops}
+        people, xy = people_of(tracks, bank.index(map_id).tolist(), planner, **settings)
         if not people.controlled.any():
             raise UserError(f"replay: no person in {self.name!r} can be simulated: {people.counts}")
         home = torch.from_numpy(np.stack([scene.home for scene in recorded]))
