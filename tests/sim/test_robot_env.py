@@ -37,12 +37,7 @@ def shared_scenes(scenario: str, robot: Any) -> PreparedScenario:
 
 
 def made(scenario: Any = FLAT, **settings: Any) -> RobotEnv:
-    if isinstance(scenario, str) and not settings.keys() & {
-        "clearance",
-        "body_radius",
-        "present",
-        "robot_goals",
-    }:
+    if isinstance(scenario, str) and not settings.keys() & {"clearance", "body_radius", "present"}:
         robot = settings.pop("robot", "disc")
         scenario = shared_scenes(scenario, tuple(robot) if isinstance(robot, list) else robot)
     return pedzoo.make_robot_env(scenario, **{"people": "go_to_goal", "num_envs": 4} | settings)
