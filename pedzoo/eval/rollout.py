@@ -20,11 +20,11 @@ from pedzoo.policies.load import load_policy
 from pedzoo.policies.policy import Policy
 from pedzoo.policies.teams import Teams
 from pedzoo.policies.walker import Walker
-from pedzoo.sim.arrival import planned
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env, physics_class, usual_physics
 from pedzoo.sim.robots.rollout import RobotRollout
 from pedzoo.sim.rollout import Rollout, joined, rollout_of
+from pedzoo.sim.rules import planned
 from pedzoo.sim.scenario import PreparedScenario, Scenario
 from pedzoo.sim.state import State
 

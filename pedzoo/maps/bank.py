@@ -244,6 +244,11 @@ class MapBank:
             )
         return self._rows[place]
 
+    def grid(self, map_id: Tensor | int) -> OccupancyGrid | None:
+        """Return the floor plan of one ``map_id``, None for -1; errors as of `index`."""
+        row = int(self.index(torch.tensor([int(map_id)], device=self.device)))
+        return self.grids[row] if row >= 0 else None
+
     def signed_distance(self, points: Tensor, map_id: Tensor, pose: Tensor) -> Tensor:
         """Return the distances (N, ...) from scene positions to the nearest wall, metres, negative inside it.
 

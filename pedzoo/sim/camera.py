@@ -1,4 +1,4 @@
-"""Where pictures are taken from, in which colours, and affine maps (2, 3) of the plane."""
+"""Where pictures are taken from, in which colours, and affine maps of the plane as matrices (3, 3)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pedzoo.core.geometry import move_to_scene
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 
 Affine = NDArray[np.float64]
-"""A map of the plane (2, 3)."""
+"""A map of the plane (3, 3): that of ``second`` after ``first`` is ``second @ first``."""
 
 FLOOR = (236, 236, 232)
 """RGB of free cells."""
@@ -117,8 +117,11 @@ class Camera:
             size: Width and height of the image in pixels.
             margin: Metres that are seen around the points.
         """
-        axes = self._axes()
-        places = points.detach().cpu().double().reshape(-1, 2).numpy() @ axes
+        # the image's right and up on the floor, as columns
+        heading = math.pi / 2 if self.view == "top" else self.heading
+        c, s = math.cos(heading), math.sin(heading)
+        axes = np.array([[s, c], [-c, s]])
+        places = as_array(points).reshape(-1, 2) @ axes
         places = places[np.isfinite(places).all(axis=1)]
         low, high = (places.min(axis=0), places.max(axis=0)) if len(places) else np.zeros((2, 2))
         wide, deep = high - low + 2 * margin
@@ -128,25 +131,15 @@ class Camera:
         x, y = axes @ ((low + high) / 2)
         return replace(self, center=(float(x), float(y)), width=float(max(wide, deep * size[0] / size[1])))
 
-    def _axes(self) -> NDArray[np.float64]:
-        """The image's right and up on the floor, as columns."""
-        heading = math.pi / 2 if self.view == "top" else self.heading
-        c, s = math.cos(heading), math.sin(heading)
-        return np.array([[s, c], [-c, s]])
-
-    def to_pixel(self, size: tuple[int, int]) -> NDArray[np.float64]:
-        """Return the affine (2, 3) from scene positions to (column, row) of the view from the top.
+    def to_pixel(self, size: tuple[int, int]) -> Affine:
+        """Return the map from scene positions to (column, row) of the view from the top.
 
         Whole numbers are the centres of pixels; ``center`` and ``width`` have to be known.
         """
         assert self.center is not None and self.width is not None
-        scale = size[0] / self.width
-        (x, y), (columns, rows) = self.center, size
-        return np.array(
-            [
-                [scale, 0.0, (columns - 1) / 2 - x * scale],
-                [0.0, -scale, (rows - 1) / 2 + y * scale],
-            ]
+        scale, (x, y), (columns, rows) = size[0] / self.width, self.center, size
+        return square(
+            np.array([[scale, 0.0, (columns - 1) / 2 - x * scale], [0.0, -scale, (rows - 1) / 2 + y * scale]])
         )
 
     def floor_pixels(self, points: NDArray[np.float64], size: tuple[int, int]) -> NDArray[np.float64]:
@@ -155,8 +148,7 @@ class Camera:
         Whole numbers are the centres of pixels; ``center`` and ``width`` have to be known.
         """
         if self.view == "top":
-            to_pixel = self.to_pixel(size)
-            return points @ to_pixel[:, :2].T + to_pixel[:, 2]
+            return moved(self.to_pixel(size), points)
         eye, target, up = (np.array(values) for values in self.eye())
         ahead = (target - eye) / np.linalg.norm(target - eye)
         right = np.cross(ahead, up)
@@ -180,7 +172,7 @@ class Camera:
 
 
 def free_corners(grid: OccupancyGrid, unknown: Unknown) -> NDArray[np.float64]:
-    """The corners (4, 2) of the rectangle around all free cells, in the map's frame, metres."""
+    """Return the corners (4, 2) of the rectangle around all free cells, in the map's frame, metres."""
     free = ~grid.occupied(unknown)
     if not free.any():
         free = ~free
@@ -190,21 +182,21 @@ def free_corners(grid: OccupancyGrid, unknown: Unknown) -> NDArray[np.float64]:
     return grid.cells_to_map(cells)
 
 
-def after(second: Affine, first: Affine) -> Affine:
-    """Return the map that does ``first`` and then ``second``."""
-    return np.column_stack((second[:, :2] @ first[:, :2], second[:, :2] @ first[:, 2] + second[:, 2]))
+def as_array(points: Tensor) -> NDArray[np.float64]:
+    """Return a tensor as numpy's doubles."""
+    return points.detach().cpu().double().numpy()
 
 
-def inverse(affine: Affine) -> Affine:
-    """Return the map that undoes one."""
-    return np.linalg.inv(np.vstack((affine, [0, 0, 1])))[:2]
+def moved(affine: Affine, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return points (..., 2) by an affine map."""
+    return points @ affine[:2, :2].T + affine[:2, 2]
 
 
 def map_to_scene(pose: Tensor) -> Affine:
     """Return the map of a pose (4,)."""
     corners = torch.tensor([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], dtype=torch.float64)
     zero, x, y = move_to_scene(corners[None], pose.detach().cpu().double()[None])[0].numpy()
-    return np.column_stack((x - zero, y - zero, zero))
+    return square(np.column_stack((x - zero, y - zero, zero)))
 
 
 def scene_to_grid(pose: Tensor, grid: OccupancyGrid | None) -> Affine:
@@ -213,6 +205,11 @@ def scene_to_grid(pose: Tensor, grid: OccupancyGrid | None) -> Affine:
     It turns, mirrors and shifts, but does not stretch. Without a floor plan, scenes stay where they are.
     """
     if grid is None:
-        return np.eye(2, 3)
+        return np.eye(3)
     to_grid = (grid.map_to_cell() + np.array([[0, 0, 0.5], [0, 0, 0.5]])) * grid.resolution
-    return after(to_grid, inverse(map_to_scene(pose)))
+    return square(to_grid) @ np.linalg.inv(map_to_scene(pose))
+
+
+def square(affine: NDArray[np.float64]) -> Affine:
+    """Return the matrix (3, 3) of an affine map (2, 3)."""
+    return np.vstack((affine, [0.0, 0.0, 1.0]))

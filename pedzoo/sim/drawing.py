@@ -7,13 +7,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pedzoo.core.batch import ROBOT
-from pedzoo.core.geometry import heading_of
+from pedzoo.core.geometry import direction_of, heading_of
 from pedzoo.core.types import BODY_RADIUS, GOAL_RADIUS
 from pedzoo.maps.grid import OccupancyGrid, Unknown
-from pedzoo.sim.camera import FLOOR, OUTSIDE, WALL, Camera, after, inverse, map_to_scene, person_color
+from pedzoo.sim.camera import FLOOR, OUTSIDE, WALL, Camera, as_array, map_to_scene, square
 
 Image = NDArray[np.uint8]
+Color = tuple[int, int, int]
 
 SHOULDERS = (0.13, 0.23)
 """Half axes of a person from above, along and across where it faces, metres."""
@@ -48,6 +48,12 @@ def shoulders(heading: float) -> NDArray[np.float64]:
     return np.stack((along, across), 1) @ np.array([[c, s], [-s, c]])
 
 
+def goal_circle(goal: Tensor) -> Tensor:
+    """Return the circle (32, 2) around a goal (2,), metres, within which it is reached."""
+    angle = torch.linspace(0, 2 * torch.pi, _CIRCLE + 1)[:-1]
+    return goal.detach().cpu() + GOAL_RADIUS * direction_of(angle)
+
+
 def headings_along(path: Tensor) -> Tensor:
     """Return where people face (A, T), radians, at points every 0.1 s of their paths (A, T, 2), metres.
 
@@ -64,172 +70,92 @@ def headings_along(path: Tensor) -> Tensor:
     return heading_of(moves, moves.new_zeros(moves.shape[:2]), _TURNS).gather(1, kept)
 
 
-def draw_top_view(
-    grid: OccupancyGrid | None,
-    unknown: Unknown,
-    pose: Tensor,
-    position: Tensor,
-    present: Tensor,
-    radius: Tensor,
-    size: tuple[int, int],
-    camera: Camera,
-    heading: Tensor | None = None,
-    kind: Tensor | None = None,
+def draw_floor(
+    grid: OccupancyGrid | None, unknown: Unknown, pose: Tensor, size: tuple[int, int], camera: Camera
 ) -> Image:
-    """Return the picture (H, W, 3) uint8 RGB of floor and people.
+    """Return the picture (H, W, 3) uint8 RGB of the floor from above.
 
     Args:
         grid: The floor plan, None for open floor.
         unknown: Meaning of its unknown cells.
         pose: Pose of the scene on it (4,).
-        position: Scene positions (A, 2), metres.
-        present: Which agents to draw (A,) bool.
-        radius: Of bodies (A,), metres.
         size: Width and height in pixels.
-        camera: Its center and width are used; it looks down for every ``view``.
-        heading: Where people face (A,), radians; None draws discs.
-        kind: Person or robot (A,), which is a disc; None for people alone.
+        camera: Its center and width are used.
     """
-    image = draw_floor(grid, unknown, pose, size, camera)
-    to_pixel = camera.to_pixel(size)
-    for person in present.nonzero()[:, 0].tolist():
-        place, wide, color = position[person], float(radius[person]), person_color(person)
-        if heading is None or (kind is not None and int(kind[person]) == ROBOT):
-            draw_disc(image, to_pixel, place, wide, color)
-        else:
-            draw_person(image, to_pixel, place, float(heading[person]), wide, color)
-    return image
-
-
-def draw_floor(
-    grid: OccupancyGrid | None, unknown: Unknown, pose: Tensor, size: tuple[int, int], camera: Camera
-) -> Image:
-    """Return the picture (H, W, 3) uint8 RGB of the floor; arguments as of `draw_top_view`."""
     import cv2
 
-    to_pixel = camera.to_pixel(size)
     image = np.full((size[1], size[0], 3), FLOOR, dtype=np.uint8)
     if grid is not None:
         colors = np.array([FLOOR, WALL], dtype=np.uint8)[grid.occupied(unknown).astype(int)]
-        affine = after(to_pixel, after(map_to_scene(pose), inverse(grid.map_to_cell())))
+        affine = camera.to_pixel(size) @ map_to_scene(pose) @ np.linalg.inv(square(grid.map_to_cell()))
         cv2.warpAffine(
             colors,
-            affine,
+            affine[:2],
             size,
             dst=image,
             # Shrunken plans keep their thin walls with areas averaged; enlarged cells keep their edges.
-            flags=cv2.INTER_NEAREST if abs(np.linalg.det(affine[:, :2])) >= 1 else cv2.INTER_LINEAR,
+            flags=cv2.INTER_NEAREST if abs(np.linalg.det(affine[:2, :2])) >= 1 else cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_CONSTANT,
             borderValue=OUTSIDE,
         )
     return image
 
 
-def draw_person(
-    image: Image,
-    to_pixel: NDArray[np.float64],
-    place: Tensor,
-    heading: float,
-    radius: float,
-    color: tuple[int, int, int],
-) -> None:
-    """Draw a person into a picture: shoulders across where it faces, the disc that touches, and a head.
+class Canvas:
+    """A picture of a scene, into which bodies, ways and goals are drawn where they are.
 
-    Args:
-        image: See `draw_disc`, as are the others.
-        to_pixel: Of its camera.
-        place: Scene position (2,), metres.
-        heading: Radians.
-        radius: Of the disc, metres.
-        color: RGB.
-    """
-    import cv2
-
-    scale, middle = to_pixel[0, 0], place.detach().cpu().double().numpy()
-    ahead, wide = np.array([np.cos(heading), np.sin(heading)]), radius / BODY_RADIUS
-
-    def disc(forward: float, across: float, tint: tuple[int, int, int]) -> None:
-        pixel = to_pixel[:, :2] @ (middle + wide * forward * ahead) + to_pixel[:, 2]
-        x, y = (round(value * 2**_FINE) for value in pixel)
-        cv2.circle(image, (x, y), round(across * scale * 2**_FINE), tint, cv2.FILLED, cv2.LINE_AA, _FINE)
-
-    outline = to_pixel[:, :2] @ (middle + wide * shoulders(heading)).T + to_pixel[:, 2:]
-    corners = np.round(outline.T * 2**_FINE).astype(np.int32)
-    # the edge first, then all that it surrounds
-    cv2.polylines(image, [corners], True, EDGE, 2, cv2.LINE_AA, _FINE)
-    disc(0.0, radius + 1 / scale, EDGE)
-    cv2.fillPoly(image, [corners], color, cv2.LINE_AA, _FINE)
-    disc(0.0, radius, color)
-    disc(0.0, wide * HEAD, HAIR)
-    disc(FACE_AHEAD, wide * FACE, SKIN)
-
-
-def draw_disc(
-    image: Image,
-    to_pixel: NDArray[np.float64],
-    place: Tensor,
-    radius: float,
-    color: tuple[int, int, int],
-) -> None:
-    """Draw a body into a picture.
-
-    Args:
+    Attributes:
         image: The picture (H, W, 3) uint8 RGB.
-        to_pixel: Of its camera, see `Camera.to_pixel`.
-        place: Scene position (2,), metres.
-        radius: Metres.
-        color: RGB.
     """
-    import cv2
 
-    pixel = to_pixel[:, :2] @ place.detach().cpu().double().numpy() + to_pixel[:, 2]
-    x, y = (round(value * 2**_FINE) for value in pixel)
-    across = round(radius * to_pixel[0, 0] * 2**_FINE)
-    cv2.circle(image, (x, y), across, color, cv2.FILLED, cv2.LINE_AA, _FINE)
-    cv2.circle(image, (x, y), across, EDGE, 1, cv2.LINE_AA, _FINE)
+    def __init__(self, image: Image, camera: Camera) -> None:
+        """Take a picture, and the camera that took it; its center and width are known."""
+        self.image, self._camera = image, camera
+        self._size = image.shape[1], image.shape[0]
 
+    def pixels(self, points: NDArray[np.float64]) -> NDArray[np.int32]:
+        """Return points of the floor (N, 2), metres, in sixteenths of pixels (N, 1, 2)."""
+        pixels = self._camera.floor_pixels(points, self._size) * 2**_FINE
+        return np.round(pixels).astype(np.int32).reshape(-1, 1, 2)
 
-def draw_way(
-    image: Image,
-    way: Tensor,
-    camera: Camera,
-    size: tuple[int, int],
-    color: tuple[int, int, int],
-    width: int = 1,
-) -> None:
-    """Draw an agent's way (T, 2), metres, as a line on the floor, so many pixels broad.
+    def line(self, points: Tensor, color: Color, width: int = 1, closed: bool = False) -> None:
+        """Draw a line on the floor, so many pixels broad; none where a point is behind the camera."""
+        import cv2
 
-    ``size`` is the width and height in pixels of the picture that ``camera`` took.
-    """
-    _line(image, way, camera, size, color, width, closed=False)
+        places = as_array(points)
+        if np.isfinite(self._camera.floor_pixels(places, self._size)).all():
+            cv2.polylines(self.image, [self.pixels(places)], closed, color, width, cv2.LINE_AA, _FINE)
 
+    def goal(self, goal: Tensor, color: Color, width: int = 1) -> None:
+        """Draw the circle around a goal (2,), metres; nothing if it is not finite."""
+        self.line(goal_circle(goal), color, width, closed=True)
 
-def draw_goal(
-    image: Image,
-    goal: Tensor,
-    camera: Camera,
-    size: tuple[int, int],
-    color: tuple[int, int, int],
-    width: int = 1,
-) -> None:
-    """Draw the circle around a goal (2,), metres, within which it is reached; nothing if it is not finite."""
-    angle = torch.linspace(0, 2 * torch.pi, _CIRCLE + 1)[:-1]
-    circle = goal.detach().cpu() + GOAL_RADIUS * torch.stack((angle.cos(), angle.sin()), dim=-1)
-    _line(image, circle, camera, size, color, width, closed=True)
+    def disc(self, place: Tensor, radius: float, color: Color) -> None:
+        """Draw a body from the top: the disc of ``radius`` metres around a place (2,)."""
+        self._circle(as_array(place), radius, color)
+        self._circle(as_array(place), radius, EDGE, thickness=1)
 
+    def person(self, place: Tensor, heading: float, radius: float, color: Color) -> None:
+        """Draw a person from the top: shoulders across its ``heading``, the disc that touches, and a head."""
+        import cv2
 
-def _line(
-    image: Image,
-    points: Tensor,
-    camera: Camera,
-    size: tuple[int, int],
-    color: tuple[int, int, int],
-    width: int,
-    closed: bool,
-) -> None:
-    import cv2
+        middle, wide = as_array(place), radius / BODY_RADIUS
+        face = middle + wide * FACE_AHEAD * np.array([np.cos(heading), np.sin(heading)])
+        outline = self.pixels(middle + wide * shoulders(heading))
+        # the edge first, then all that it surrounds
+        cv2.polylines(self.image, [outline], True, EDGE, 2, cv2.LINE_AA, _FINE)
+        self._circle(middle, radius, EDGE, wider=1)
+        cv2.fillPoly(self.image, [outline], color, cv2.LINE_AA, _FINE)
+        self._circle(middle, radius, color)
+        self._circle(middle, wide * HEAD, HAIR)
+        self._circle(face, wide * FACE, SKIN)
 
-    pixels = camera.floor_pixels(points.detach().cpu().double().numpy(), size)
-    if np.isfinite(pixels).all():
-        corners = np.round(pixels * 2**_FINE).astype(np.int32).reshape(-1, 1, 2)
-        cv2.polylines(image, [corners], closed, color, width, cv2.LINE_AA, _FINE)
+    def _circle(
+        self, place: NDArray[np.float64], radius: float, color: Color, thickness: int = -1, wider: int = 0
+    ) -> None:
+        """Draw a circle around a place (2,), metres, filled by default, so many pixels ``wider``."""
+        import cv2
+
+        across = radius * self._size[0] / (self._camera.width or 1.0) + wider
+        (x, y), cut = self.pixels(place[None])[0, 0].tolist(), round(across * 2**_FINE)
+        cv2.circle(self.image, (x, y), cut, color, thickness, cv2.LINE_AA, _FINE)

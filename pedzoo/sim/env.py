@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
+from torchrl.data import Composite
 from torchrl.envs import EnvBase
 
 from pedzoo.core.adapters import copied, put, tensordict_of, worker_number
@@ -25,7 +26,7 @@ from pedzoo.sim import kernel
 from pedzoo.sim.camera import check_size
 from pedzoo.sim.dynamics import substeps
 from pedzoo.sim.episodes import EpisodeQueue, Episodes, Scenes
-from pedzoo.sim.observation import action_spec, done_spec, observation_spec, observed, reward_spec
+from pedzoo.sim.observation import done_spec, observation_spec, observed, real
 from pedzoo.sim.physics._base import Physics
 from pedzoo.sim.rules import rules_of
 from pedzoo.sim.scenario import WARM_SECONDS, PreparedScenario, Scenario
@@ -66,22 +67,10 @@ class PedestrianEnv(EnvBase):
         device: torch.device | str = "cpu",
         deadline: float | None = None,
     ) -> None:
-        """Take a prepared scenario and the physics that moves them; `pedzoo.make_env` does both.
+        """Take a prepared scenario and the physics that moves its people; `pedzoo.make_env` does both.
 
-        Args:
-            prepared: The result of `Scenario.prepare`.
-            physics: Moves agents, and finds contacts.
-            num_envs: B.
-            seed: Of all scenes; scene i of a seed is the same however many are run at once. None: 0, and in
-                processes that Python has started, such as a collector's workers, the number of the process.
-            decision_dt: Seconds between two decisions, a multiple of 0.1.
-            warm_start: Where the first 8 observed steps come from.
-            first_episode: Number of the first scene.
-            stride: A scene that ends is followed by the one this many numbers on: ``num_envs`` by default,
-                and ``num_envs`` times the number of workers where several share a seed.
-            body_radius: Of a person, metres.
-            device: Where scenes are, and everything that they are looked up in.
-            deadline: Seconds that people have for every goal; see `pedzoo.make_env`.
+        B is ``num_envs``; `pedzoo.make_env` explains the others. A scene that ends is followed by the one that
+        is ``stride`` numbers on: ``num_envs`` times the number of workers where several share a seed.
 
         Raises:
             UserError: A setting is out of range.
@@ -109,8 +98,12 @@ class PedestrianEnv(EnvBase):
         self._scenes: Scenes | None = None
         self._set_seed(seed)
         self.observation_spec = observation_spec(num_envs, agents, trace_points, self.bank).to(self.device)
-        self.action_spec = action_spec(num_envs, agents).to(self.device)
-        self.reward_spec = reward_spec(num_envs, agents).to(self.device)
+        shape = num_envs, agents
+        people = {"action": real(*shape, 2), "reward": real(*shape, 1)}
+        self.action_spec, self.reward_spec = (
+            Composite(agents=Composite({name: spec}, shape=shape), shape=shape[:1]).to(self.device)
+            for name, spec in people.items()
+        )
         self.done_spec = done_spec(num_envs).to(self.device)
 
     def __repr__(self) -> str:
@@ -227,14 +220,13 @@ class PedestrianEnv(EnvBase):
 
     def _set_seed(self, seed: int | None) -> None:
         self.seed = worker_number() if seed is None else as_integer("seed", seed)
-        people, rows = self.prepared.people, self.batch_size[0]
         self._queue = EpisodeQueue(
             self._episodes,
             self.rules,
             self._opened,
-            people=people,
+            people=self.prepared.people,
             seed=self.seed,
-            rows=rows,
+            rows=self.batch_size[0],
             first=self._first,
             stride=self._stride,
         )
@@ -277,16 +269,14 @@ class PedestrianEnv(EnvBase):
         )
 
     def _observation(self, state: State, guidance: Guidance, outcome: Events | None = None) -> TensorDict:
-        scenes, agents = state.mask.shape
         if outcome is None:
             points = round(self.decision_dt / TRACE_SECONDS)
-            nothing = torch.zeros(scenes, agents, points, dtype=torch.bool, device=self.device)
+            nothing = torch.zeros(*state.mask.shape, points, dtype=torch.bool, device=self.device)
             reached = state.reached.unsqueeze(-1).expand(-1, -1, points).contiguous()
             happened = state.past[:, :, -points:], nothing, nothing, reached
         else:
             happened = outcome[:4]
-        names = ("trace", "agent_contact", "wall_contact", "reached")
-        info = dict(zip(names, happened, strict=True))
+        info = dict(zip(Events._fields, happened, strict=False))
         info |= {"overdue": state.overdue, "remaining_path": state.remaining_path}
         batch = observed(state, guidance, self.bank)
         put(agents_of(batch), {"info": tensordict_of(info, state.mask.shape, state.mask.device)})

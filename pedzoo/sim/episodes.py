@@ -16,10 +16,9 @@ from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.maps.bank import WallSegments
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim import warm_start as warm
-from pedzoo.sim.arrival import deadline, planned
 from pedzoo.sim.physics._base import Physics
 from pedzoo.sim.physics.compiled import Compiled
-from pedzoo.sim.rules import Rules
+from pedzoo.sim.rules import Rules, deadline, planned
 from pedzoo.sim.scenario import MIN_INITIAL_PATH, Layout, PreparedScenario, filled
 from pedzoo.sim.state import PAST_LEN, State
 

@@ -15,11 +15,10 @@ from pedzoo.core.bodies import HOLONOMIC
 from pedzoo.core.geometry import TURNS_FROM, blended, heading_of, limited
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.maps.planning.guidance import Guidance
-from pedzoo.sim.arrival import WaitingUpdate, deadline, planned, waiting_update
 from pedzoo.sim.dynamics import driven
 from pedzoo.sim.physics._base import Physics
-from pedzoo.sim.rules import Rules
-from pedzoo.sim.state import CLOCK_ROUNDING, CONTACT_COST, Decision, Events, State
+from pedzoo.sim.rules import Rules, deadline, planned, waiting_update
+from pedzoo.sim.state import CLOCK_ROUNDING, CONTACT_COST, Decision, Events, Motion, State
 
 
 def step(state: State, commands: Tensor, physics: Physics, rules: Rules) -> tuple[State, Guidance, Events]:
@@ -95,12 +94,7 @@ def _decided(state: State, commands: Tensor, physics: Physics, rules: Rules) -> 
     script = rules.script
     played = None if script is None else script.playback(state, failed, rules.ticks, rules.substeps)
     motion = physics.advance(state, velocity, moving, rules.substeps, played, command.movedim(0, -1))
-    hits, waits = motion.reached, None
-    if rules.waits is not None:
-        end = state.clock + rules.ticks * TRACE_SECONDS
-        waits = waiting_update(rules.waits(state), state, hits, end)
-        hits = waits.hits
-    after, sets_out = _arrived(state, hits, motion.trace, failed, rules, waits)
+    after, hits, sets_out = _arrived(state, motion, failed, rules)
     turned = heading_of(after.velocity, heading, TURNS_FROM)
     if rules.wheels:
         turned = torch.where(state.drive == HOLONOMIC, turned, heading)
@@ -111,33 +105,29 @@ def _decided(state: State, commands: Tensor, physics: Physics, rules: Rules) -> 
     return Decision(after._replace(heading=turned, turn_rate=turn_rate), motion, moving, hits, sets_out)
 
 
-def _arrived(
-    state: State, hits: Tensor, trace: Tensor, failed: Tensor, rules: Rules, waited: WaitingUpdate | None
-) -> tuple[State, Tensor]:
-    """Return the state at the end of a decision, and which agents set out or are taken over (B, A) bool.
+def _arrived(state: State, motion: Motion, failed: Tensor, rules: Rules) -> tuple[State, Tensor, Tensor]:
+    """Return the state at the end of a decision, goals reached until each point, and who sets out.
 
-    Args:
-        state: At its beginning.
-        hits: Which agents have reached their goal until each trace point (B, A, S) bool.
-        trace: Positions every 0.1 s (B, A, S, 2), metres.
-        failed: Scenes whose policy returned NaN or infinity (B,) bool.
-        rules: Of the scenes.
-        waited: Which people stop to wait and which move on; None where no people wait.
+    Of the last two (B, A, S) and (B, A) bool, places to wait at are no goals, and who is taken over sets out.
     """
-    hit = hits[..., -1]
-    clock = state.clock + rules.ticks * TRACE_SECONDS
-    later = state.next_goal
-    takes = hit if waited is None else hit | waited.moves_on
+    clock, hits, moves_on = state.clock + rules.ticks * TRACE_SECONDS, motion.reached, None
+    if rules.waits is not None:
+        hits, moves_on, stands = waiting_update(rules.waits(state), state, hits, clock)
+    hit, later = hits[..., -1], state.next_goal
+    takes = hit if moves_on is None else hit | moves_on
     renew = takes & (later >= 0) if rules.keep_goal else takes
     reached = state.reached + hit
-    overdue = state.overdue | (_misses_deadline(state, hits, rules.goals) & state.controlled)
+    # a goal that was not reached counts as reached at the end, which is late, too
+    before = hits.shape[2] - hits.sum(2).clamp_min(1)
+    when = state.clock.unsqueeze(1) + TRACE_SECONDS * (before + 1)
+    late = (when > state.deadline + CLOCK_ROUNDING) & (state.reached < rules.goals)
     waits = state.mask & ~state.controlled & (state.stands > 0)
     sets_out = waits & (clock.unsqueeze(1) + CLOCK_ROUNDING >= state.stands)
     mask, controlled = state.mask, state.controlled | sets_out
     if rules.leave:
         stays = (reached < rules.goals) | state.stands.isinf()
         mask, controlled = mask & stays, controlled & stays
-    past = torch.cat((state.past[:, :, rules.ticks :], trace), dim=2)
+    past = torch.cat((state.past[:, :, rules.ticks :], motion.trace), dim=2)
     after = state._replace(
         clock=clock,
         failed=failed,
@@ -149,23 +139,13 @@ def _arrived(
         goal_id=torch.where(renew, later, state.goal_id),
         goal_index=state.goal_index + takes,
         reached=reached,
-        overdue=overdue,
+        overdue=state.overdue | (late & state.controlled),
     )
-    if waited is not None:
-        after = after._replace(stands=waited.stands)
-        sets_out = sets_out | waited.moves_on
+    if moves_on is not None:
+        after, sets_out = after._replace(stands=stands), sets_out | moves_on
         if rules.script is None:  # recorded people have to be gone at a time of their recording
             after = after._replace(deadline=after.deadline.masked_fill(after.holds, torch.inf))
     if rules.script is None:
-        return after, sets_out
+        return after, hits, sets_out
     present, taken_over = rules.script.update_presence(state, after, rules.ticks)
-    return present, taken_over | (sets_out & (present.person == state.person))
-
-
-def _misses_deadline(state: State, hits: Tensor, goals: int) -> Tensor:
-    """Return which agents are late for their goal (B, A) bool; a goal reached in time on the trace counts."""
-    # a goal that was not reached counts as reached at the end, which is late, too
-    before = hits.shape[2] - hits.sum(2).clamp_min(1)
-    when = state.clock.unsqueeze(1) + TRACE_SECONDS * (before + 1)
-    late = when > state.deadline + CLOCK_ROUNDING
-    return late & (state.reached < goals)
+    return present, hits, taken_over | (sets_out & (present.person == state.person))

@@ -17,13 +17,7 @@ from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
 
 
 def observed(state: State, guidance: Guidance, maps: MapBank) -> TensorDict:
-    """Return the scene batch (B,) of a state, from which every policy decides.
-
-    Args:
-        state: The scenes.
-        guidance: The planner's answer for their agents.
-        maps: The floor plans of their ``map_id``.
-    """
+    """Return the scene batch (B,) of a state and its guidance: all that a policy decides from."""
     return scene_batch(
         maps=maps,
         map_id=state.map_id.unsqueeze(1),
@@ -67,8 +61,8 @@ def state_of(batch: TensorDict, destination: Tensor, controlled: Tensor, key: Te
     """
     agents = agents_of(batch)
     history, mask = agents["history"], agents["mask"]
-    none = torch.zeros_like(agents["kind"])
-    frame, place = maps_of(batch).walls_of_scenes(none[:, 0] - 1, batch["scene_pose"])
+    none, scene = torch.zeros_like(agents["kind"]), torch.zeros_like(batch["map_id"][:, 0])
+    frame, place = maps_of(batch).walls_of_scenes(scene - 1, batch["scene_pose"])
     slots = torch.arange(mask.shape[1], device=mask.device).expand(mask.shape)
     return State.of(
         dense(history),
@@ -76,11 +70,11 @@ def state_of(batch: TensorDict, destination: Tensor, controlled: Tensor, key: Te
         agents["pref_speed"][..., 0],
         key=key,
         map_id=batch["map_id"][:, 0],
-        row=none[:, 0] - 1,
+        row=scene - 1,
         wall_frame=frame,
         wall_place=place,
         pose=batch["scene_pose"],
-        scene=none[:, 0],
+        scene=scene,
         controlled=controlled,
         person=slots.where(mask, -1),
         observed_points=(agents["valid"].sum(2) - 1) * TRACE_PER_STEP + 1,
@@ -99,37 +93,17 @@ def state_of(batch: TensorDict, destination: Tensor, controlled: Tensor, key: Te
 def observation_spec(scenes: int, agents: int, trace_points: int, maps: MapBank) -> Composite:
     """Return the spec of observations of B scenes, A people and S trace points per decision on ``maps``."""
     b, ba = (scenes,), (scenes, agents)
-    info = Composite(
-        trace=real(*ba, trace_points, 2),
-        agent_contact=flag(*ba, trace_points),
-        wall_contact=flag(*ba, trace_points),
-        reached=whole(*ba, trace_points),
-        overdue=flag(*ba),
-        remaining_path=real(*ba),
-        shape=ba,
-    )
-    people = Composite(
-        id=whole(*ba),
-        history=real(*ba, OBS_LEN, 2),
-        valid=flag(*ba, OBS_LEN),
-        velocity=real(*ba, 2),
-        heading=real(*ba, 1),
-        radius=real(*ba, 1),
-        kind=whole(*ba),
-        group=whole(*ba),
-        pref_speed=real(*ba, 1),
-        top_speed=real(*ba, 1),
-        goal=real(*ba, 2),
-        desired_velocity=real(*ba, 2),
-        remaining_path=real(*ba, 1),
-        goal_since=real(*ba, 1),
-        mask=flag(*ba),
-        controlled=flag(*ba),
-        info=info,
-        shape=ba,
-    )
+    bas = *ba, trace_points
+    info = {"trace": real(*bas, 2), "agent_contact": flag(*bas), "wall_contact": flag(*bas)}
+    info |= {"reached": whole(*bas), "overdue": flag(*ba), "remaining_path": real(*ba)}
+    people = {name: real(*ba, 2) for name in ("velocity", "goal", "desired_velocity")}
+    numbers = ("heading", "radius", "pref_speed", "top_speed", "remaining_path", "goal_since")
+    people |= {name: real(*ba, 1) for name in numbers}
+    people |= {name: whole(*ba) for name in ("id", "kind", "group")}
+    people |= {name: flag(*ba) for name in ("mask", "controlled")}
+    people |= {"history": real(*ba, OBS_LEN, 2), "valid": flag(*ba, OBS_LEN)}
     return Composite(
-        agents=people,
+        agents=Composite(people | {"info": Composite(info, shape=ba)}, shape=ba),
         maps=NonTensor(shape=torch.Size(b), example_data=maps),
         map_id=whole(*b, 1),
         scene_pose=real(*b, 4),
@@ -138,18 +112,6 @@ def observation_spec(scenes: int, agents: int, trace_points: int, maps: MapBank)
         failed=flag(*b, 1),
         shape=b,
     )
-
-
-def action_spec(scenes: int, agents: int) -> Composite:
-    """Return the spec of actions: velocities in m/s. The dynamics shorten them to the agents' top speeds."""
-    people = Composite(action=real(scenes, agents, 2), shape=(scenes, agents))
-    return Composite(agents=people, shape=(scenes,))
-
-
-def reward_spec(scenes: int, agents: int) -> Composite:
-    """Return the spec of the agents' rewards."""
-    people = Composite(reward=real(scenes, agents, 1), shape=(scenes, agents))
-    return Composite(agents=people, shape=(scenes,))
 
 
 def done_spec(scenes: int) -> Composite:

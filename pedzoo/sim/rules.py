@@ -1,7 +1,11 @@
-"""What holds for all scenes of a simulation: `kernel.step` reads it."""
+"""What holds for all scenes of a simulation: `kernel.step` reads it; when goals are reached, and how late.
+
+Goals are reached on the 0.1 s trace and not only at decisions.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -11,12 +15,14 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.randomness import Draws
-from pedzoo.core.types import AHEAD_SECONDS
+from pedzoo.core.types import AHEAD_SECONDS, GOAL_RADIUS, STEP_SECONDS
 from pedzoo.maps.planning.guidance import Guidance
-from pedzoo.sim.arrival import at_places, check_deadline
-from pedzoo.sim.scenario import PreparedScenario, Scenario
+from pedzoo.sim.scenario import PreparedScenario
 from pedzoo.sim.script import Script
-from pedzoo.sim.state import State
+from pedzoo.sim.state import CLOCK_ROUNDING, MotionInput, State
+
+TIME_RATIO, LEAST_TIME_LIMIT = 4.0, 20.0
+"""Time limit of a goal, divided by the time of its path at the preferred speed; the least one, seconds."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +41,7 @@ class Rules:
             accelerations are not looked at.
         waits: Says for how long people wait where their goals are (B, A), seconds; None where no person does.
         script: Plays recorded people back; None for none.
-        deadline: Seconds for every goal; None as `pedzoo.sim.arrival.deadline` says.
+        deadline: Seconds for every goal; None as `deadline` says.
     """
 
     guidance: Callable[[State], Guidance]
@@ -66,32 +72,28 @@ def rules_of(
     check_deadline(deadline)
     if deadline is not None and script is not None:
         raise UserError(f"deadline {deadline}: people of recordings have the time that they took there")
-    guidance, leave = partial(_guidance, prepared), scenario.finished == "leave"
-    if script is not None:
-        script = script.to(device)
-    waits = None
-    if scenario.waits:
-        waits = partial(_pauses, scenario) if script is None else script.pauses
+
+    script = None if script is None else script.to(device)
+    waits = partial(_pauses, prepared) if script is None else script.pauses
     return Rules(
-        guidance=guidance,
+        guidance=partial(_guidance, prepared),
         ticks=ticks,
         substeps=substeps,
         goals=scenario.goals,
-        leave=leave,
+        leave=scenario.finished == "leave",
         wheels=scenario.wheels,
-        waits=waits,
+        waits=waits if scenario.waits else None,
         script=script,
         deadline=deadline,
     )
 
 
-def _pauses(scenario: Scenario, state: State) -> Tensor:
-    """Return how long people of a scenario wait where their goals are (B, A), seconds."""
-    return scenario.pauses(Draws(state.key), state.goal_index)
+def _pauses(prepared: PreparedScenario, state: State) -> Tensor:
+    return prepared.scenario.pauses(Draws(state.key), state.goal_index)
 
 
 def _guidance(prepared: PreparedScenario, state: State) -> Guidance:
-    """Return the planner's guidance of all agents."""
+    """Return the planner's guidance of all agents; people who wait go back to their place in one step."""
     guidance = prepared.planner.guidance(
         state.position,
         torch.where(state.mask, state.goal_id, -1),
@@ -101,4 +103,71 @@ def _guidance(prepared: PreparedScenario, state: State) -> Guidance:
         AHEAD_SECONDS,
         prepared.fastest,
     )
-    return at_places(state, guidance) if prepared.scenario.waits else guidance
+    if not prepared.scenario.waits:
+        return guidance
+    holds = state.holds.unsqueeze(2)
+    back = (guidance.goal_point - state.position) / STEP_SECONDS
+    speed = back.norm(dim=-1, keepdim=True).clamp_min(1e-9)
+    back = back * (state.pref_speed.unsqueeze(2) / speed).clamp_max(1.0)
+    return guidance._replace(
+        goal=torch.where(holds, guidance.goal_point, guidance.goal),
+        desired_velocity=torch.where(holds, back, guidance.desired_velocity),
+    )
+
+
+def arrived(path: Tensor, goal: Tensor, inputs: MotionInput) -> Tensor:
+    """Return which agents have come within 0.3 m of their goal until each trace point (B, A, S) bool.
+
+    Args:
+        path: Sub-steps (2, S * M, B, A), metres.
+        goal: Goals (B, A, 2).
+        inputs: Says which agents may.
+    """
+    x, y = path.detach() - goal.detach().movedim(-1, 0).unsqueeze(1)
+    near = (torch.addcmul(x * x, y, y) < GOAL_RADIUS**2) & inputs.wanted
+    return (near.unflatten(0, (-1, inputs.substeps)).any(1).cumsum(0) > 0).permute(1, 2, 0)
+
+
+def planned(way: Tensor) -> Tensor:
+    """Return how far people with paths (B, A) of such lengths to their goals have to walk, metres."""
+    return (way.detach() - GOAL_RADIUS).clamp_min(0)
+
+
+def deadline(clock: Tensor, way: Tensor, pref_speed: Tensor, seconds: float | None = None) -> Tensor:
+    """Return when a goal at the end of ``way`` (B, A) must be reached: four times the time that it takes.
+
+    At least 20 s from ``clock`` (B,), the end of the decision in which the goal was drawn; everything in
+    seconds and metres. Where ``seconds`` are given, there are so many for every goal instead.
+    """
+    ways, least = (TIME_RATIO, LEAST_TIME_LIMIT) if seconds is None else (0.0, seconds)
+    return clock.unsqueeze(1) + torch.clamp(ways * way / pref_speed, min=least)
+
+
+def check_deadline(seconds: float | None) -> None:
+    """Check the seconds that people are given for every goal, None for the usual ones.
+
+    Raises:
+        UserError: They are no time.
+    """
+    if seconds is not None and not 0 < seconds < math.inf:
+        raise UserError(f"deadline {seconds}: expected a number of seconds above 0")
+
+
+def waiting_update(pause: Tensor, state: State, near: Tensor, clock: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return which people reach goals (B, A, S) bool, which move on without (B, A) bool, and `State.stands`.
+
+    Args:
+        pause: How long people wait at their goals (B, A), seconds: see `Scenario.pauses`. Places to wait at
+            are never reached.
+        state: At the beginning of the decision.
+        near: Which agents have come near their goal until each trace point (B, A, S) bool.
+        clock: At its end (B,), seconds.
+    """
+    stops = near[..., -1] & (pause > 0)
+    now = clock.unsqueeze(1)
+    over = state.holds & (now + CLOCK_ROUNDING >= state.stands)
+    before = torch.nn.functional.pad(state.goal_index[:, :-1], (1, 0), value=-1)
+    called = state.controlled & pause.isinf() & (before > state.goal_index)
+    moves_on = over | called
+    stands = torch.where(moves_on, 0.0, torch.where(stops, now + pause, state.stands))
+    return near & ~stops.unsqueeze(-1), moves_on, stands

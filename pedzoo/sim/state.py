@@ -123,15 +123,14 @@ class State(NamedTuple):
         endless, never = torch.full_like(nothing, torch.inf), torch.zeros_like(mask)
         usual = dict.fromkeys(("turn_rate", "remaining_path", "planned", "stands"), nothing)
         usual |= dict.fromkeys(("kind", "drive", "goal_index", "reached"), none)
-        usual |= {"group": none - 1}
         usual |= dict.fromkeys(("acceleration", "turn_acceleration", "deadline"), endless)
-        usual |= {"goal_since": -endless}
+        usual |= {"group": none - 1, "goal_since": -endless, "track": torch.ones_like(nothing)}
         usual |= {
             "overdue": never,
             "failed": never.new_zeros(len(mask)),
             "clock": nothing.new_zeros(len(mask)),
         }
-        usual |= {"track": torch.ones_like(nothing), "top_speed": TOP_SPEED_RATIO * pref_speed}
+        usual |= {"top_speed": TOP_SPEED_RATIO * pref_speed}
         usual |= {name: value for name, value in given.items() if value is not None}
         return cls(past=past, mask=mask, pref_speed=pref_speed, **usual)
 
@@ -173,18 +172,13 @@ class State(NamedTuple):
 
     def to(self, device: torch.device | str) -> State:
         """Return the state on a device."""
-        return (
-            self if self.key.device == torch.device(device) else State(*(value.to(device) for value in self))
-        )
+        if self.key.device == torch.device(device):
+            return self
+        return State(*(value.to(device) for value in self))
 
 
 class Contacts(NamedTuple):
-    """Contacts at each trace point.
-
-    Attributes:
-        agent: Whether another agent is touched at trace point s (B, A, S) bool.
-        wall: Whether a wall is touched (B, A, S) bool.
-    """
+    """Whether another ``agent``, and whether a ``wall`` is touched at each trace point (B, A, S) bool."""
 
     agent: Tensor
     wall: Tensor
@@ -221,12 +215,11 @@ class OwnedMotion(NamedTuple):
 
 
 class MotionInput(NamedTuple):
-    """Motion of agents on the common path in a decision of S trace points.
+    """Motion of agents on the common path in a decision of S trace points of M ``substeps``.
 
     Attributes:
         velocity: In each 0.1 s (2, S, B, A), m/s, limits respected already.
         moving: Which agents it moves (B, A) bool; others are played back, or stay where they are.
-        substeps: M, sub-steps of every 0.1 s.
         played: Paths of those who are played back (B, A, S, M, 2); None for none.
         wanted: Which agents may reach their goals (B, A) bool.
         command: What policies want (B, A, 2), as the agent's drive has it; None for nothing.
@@ -243,7 +236,7 @@ class MotionInput(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """The result of a decision of S trace points.
+    """What bodies do in a decision of S trace points.
 
     Attributes:
         trace: Positions every 0.1 s (B, A, S, 2), metres.
@@ -285,9 +278,7 @@ class Events(NamedTuple):
     """The events of one decision of S trace points.
 
     Attributes:
-        trace: Positions every 0.1 s (B, A, S, 2), metres.
-        agent_contact: A body was touched in that 0.1 s (B, A, S) bool.
-        wall_contact: A wall was (B, A, S) bool.
+        trace: As in `Motion`, like both contacts.
         reached: Goals reached until then (B, A, S) long.
         reward: Metres of path that got shorter, less `CONTACT_COST` for a contact (B, A).
         terminated: All agents have reached all goals (B,) bool.

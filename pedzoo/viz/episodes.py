@@ -15,7 +15,7 @@ from pedzoo.eval.packed_episodes import packed_episodes
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.rollout import Rollout
 from pedzoo.viz.page import framed, page
-from pedzoo.viz.report import add_report, shorten
+from pedzoo.viz.report import add_report, empty_content, shorten
 
 P = ParamSpec("P")
 
@@ -60,14 +60,15 @@ class Replay:
             raise UserError(f"cannot write {str(path)!r}: {error.strerror}") from error
 
     def _content(self) -> dict[str, Any]:
-        report: dict[str, Any] = {"command": "rollout", "rows": [], "plans": {}, "seeds": [self._seed]}
-        report["protocol"] = {"scenario": self.name}
+        rows, plans = [], {}
         for one in self._walked:
-            episodes, plans = packed_episodes(one.rollout, one.env.bank, len(one.rollout.failed), self._seed)
-            report["rows"].append(row(one.name, one.rollout) | {"episodes": episodes})
-            report["plans"] |= plans
-        content: dict[str, Any] = {"cases": [], "plans": {}, "tables": [], "charts": [], "notes": []}
-        add_report(content, report)
+            episodes, its = packed_episodes(one.rollout, one.env.bank, len(one.rollout.failed), self._seed)
+            rows.append(row(one.name, one.rollout) | {"episodes": episodes})
+            plans |= its
+        content = empty_content()
+        add_report(
+            content, {"command": "rollout", "rows": rows, "plans": plans, "protocol": {"scenario": self.name}}
+        )
         shorten(content)
         return {**content, "about": f"seed {self._seed}"}
 
@@ -90,11 +91,7 @@ class ShownRollout(NamedTuple):
         return self._replay()._repr_html_()
 
     def save(self, path: str | Path) -> None:
-        """Write the episodes as a page, whole or not at all.
-
-        Raises:
-            UserError: It does not end in .html or .htm, or cannot be written.
-        """
+        """Write the episodes as a page; errors as of `Replay.save`."""
         self._replay().save(path)
 
     def _replay(self) -> Replay:

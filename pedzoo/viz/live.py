@@ -19,15 +19,15 @@ from torchrl.envs.utils import step_mdp
 
 from pedzoo.core.batch import ROBOT
 from pedzoo.core.errors import UserError
-from pedzoo.core.geometry import move_to_map
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.eval.packed_episodes import packed_episodes
 from pedzoo.eval.rollout import Recorder, prepare
 from pedzoo.maps.boxes import boxes
-from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.sim.camera import as_array, moved, scene_to_grid
 from pedzoo.sim.drawing import headings_along
 from pedzoo.sim.env import PedestrianEnv
-from pedzoo.sim.physics.pybullet.looks import BulletLooks, Figure
+from pedzoo.sim.physics._looks import BulletLooks, Figure
+from pedzoo.sim.physics._pybullet import disconnect
 from pedzoo.viz.page import page
 
 HOST = "127.0.0.1"
@@ -67,18 +67,22 @@ class Live:
                 if shown:
                     shown(recorder)
                 else:
-                    self._keep(recorder, number)
+                    packed, plans = packed_episodes(recorder.rollout(), self.env.bank, 1, self._seed)
+                    self._tell({"episode": packed[0] | {"episode": number}, "plans": plans, "over": False})
         self.over = True
         if not shown:
-            with self._lock:
-                self._answer = json.dumps(json.loads(self._answer) | {"over": True}).encode()
+            self._tell(json.loads(self._answer) | {"over": True})
+
+    def _tell(self, content: dict[str, Any]) -> None:
+        answer = json.dumps(content).encode()
+        with self._lock:
+            self._answer = answer
 
     def _decisions(self) -> Iterator[Recorder]:
         """Yield what is recorded of an episode after each decision, in its own time divided by the speed."""
         with torch.no_grad():
             now = self.env.reset()
-            recorder = Recorder(self.env)
-            due = time.monotonic()
+            recorder, due = Recorder(self.env), time.monotonic()
             while recorder.alive.any():
                 result = self.env.step(self._policy(now))
                 recorder.add(result["next"])
@@ -91,13 +95,6 @@ class Live:
         """Return the present episode as JSON: ``episode``, ``plans`` and whether it is all ``over``."""
         with self._lock:
             return self._answer
-
-    def _keep(self, recorder: Recorder, number: int) -> None:
-        episodes, plans = packed_episodes(recorder.rollout(), self.env.bank, 1, self._seed)
-        content = {"episode": episodes[0] | {"episode": number}, "plans": plans, "over": False}
-        answer = json.dumps(content).encode()
-        with self._lock:
-            self._answer = answer
 
     def page(self) -> str:
         """Return the page that follows what happens."""
@@ -162,16 +159,15 @@ class BulletWindow:
     def __call__(self, recorder: Recorder) -> None:
         """Show the last decision in its own time."""
         state = self._env.state
-        plan = int(state.map_id[0])
-        if plan != self._plan:
-            self._open(plan)
+        if (plan := int(state.map_id[0])) != self._plan:
+            self._plan = plan
+            self._open()
         assert self._looks is not None
         points = round(self._env.decision_dt / TRACE_SECONDS)
-        path = move_to_map(state.past, state.pose)[0].double().cpu()
-        path = torch.from_numpy(_local(self._grid, path.numpy()))
+        frame = scene_to_grid(state.pose[0], self._env.bank.grid(plan))
+        path = torch.from_numpy(moved(frame, as_array(state.past[0])))
         heading = headings_along(path)
-        for point in range(points):
-            at = point - points
+        for at in range(-points, 0):
             figures = {
                 agent: Figure(
                     *path[agent, at].tolist(),
@@ -182,25 +178,16 @@ class BulletWindow:
                 for agent in state.mask[0].nonzero()[:, 0].tolist()
             }
             self._looks.place(figures)
-            time.sleep(max(TRACE_SECONDS / self._speed, 1 / FINEST) if point < points - 1 else 0)
+            time.sleep(max(TRACE_SECONDS / self._speed, 1 / FINEST) if at < -1 else 0)
 
-    def _open(self, plan: int) -> None:
+    def _open(self) -> None:
         """Open the window of another floor plan: it shows all of it, or all people where there is none."""
         if self._looks is not None:
-            self._looks.close()
-        self._plan, self._grid = plan, next((g for g in self._env.bank.grids if g.map_id == plan), None)
-        walls = boxes(self._grid, self._env.scenario.unknown) if self._grid else np.zeros((0, 4))
+            disconnect(self._looks.client)
+        grid, state = self._env.bank.grid(self._plan), self._env.state
+        walls = boxes(grid, self._env.scenario.unknown) if grid else np.zeros((0, 4))
         self._looks = BulletLooks(walls, window=True)
-        state = self._env.state
         corners = (
-            walls.reshape(-1, 2) if len(walls) else state.past[0, state.mask[0]].flatten(0, 1).cpu().numpy()
+            walls.reshape(-1, 2) if len(walls) else as_array(state.past[0, state.mask[0]]).reshape(-1, 2)
         )
         self._looks.look_at(corners.min(0).tolist(), corners.max(0).tolist())
-
-
-def _local(grid: OccupancyGrid | None, places: np.ndarray) -> np.ndarray:
-    """Return map positions (..., 2) in the frame of the grid's walls: cell (0, 0) at the origin."""
-    if grid is None:
-        return places
-    affine = grid.map_to_cell()
-    return (places @ affine[:, :2].T + affine[:, 2] + 0.5) * grid.resolution

@@ -20,7 +20,7 @@ from pedzoo.core.paths import PLOTS, check_ending, write_atomically
 from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
 from pedzoo.metrics.displacement import positions
 from pedzoo.models.base import Forecaster
-from pedzoo.viz.report import REAL
+from pedzoo.viz.report import RARE, REAL
 
 if TYPE_CHECKING:
     from pedzoo.data.datamodule import TrajectoryDataModule  # needs lightning, which other plots do not
@@ -30,9 +30,6 @@ MARGIN = 2.0
 
 CURVE = "density_speed"
 """Key of the curves in rows of a replay."""
-
-RARE = 0.005
-"""Densities that a smaller share of the real steps has are not drawn: their means are of a few people."""
 
 PANEL = (2.2, 1.5)
 """Inches."""
@@ -89,28 +86,39 @@ def plot_forecasts(
     futures = positions(model.sample(batch, samples, data.pred_len, random), agents["history"])
     mode = positions(model.mode(batch, data.pred_len), agents["history"])
 
-    columns = min(3, len(chosen))
+    goals, columns = "goal" in agents.keys(), min(3, len(chosen))
     rows = len(chosen) // columns  # no empty panels
     figure = Figure(figsize=(4.2 * columns, 4.2 * rows + 0.5), layout="constrained")
     for i, axes in enumerate(figure.subplots(rows, columns, squeeze=False).flat):
         here = agents["mask"][i]
-        grid = next((grid for grid in data.bank.grids if grid.map_id == int(batch["map_id"][i])), None)
-        if grid is not None:
+        if (grid := data.bank.grid(batch["map_id"][i])) is not None:
             draw_floor_plan(axes, grid)
-        goal = agents["goal"][i, here] if "goal" in agents.keys() else None
-        _draw_people(
-            axes,
-            agents["history"][i, here],
-            agents["future"][i, here],
-            futures[i][:, here],
-            mode[i, 0][here],
-            goal,
-        )
+        for person in here.nonzero()[:, 0].tolist():
+            history, last = agents["history"][i, person], agents["history"][i, person, -1:]
+            for sample in futures[i][:, person]:
+                way = torch.cat((last, sample))
+                axes.plot(*way.T.numpy(), color="tab:orange", alpha=0.25, linewidth=1, zorder=2)
+            axes.plot(*history.T.numpy(), color="black", linewidth=1.5, zorder=3)
+            real, likely = (
+                torch.cat((last, agents["future"][i, person])),
+                torch.cat((last, mode[i, 0, person])),
+            )
+            axes.plot(*real.T.numpy(), color="tab:green", linewidth=2, zorder=3)
+            axes.plot(*likely.T.numpy(), color="tab:red", linewidth=1.5, linestyle="--", zorder=4)
+            axes.plot(*last[0].numpy(), "o", color="black", markersize=4, zorder=5)
+            if goals:
+                axes.plot(*agents["goal"][i, person].numpy(), "x", color="tab:blue", markersize=6, zorder=5)
         _frame(axes, torch.cat((agents["history"], agents["future"]), 2)[i, here])
         axes.set_title(f"test window {int(chosen[i])}", fontsize=9)
-    figure.legend(
-        handles=_legend(samples, "goal" in agents.keys()), loc="outside lower center", ncols=5, frameon=False
-    )
+    handles = [
+        Line2D([], [], color="black", marker="o", markersize=4, label="seen"),
+        Line2D([], [], color="tab:green", linewidth=2, label="what happened"),
+        Line2D([], [], color="tab:red", linestyle="--", label="mode"),
+        Line2D([], [], color="tab:orange", alpha=0.5, label=f"{samples} samples"),
+    ]
+    if goals:
+        handles.append(Line2D([], [], color="tab:blue", marker="x", linestyle="none", label="goal"))
+    figure.legend(handles=handles, loc="outside lower center", ncols=5, frameon=False)
     figure.suptitle(
         f"{type(model).__name__}: {data.obs_len} steps seen, {data.pred_len} predicted, goal: {data.goal}"
     )
@@ -131,50 +139,13 @@ def draw_floor_plan(axes: Axes, grid: OccupancyGrid) -> None:
     image.set_transform(pose + axes.transData)
 
 
-def _draw_people(
-    axes: Axes, history: Tensor, future: Tensor, futures: Tensor, mode: Tensor, goal: Tensor | None
-) -> None:
-    for person in range(len(history)):
-        last = history[person, -1:]
-        for sample in futures[:, person]:
-            axes.plot(
-                *torch.cat((last, sample)).T.numpy(), color="tab:orange", alpha=0.25, linewidth=1, zorder=2
-            )
-        axes.plot(*history[person].T.numpy(), color="black", linewidth=1.5, zorder=3)
-        axes.plot(*torch.cat((last, future[person])).T.numpy(), color="tab:green", linewidth=2, zorder=3)
-        axes.plot(
-            *torch.cat((last, mode[person])).T.numpy(),
-            color="tab:red",
-            linewidth=1.5,
-            linestyle="--",
-            zorder=4,
-        )
-        axes.plot(*last[0].numpy(), "o", color="black", markersize=4, zorder=5)
-        if goal is not None:
-            axes.plot(*goal[person].numpy(), "x", color="tab:blue", markersize=6, zorder=5)
-
-
 def _frame(axes: Axes, positions: Tensor) -> None:
     low, high = positions.flatten(0, 1).amin(0), positions.flatten(0, 1).amax(0)
-    centre, half = (low + high) / 2, float((high - low).max()) / 2 + MARGIN
-    axes.set_xlim(float(centre[0]) - half, float(centre[0]) + half)
-    axes.set_ylim(float(centre[1]) - half, float(centre[1]) + half)
-    axes.set_aspect("equal")
+    (x, y), half = ((low + high) / 2).tolist(), float((high - low).max()) / 2 + MARGIN
+    axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half), aspect="equal")
     axes.tick_params(labelsize=7)
     axes.set_xlabel("x, m", fontsize=7)
     axes.set_ylabel("y, m", fontsize=7)
-
-
-def _legend(samples: int, goal: bool) -> list[Line2D]:
-    handles = [
-        Line2D([], [], color="black", marker="o", markersize=4, label="seen"),
-        Line2D([], [], color="tab:green", linewidth=2, label="what happened"),
-        Line2D([], [], color="tab:red", linestyle="--", label="mode"),
-        Line2D([], [], color="tab:orange", alpha=0.5, label=f"{samples} samples"),
-    ]
-    if goal:
-        handles.append(Line2D([], [], color="tab:blue", marker="x", linestyle="none", label="goal"))
-    return handles
 
 
 def plot_density_speed(rows: Sequence[Mapping[str, Any]], path: str | Path, simulated: str = "all") -> None:

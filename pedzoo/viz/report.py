@@ -52,6 +52,9 @@ FIRST_CURVES = ("val/ade", "val/fde", "val/unlike", "rollout/success", "rollout/
 PANELS = 12
 """Metrics of trainings that are drawn."""
 
+RARE = 0.005
+"""Densities that a smaller share of the real steps has are not drawn: their means are of a few people."""
+
 _CASE_SIZE = re.compile(r"(\d+) x (\d+)")
 
 
@@ -65,19 +68,23 @@ def content_of(files: Sequence[str | Path]) -> dict[str, Any]:
     Raises:
         UserError: A file is not there, or is something else.
     """
-    reports, runs = {}, []
+    reports, runs, content = {}, [], empty_content()
     for path in map(Path, files):
         if path.is_dir():
             runs += _trainings(path)
         else:
             reports[str(path)] = _read(path)
-    content: dict[str, Any] = {"cases": [], "plans": {}, "tables": [], "charts": [], "notes": []}
     for path, report in reports.items():
         add_report(content, report, Path(path).stem if len(reports) > 1 else "")
     content["charts"] += training_curves(runs)
     content["about"] = _about(list(reports.values()), runs)
     shorten(content)
     return content
+
+
+def empty_content() -> dict[str, Any]:
+    """Return the content of a page without anything."""
+    return {"cases": [], "plans": {}, "tables": [], "charts": [], "notes": []}
 
 
 def shorten(content: dict[str, Any], largest: int = LARGEST - _ROOM) -> None:
@@ -101,10 +108,8 @@ def shorten(content: dict[str, Any], largest: int = LARGEST - _ROOM) -> None:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    wanted = (
-        "expected JSON that pedzoo evaluate, rollout, forecast, score or bench wrote, or the folder of a "
-        "training"
-    )
+    kinds = "evaluate, rollout, forecast, score or bench"
+    wanted = f"expected JSON that pedzoo {kinds} wrote, or the folder of a training"
     try:
         report = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -112,9 +117,8 @@ def _read(path: Path) -> dict[str, Any]:
     except ValueError as error:
         raise UserError(f"{str(path)!r} is no JSON: {wanted}") from error
     rows = report.get("rows") if isinstance(report, dict) else None
-    if not isinstance(rows, list) or not all(
-        isinstance(row, dict) and {"name", "metrics"} <= row.keys() for row in rows
-    ):
+    are_rows = isinstance(rows, list) and all(isinstance(row, dict) for row in rows)
+    if not are_rows or not all({"name", "metrics"} <= row.keys() for row in rows or ()):
         raise UserError(f"{str(path)!r} has no rows with name and metrics: {wanted}")
     return report
 
@@ -158,15 +162,14 @@ def _grouped(rows: Sequence[Row], key: Callable[[Row], str]) -> dict[str, list[R
 
 def _add_case(content: dict[str, Any], name: str, rows: Sequence[Row]) -> int | None:
     """Add the episodes of a case; returns its number, None where no row keeps any."""
-    policies = [
-        {"name": str(row["name"]), "episodes": row["episodes"]} for row in rows if row.get("episodes")
-    ]
-    if not policies:
+    kept = [row for row in rows if row.get("episodes")]
+    if not kept:
         return None
     name = " ".join(dict.fromkeys(name.split()))  # a table's name is often part of its cases
     known = {case["name"] for case in content["cases"]}
     if name in known:
         name = next(other for i in count(2) if (other := f"{name} {i}") not in known)
+    policies = [{"name": str(row["name"]), "episodes": row["episodes"]} for row in kept]
     content["cases"].append({"name": name, "policies": policies})
     return len(content["cases"]) - 1
 
@@ -190,20 +193,16 @@ def _table_of(title: str, rows: Sequence[Row], case: int | None) -> dict[str, An
         {"key": key, "help": texts.get(key, ""), "better": better(key), "first": first}
         for key, first in ordered(metrics)
     ]
-    return {"title": title, "case": case, "columns": columns, "rows": [_row(row) for row in rows]}
+    return {"title": title, "case": case, "columns": columns, "rows": list(map(_row, rows))}
 
 
 def _row(row: Row) -> dict[str, Any]:
     intervals, number = row.get("ci95", {}), row.get("n", "")
-    cells = {
-        key: [value, *intervals.get(key, (None, None))]
-        for key, value in row["metrics"].items()
-        if isinstance(value, int | float)
-    }
+    numbers = {key: value for key, value in row["metrics"].items() if isinstance(value, int | float)}
     return {
         "name": str(row["name"]),
         "n": number if isinstance(number, int | str) else "",
-        "cells": cells,
+        "cells": {key: [value, *intervals.get(key, (None, None))] for key, value in numbers.items()},
         "seen": SEEN in row.get("case", {}),
         "reference": row["name"] in REFERENCES,
     }
@@ -286,25 +285,26 @@ def _beside_real(rows: Sequence[Row]) -> list[dict[str, Any]]:
         bins = len(first["real_share"])
         wide = (first["high"] - first["low"]) / bins
         x = [round(first["low"] + (i + 0.5) * wide, 4) for i in range(bins)]
-        lines = [{"name": REAL, "x": x, "y": first["real_share"]}]
-        lines += [
-            {"name": str(row["name"]), "x": x, "y": row["distributions"][feature]["share"]}
+        shares = [(REAL, first["real_share"])]
+        shares += [
+            (str(row["name"]), row["distributions"][feature]["share"])
             for row in rows
             if feature in row.get("distributions", {})
         ]
+        lines = [{"name": name, "x": x, "y": share} for name, share in shares]
         unit = first["unit"].replace("_per_", "/")
         panels.append({"title": feature.replace("_", " "), "x": unit, "y": "share", "lines": lines})
     if curve := rows[0].get("density_speed"):
-        lines = [_line(REAL, curve, "real_speed_m_per_s")]
-        lines += [_line(str(row["name"]), row["density_speed"], "speed_m_per_s") for row in rows]
+        curves = [(REAL, "real_speed_m_per_s", curve)]
+        curves += [(str(row["name"]), "speed_m_per_s", row["density_speed"]) for row in rows]
+        lines = []
+        for name, key, points in curves:
+            often = [one for one in points if one["real_share"] >= RARE]
+            places = [one["density_per_m2"] for one in often]
+            lines.append({"name": name, "x": places, "y": [one[key] for one in often]})
         where = "people per m² within 2 m"
         panels.append({"title": "density and speed", "x": where, "y": "mean, m/s", "lines": lines})
     return panels
-
-
-def _line(name: str, curve: Sequence[Row], key: str) -> dict[str, Any]:
-    often = [one for one in curve if one["real_share"] >= 0.005]  # means of a few people say nothing
-    return {"name": name, "x": [one["density_per_m2"] for one in often], "y": [one[key] for one in often]}
 
 
 def _scaling(rows: Sequence[Row], suffix: str) -> list[dict[str, Any]]:
@@ -317,10 +317,10 @@ def _scaling(rows: Sequence[Row], suffix: str) -> list[dict[str, Any]]:
             lines.setdefault(str(row["name"]), {})[int(size[1]) * int(size[2])] = value
     panels = []
     for place, by_name in places.items():
+        several = {name: sorted(points.items()) for name, points in by_name.items() if len(points) > 1}
         lines = [
-            {"name": name, "x": sorted(points), "y": [points[size] for size in sorted(points)]}
-            for name, points in by_name.items()
-            if len(points) > 1
+            {"name": name, "x": [size for size, _ in points], "y": [value for _, value in points]}
+            for name, points in several.items()
         ]
         common = {"x": "people in all scenes (powers of ten)", "y": "steps of people per second", "log": True}
         if lines:

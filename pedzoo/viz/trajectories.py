@@ -15,14 +15,13 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from torch import Tensor
 
-from pedzoo.core.geometry import direction_of, move_to_map
-from pedzoo.core.types import GOAL_RADIUS, TRACE_SECONDS
+from pedzoo.core.geometry import move_to_map
+from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.eval.comparison import PolicyRollout
-from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.metrics.contacts import begins
 from pedzoo.sim.camera import person_color
+from pedzoo.sim.drawing import goal_circle
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.state import TRACE_PER_STEP
 from pedzoo.viz.plots import check_plot_path, draw_floor_plan, write_figure
@@ -67,10 +66,16 @@ def plot_rollouts(walked: Sequence[PolicyRollout], path: str | Path, episode: in
     shown = [_Episode(one, episode) for one in walked]
     low = torch.stack([one.low for one in shown]).amin(0) - MARGIN
     high = torch.stack([one.high for one in shown]).amax(0) + MARGIN
-    low, high = _cropped(low, high, shown[0].plan)
+    plan = shown[0].plan
+    if plan is not None and not plan.origin[2]:  # what lies beyond the floor plan is left out
+        corner, (rows, columns) = low.new_tensor(plan.origin[:2]), plan.cells.shape
+        low = low.maximum(corner)
+        high = high.minimum(corner + plan.resolution * low.new_tensor([columns, rows]))
     moments = common_moments([one.met for one in shown], [one.length for one in shown])
     columns = len(moments) + 1
-    width, height = _panel_size(high - low)
+    wide, tall = (high - low).tolist()
+    width = 2.9 if tall < wide else 2.9 * wide / tall
+    width, height = max(width, 1.6), max(width * tall / wide, 0.9)  # inches
     figure = Figure(figsize=(columns * width + 0.4, len(shown) * (height + 0.75) + 0.4), layout="constrained")
     for part, one in zip(figure.subfigures(len(shown), 1, squeeze=False)[:, 0], shown, strict=True):
         part.suptitle(one.name, x=0.01, ha="left", fontsize=9, fontweight="bold")
@@ -143,30 +148,18 @@ def meeting_and_end(walked: Sequence[PolicyRollout], episode: int = 0) -> tuple[
     return median_low(one.met for one in shown), max(one.length for one in shown)
 
 
-def _cropped(low: Tensor, high: Tensor, plan: OccupancyGrid | None) -> tuple[Tensor, Tensor]:
-    """Return the corners of what is seen, without what lies beyond the floor plan."""
-    if plan is None or plan.origin[2]:
-        return low, high
-    rows, columns = plan.cells.shape
-    corner = low.new_tensor(plan.origin[:2])
-    other = corner + plan.resolution * low.new_tensor([columns, rows])
-    return torch.maximum(low, corner), torch.minimum(high, other)
-
-
-class _Episode:
+class _Episode(ShownEpisode):
     """One episode in its map's frame, ready to be drawn; point 0 is where it begins."""
 
     def __init__(self, walked: PolicyRollout, episode: int) -> None:
-        self.name, self.rollout, self.number = walked.name, walked.rollout, episode
-        grids = walked.env.bank.grids
-        identity = int(self.rollout.map_id[episode])
-        self.plan: OccupancyGrid | None = next((grid for grid in grids if grid.map_id == identity), None)
-        shown = ShownEpisode(self.rollout, episode, on_map=True)
-        one, self.length, self.path, self.present = shown.rollout, shown.length, shown.path, shown.present
-        self.before, self.stays = move_to_map(one.past, one.pose)[0], shown.stays
-        self.goal = torch.cat((shown.goal[:, :1], shown.goal), dim=1)
-        self.low, self.high = shown.seen.amin(0), shown.seen.amax(0)
-        self.met = min(1 + meeting(self.rollout, episode), self.length)
+        super().__init__(walked.rollout, episode, on_map=True)
+        one = self.rollout
+        self.name, self.all = walked.name, walked.rollout
+        self.plan = walked.env.bank.grid(one.map_id)
+        self.before = move_to_map(one.past, one.pose)[0]
+        self.goal = torch.cat((self.goal[:, :1], self.goal), dim=1)
+        self.low, self.high = self.seen.amin(0), self.seen.amax(0)
+        self.met = min(1 + meeting(walked.rollout, episode), self.length)
         contact = ((one.agent_contact | one.wall_contact) & one.present)[0, :, : self.length]
         self.touches = torch.nn.functional.pad(begins(contact.unsqueeze(0))[0], (1, 0))
 
@@ -179,34 +172,35 @@ class _Episode:
             if first > point or (first > 0 and stays_until < point):
                 continue  # not there yet, or gone again
             last = min(point, stays_until)
-            color = _color(person)
+            color, way = _color(person), self.path[person, first : last + 1]
             if first == 0:
                 axes.plot(*self.before[person].T.numpy(), color="0.6", linewidth=0.8, zorder=2)
-            way = self.path[person, first : last + 1].numpy()
-            lines = LineCollection(list(np.stack((way[:-1], way[1:]), axis=1)), colors=[color], zorder=4)
-            lines.set_linewidth([2.4 if last - i <= RECENT else 0.8 for i in range(first, last)])
-            axes.add_collection(lines)
-            touched = self.path[person, first : last + 1][self.touches[person, first : last + 1]]
+            steps = np.stack((way[:-1].numpy(), way[1:].numpy()), axis=1)
+            widths = [2.4 if last - i <= RECENT else 0.8 for i in range(first, last)]
+            axes.add_collection(LineCollection(list(steps), colors=[color], linewidths=widths, zorder=4))
+            touched = way[self.touches[person, first : last + 1]]
             axes.plot(*touched.T.numpy(), "o", markersize=9, fillstyle="none", color=TOUCH, zorder=7)
-            steps = [last - i * TRACE_PER_STEP for i in range(STEPS_BEFORE, 0, -1)]
-            dots = self.path[person, [step for step in steps if step >= first]]
-            axes.plot(*dots.T.numpy(), "o", color=color, markersize=4.5, zorder=5, **_EDGE)
-            axes.plot(*self.path[person, last].numpy(), "*", color=color, markersize=12, zorder=6, **_EDGE)
+            dots = [last - i * TRACE_PER_STEP for i in range(STEPS_BEFORE, 0, -1)]
+            places = self.path[person, [dot for dot in dots if dot >= first]]
+            axes.plot(*places.T.numpy(), "o", color=color, markersize=4.5, zorder=5, **_EDGE)
+            axes.plot(*way[-1].numpy(), "*", color=color, markersize=12, zorder=6, **_EDGE)
             if last == point:
-                self._mark_goal(axes, self.goal[person, point], color)
+                goal = self.goal[person, point]
+                circle = goal_circle(goal)[[*range(32), 0]]
+                axes.plot(*circle.T.numpy(), color=color, linewidth=1, linestyle=":", zorder=2)
+                axes.plot(*goal.numpy(), "x", color=color, markersize=5, zorder=2)
         if point == self.length:
-            ended = "failed" if bool(self.rollout.failed[self.number]) else "ended"
+            ended = "failed" if bool(self.rollout.failed[0]) else "ended"
             title += f" ({ended} at {self.length * TRACE_SECONDS:.1f} s)"
         axes.set_title(title, fontsize=8)
 
     def draw_all(self, axes: Axes) -> None:
         """Draw the ways of all episodes on this floor plan."""
         self._ground(axes)
-        rollout = self.rollout
-        same = (rollout.map_id == rollout.map_id[self.number]).nonzero()[:, 0].tolist()
-        path = move_to_map(torch.cat((rollout.past[:, :, -1:], rollout.trace), dim=2), rollout.pose)
+        same = (self.all.map_id == self.rollout.map_id).nonzero()[:, 0].tolist()
+        path = move_to_map(self.all.path, self.all.pose)
         for episode in same:
-            for person, first, last in rollout.stays(episode):
+            for person, first, last in self.all.stays(episode):
                 way = path[episode, person, first : last + 1]
                 axes.plot(*way.T.numpy(), color=_color(person), linewidth=0.8, alpha=0.5, zorder=3)
         axes.set_title(f"all {len(same)} episodes", fontsize=8)
@@ -214,12 +208,6 @@ class _Episode:
     def _ground(self, axes: Axes) -> None:
         if self.plan is not None:
             draw_floor_plan(axes, self.plan)
-
-    def _mark_goal(self, axes: Axes, goal: Tensor, color: tuple[float, ...]) -> None:
-        angle = torch.linspace(0, 2 * torch.pi, 33)
-        circle = goal + GOAL_RADIUS * direction_of(angle)
-        axes.plot(*circle.T.numpy(), color=color, linewidth=1, linestyle=":", zorder=2)
-        axes.plot(*goal.numpy(), "x", color=color, markersize=5, zorder=2)
 
 
 _EDGE = {"markeredgecolor": "white", "markeredgewidth": 0.6}
@@ -229,25 +217,15 @@ def _color(person: int) -> tuple[float, ...]:
     return tuple(value / 255 for value in person_color(person))
 
 
-def _panel_size(extent: Tensor) -> tuple[float, float]:
-    """Return width and height of a panel in inches."""
-    ratio = float(extent[1] / extent[0])
-    width = 2.9 if ratio < 1 else 2.9 / ratio
-    return max(width, 1.6), max(width * ratio, 0.9)
-
-
 def legend() -> list[Line2D]:
     """Return the entries of a legend for what is drawn."""
-
-    def entry(label: str, **style: Any) -> Line2D:
-        style = {"color": "0.3", "linestyle": "none"} | style
-        return Line2D([], [], label=label, **style)
-
-    return [
-        entry("latest step", marker="*", markersize=10),
-        entry("0.4, 0.8 and 1.2 s before", marker="o", markersize=4),
-        entry("goal, until it is reached", marker="x", markersize=5),
-        entry("way of the last 6 s", linestyle="-", linewidth=2.4),
-        entry("touch", marker="o", markersize=8, fillstyle="none", color=TOUCH),
-        entry("warm start", linestyle="-", linewidth=0.8, color="0.6"),
-    ]
+    entries: dict[str, dict[str, Any]] = {
+        "latest step": {"marker": "*", "markersize": 10},
+        "0.4, 0.8 and 1.2 s before": {"marker": "o", "markersize": 4},
+        "goal, until it is reached": {"marker": "x", "markersize": 5},
+        "way of the last 6 s": {"linestyle": "-", "linewidth": 2.4},
+        "touch": {"marker": "o", "markersize": 8, "fillstyle": "none", "color": TOUCH},
+        "warm start": {"linestyle": "-", "linewidth": 0.8, "color": "0.6"},
+    }
+    usual = {"color": "0.3", "linestyle": "none"}
+    return [Line2D([], [], label=label, **(usual | style)) for label, style in entries.items()]

@@ -1,17 +1,13 @@
 """Videos of an episode: what the physics' camera sees every 0.1 s, one panel per policy."""
 
 import math
-import os
-import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from pedzoo.core.errors import UserError, need
 from pedzoo.core.geometry import move_to_map
@@ -19,8 +15,9 @@ from pedzoo.core.paths import CODECS, atomic_write, check_ending
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.sim.camera import Camera, person_color
-from pedzoo.sim.drawing import draw_goal, draw_way, headings_along
+from pedzoo.sim.drawing import Canvas, Image, headings_along
 from pedzoo.sim.physics._base import Bodies
+from pedzoo.sim.physics._pybullet import quiet
 from pedzoo.sim.rollout import Rollout
 
 COLUMNS = 3
@@ -37,8 +34,6 @@ GAP = 6
 
 HEADING, PITCH = math.radians(60), math.radians(45)
 """Where the perspective camera looks: obliquely, so that doors are seen in walls along either axis."""
-
-Image = NDArray[np.uint8]
 
 
 def film(
@@ -117,7 +112,7 @@ def write_video(path: str | Path, frames: Iterable[Image], rate: float) -> None:
             for frame in frames:
                 if writer is None:
                     size = (frame.shape[1], frame.shape[0])
-                    with _silence():
+                    with quiet(2):
                         writer = cv2.VideoWriter(str(part), codec, rate, size)
                     if not writer.isOpened():
                         raise UserError(f"cannot write {str(path)!r}: is its folder writable, the disk full?")
@@ -136,7 +131,7 @@ def read_video(path: str | Path) -> tuple[int, tuple[int, int]]:
     """Return how many frames of a video can be decoded, and their width and height (0 for none)."""
     import cv2
 
-    with _silence():
+    with quiet(2):
         video = cv2.VideoCapture(str(path))
     count, size = 0, (0, 0)
     while True:
@@ -173,49 +168,43 @@ class ShownEpisode:
         self.stays = rollout.stays(episode)
 
 
-class _Panel:
-    """One policy's episode; frame i is 0.1 s after the one before, frame 0 where the episode begins."""
+class _Panel(ShownEpisode):
+    """One policy's episode; frame i is point i, and the last one stays where the episode is over."""
 
     def __init__(self, walked: PolicyRollout, episode: int, size: tuple[int, int]) -> None:
+        super().__init__(walked.rollout, episode)
         self.name, self.physics, self.size = walked.name, walked.env.physics, size
-        self.shown = shown = ShownEpisode(walked.rollout, episode)
-        self.length, self.seen = shown.length, shown.seen
-        self.heading = headings_along(shown.path)
+        self.heading = headings_along(self.path)
         self._empty: Image | None = None
         self._last: Image | None = None
 
     def draw(self, i: int, camera: Camera) -> Image:
-        """Return frame i, the last one where the episode is over."""
         if self._last is not None and i > self.length:
             return self._last
         if camera.view not in self.physics.views:
             camera = replace(camera, view="top")
         if self._empty is None:
-            self._empty = self._seen(0, camera, people=False)
-        bodies = self._seen(i, camera)
-        image = self._empty.copy()
-        for person, first, last in self.shown.stays:
+            self._empty = self._taken(0, camera, people=False)
+        bodies, canvas = self._taken(i, camera), Canvas(self._empty.copy(), camera)
+        for person, first, last in self.stays:
             if first <= i <= last:
-                color, way = person_color(person), self.shown.path[person, first : i + 1]
-                draw_way(image, way, camera, self.size, color)
-                goal = self.shown.goal[person, min(i, self.length - 1)]
-                draw_goal(image, goal, camera, self.size, color)
+                canvas.line(self.path[person, first : i + 1], person_color(person))
+                canvas.goal(self.goal[person, min(i, self.length - 1)], person_color(person))
         # bodies stand on the marks of the floor
         there = (bodies != self._empty).any(axis=-1, keepdims=True)
-        self._last = labelled(np.where(there, bodies, image), self.name, i * TRACE_SECONDS)
+        self._last = labelled(np.where(there, bodies, canvas.image), self.name, i * TRACE_SECONDS)
         return self._last
 
-    def _seen(self, i: int, camera: Camera, people: bool = True) -> Image:
+    def _taken(self, i: int, camera: Camera, people: bool = True) -> Image:
         """Return what the physics' camera sees in frame i, with or without people."""
-        rollout, present = self.shown.rollout, self.shown.present[:, i].unsqueeze(0)
         bodies = Bodies(
-            self.shown.path[:, i].unsqueeze(0),
-            present & people,
-            rollout.map_id.unsqueeze(1),
-            rollout.pose,
-            rollout.radius,
+            self.path[:, i].unsqueeze(0),
+            self.present[:, i].unsqueeze(0) & people,
+            self.rollout.map_id.unsqueeze(1),
+            self.rollout.pose,
+            self.rollout.radius,
             self.heading[None, :, i],
-            rollout.kind,
+            self.rollout.kind,
         )
         return self.physics.image(bodies, 0, self.size, camera)
 
@@ -242,17 +231,3 @@ def _side_by_side(panels: list[Image]) -> Image:
     room = rows[0].shape[1] - rows[-1].shape[1]
     rows[-1] = np.pad(rows[-1], ((0, 0), (room // 2, room - room // 2), (0, 0)), constant_values=255)
     return np.vstack(rows)
-
-
-@contextmanager
-def _silence() -> Iterator[None]:
-    """Keep the codec library's remarks, written by C past Python, off the terminal."""
-    sys.stderr.flush()
-    stored, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 2)
-        yield
-    finally:
-        os.dup2(stored, 2)
-        os.close(stored)
-        os.close(nowhere)

@@ -18,7 +18,7 @@ from pedzoo.core.errors import UserError, installed
 from pedzoo.core.geometry import direction_of
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.sim.camera import Camera, check_size, person_color
-from pedzoo.sim.drawing import draw_goal
+from pedzoo.sim.drawing import Canvas
 from pedzoo.sim.physics._base import Bodies
 from pedzoo.sim.robots.env import RobotEnv, make_robot_env
 
@@ -326,7 +326,7 @@ class Batched:
                 wide = max(3, round(float(radius) * size[0] / (camera.width or 1.0)))
                 cv2.circle(image, here, wide, (0, 0, 0), 2, cv2.LINE_AA)
                 cv2.line(image, here, front, (0, 0, 0), 2, cv2.LINE_AA)
-                draw_goal(image, state.goal_point[scene, slot], camera, size, person_color(slot), 2)
+                Canvas(image, camera).goal(state.goal_point[scene, slot], person_color(slot), 2)
         return image
 
 

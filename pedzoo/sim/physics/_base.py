@@ -15,13 +15,11 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import move_to_scene
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.walls import LocalWalls
-from pedzoo.sim.arrival import arrived
 from pedzoo.sim.camera import Camera, Lens, free_corners, person_color
-from pedzoo.sim.drawing import draw_goal
+from pedzoo.sim.drawing import Canvas
 from pedzoo.sim.dynamics import SKIN, integrate
-from pedzoo.sim.rules import Rules
+from pedzoo.sim.rules import Rules, arrived
 from pedzoo.sim.state import Contacts, Decision, Distances, Motion, MotionInput, OwnedMotion, State
 
 REACH = 5.0
@@ -170,7 +168,11 @@ class Physics(ABC):
 
     def _advance(self, state: State, inputs: MotionInput) -> Motion:
         """See `advance`, of agents that move on the common path."""
-        path = self._integrated(state, inputs)
+        position, velocity = state.position.movedim(-1, 0).contiguous(), inputs.velocity * inputs.moving
+        path = integrate(position, velocity, state.radius, inputs.substeps, self._walls(state))
+        if inputs.played is not None:
+            given = inputs.played.flatten(2, 3).permute(3, 2, 0, 1).to(path.dtype)
+            path = torch.where(state.mask & ~inputs.moving, given, path)
         steps = path.permute(2, 3, 1, 0).unflatten(2, (-1, inputs.substeps))
         contacts = self._touched(state, steps.detach(), inputs)
         return Motion(steps[:, :, :, -1], *contacts, arrived(path, state.goal_point, inputs))
@@ -182,16 +184,6 @@ class Physics(ABC):
     def _walls(self, state: State) -> LocalWalls | None:
         """Return the walls as the agents of each scene see them; None for scenes in the open."""
         return self.bank.to(state.past.device).walls_of_state(state.wall_frame, state.wall_place)
-
-    def _integrated(self, state: State, inputs: MotionInput) -> Tensor:
-        """Return paths (2, S * M, B, A), metres: `integrate`."""
-        position, velocity = state.position.movedim(-1, 0).contiguous(), inputs.velocity * inputs.moving
-        path = integrate(position, velocity, state.radius, inputs.substeps, self._walls(state))
-        if inputs.played is not None:
-            given = inputs.played.flatten(2, 3).permute(3, 2, 0, 1).to(path.dtype)
-            scripted = state.mask & ~inputs.moving
-            path = torch.where(scripted, given, path)
-        return path
 
     @abstractmethod
     def distances(self, people: Bodies, reach: float = REACH) -> Distances:
@@ -263,7 +255,7 @@ class Physics(ABC):
         camera = camera or Camera()
         if camera.center is not None and camera.width is not None:
             return camera
-        grid = self._plan(people, scene)
+        grid = self.bank.grid(people.map_id[scene])
         points, margin = people.position[scene][people.mask[scene]], 1.0
         if grid is not None:
             corners = torch.from_numpy(free_corners(grid, self.bank.unknown)).to(people.pose)
@@ -272,21 +264,15 @@ class Physics(ABC):
         return replace(camera, center=camera.center or fitted.center, width=camera.width or fitted.width)
 
     def picture(self, state: State, scene: int = 0, size: tuple[int, int] = (640, 480)) -> NDArray[np.uint8]:
-        """Return the picture (H, W, 3) uint8 RGB of a scene as it is now, from above, with its goals.
-
-        Args:
-            state: The scenes.
-            scene: Which of them.
-            size: Width and height in pixels.
-        """
+        """Return the picture (H, W, 3) uint8 RGB of a scene as it is now, from above, with its goals."""
         bodies, there = Bodies.of(state), state.mask[scene]
         seen = torch.cat((state.position[scene][there], state.goal_point[scene][there]))
         open_floor = int(state.map_id[scene]) < 0
         camera = self.framed(bodies, scene, size, Camera().around(seen, size) if open_floor else None)
-        image = np.ascontiguousarray(self.image(bodies, scene, size, camera))
+        canvas = Canvas(np.ascontiguousarray(self.image(bodies, scene, size, camera)), camera)
         for slot in (there & (state.goal_id[scene] >= 0)).nonzero()[:, 0].tolist():
-            draw_goal(image, state.goal_point[scene, slot], camera, size, person_color(slot), width=2)
-        return image
+            canvas.goal(state.goal_point[scene, slot], person_color(slot), width=2)
+        return canvas.image
 
     def close(self) -> None:  # noqa: B027 (most backends hold nothing)
         """Give back what the backend holds outside of Python; it cannot be asked afterwards."""
@@ -304,14 +290,3 @@ class Physics(ABC):
 
     def _present(self, people: Bodies) -> Tensor:
         return people.mask & people.position.isfinite().all(-1)
-
-    def _check_reach(self, reach: float) -> None:
-        if self.bank.grids and reach > self.bank.max_distance:
-            raise UserError(
-                f"reach {reach} m is more than floor plans are measured for ({self.bank.max_distance} m): "
-                f"make the bank with MapBank(..., max_distance={reach})"
-            )
-
-    def _plan(self, people: Bodies, scene: int) -> OccupancyGrid | None:
-        row = int(self.bank.index(people.map_id[scene].view(1)))
-        return self.bank.grids[row] if row >= 0 else None

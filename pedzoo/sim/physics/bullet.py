@@ -1,8 +1,9 @@
-"""Pybullet: extruded walls, capsules, closest-point queries, ray casts and a camera."""
+"""Pybullet's cameras, and robots of URDF files; all else is answered as `compiled` answers it."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -10,46 +11,53 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.core.batch import ROBOT
-from pedzoo.core.bodies import HOLONOMIC
+from pedzoo.core.bodies import HOLONOMIC, speed_and_turn
 from pedzoo.core.errors import UserError
-from pedzoo.core.geometry import direction_of
-from pedzoo.core.types import BODY_RADIUS
+from pedzoo.core.geometry import TURNS_FROM, direction_of, heading_of
+from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
 from pedzoo.maps.bank import MapBank
-from pedzoo.sim.camera import VIEW_ANGLE, Camera, Lens
-from pedzoo.sim.dynamics import SKIN
-from pedzoo.sim.physics._base import REACH, Bodies
+from pedzoo.maps.boxes import boxes
+from pedzoo.sim.camera import FLOOR, OUTSIDE, VIEW_ANGLE, Affine, Camera, Lens, as_array, moved, scene_to_grid
+from pedzoo.sim.dynamics import SKIN, driven
+from pedzoo.sim.physics._base import Bodies
+from pedzoo.sim.physics._looks import CUT_HEIGHT, BulletLooks, Figure
+from pedzoo.sim.physics._pybullet import WALL_HEIGHT, disconnect, load_pybullet
+from pedzoo.sim.physics._urdf import STEPS, Crossing, DrivenRobots, RobotShapes, find_urdf
 from pedzoo.sim.physics.compiled import Compiled
-from pedzoo.sim.physics.pybullet.client import WALL_HEIGHT, load_pybullet
-from pedzoo.sim.physics.pybullet.looks import CUT_HEIGHT, Figure
-from pedzoo.sim.physics.pybullet.robots import find_urdf
-from pedzoo.sim.physics.pybullet.scene import (
-    BulletScene,
-    BulletScenes,
-    PlacedScene,
-    as_array,
-    moved,
-    scene_rays,
-)
-from pedzoo.sim.physics.pybullet.shapes import drive_by_wheels, headings, with_shapes
 from pedzoo.sim.state import Contacts, MotionInput, OwnedMotion, State
-
-_SLACK = 1e-6
-"""Metres by which the broad phase is generous: far above rounding."""
 
 DRIVES = ("kinematic", "wheels")
 """How robots of a URDF file move."""
 
+_NEAREST = 0.05
+"""Metres from which on robots see."""
+
+
+class _Placed(NamedTuple):
+    """One scene of a question.
+
+    Attributes:
+        index: Which of the B scenes.
+        row: Its floor plan's row in the bank, -1 for the open floor.
+        frame: From the scene to pybullet's frame: the grid has no yaw there, and cell (0, 0) at the origin.
+        places: Where agents are in pybullet's frame (A, 2), metres.
+        present: Numbers of the agents that are there, in ascending order.
+    """
+
+    index: int
+    row: int
+    frame: Affine
+    places: NDArray[np.float64]
+    present: list[int]
+
 
 class Bullet(Compiled):
-    """One pybullet client per floor plan, made when it is first asked about.
+    """Takes pictures with pybullet, which also moves robots of a URDF file by their wheels.
 
-    pybullet answers; torch only says which bodies are near enough to be asked about. Inside a wall the
-    distance is negative, but pybullet's depth is that in one box and not in the whole wall.
-
-    Robots are capsules, or have the shape of a URDF file, which decides what they touch at their heading.
+    Robots are discs, or have the shape of a URDF file, which decides what they touch at their heading.
     Their paths, rays and pictures are those of discs all the same. A mirrored scene does not mirror the file.
 
-    It can be pickled and sent to workers: the copy makes its own clients.
+    Each floor plan has clients of its own, made when it is first asked about; copies make their own.
     """
 
     views = ("top", "perspective")
@@ -66,7 +74,7 @@ class Bullet(Compiled):
         Args:
             bank: See `Physics`.
             body_radius: See `Physics`.
-            urdf: File of the bodies of robots, a path or a name within pybullet_data; None for capsules.
+            urdf: File of the bodies of robots, a path or a name within pybullet_data; None for discs.
             drive: How they move: ``kinematic``, as all agents, or by their ``wheels`` at 240 Hz. Holonomic
                 robots have none.
 
@@ -81,11 +89,13 @@ class Bullet(Compiled):
                 f"physics bullet: drive {drive}, urdf {urdf}: expected kinematic, or wheels with a file like "
                 "urdf=husky/husky.urdf"
             )
-        self.drive = drive
-        # what stands in the way of wheels stops them: they never overlap
-        self._margin = SKIN if drive == "wheels" else 0.0
-        self.urdf = None if urdf is None else find_urdf(urdf)
-        self._scenes = BulletScenes(bank, body_radius, self.urdf)
+        self.drive, self.urdf = drive, None if urdf is None else find_urdf(urdf)
+        self._whole = urdf is None
+        self._clients: dict[Any, Any] = {}
+        self._closed = False
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_clients": {}}
 
     @classmethod
     def check(cls) -> None:
@@ -94,35 +104,38 @@ class Bullet(Compiled):
 
     def close(self) -> None:
         """Disconnect all clients."""
-        self._scenes.close()
+        for held in self._clients.values():
+            disconnect(held.client)
+        self._clients.clear()
+        self._closed = True
 
-    @torch.no_grad()
-    def contacts(self, path: Tensor, people: Bodies) -> Contacts:
-        """See `Physics.contacts`."""
-        extra = self._radius(people) - self.body_radius
-        # a bound on how far any agent gets
-        far = torch.hypot(*(path - people.position[:, :, None, None]).abs().amax((2, 3)).movedim(-1, 0))
-        present = people.mask & far.isfinite()
-        agent, wall = np.zeros((2, *path.shape[:3]), dtype=bool)
-        own = torch.where(present, far + self._radius(people) + _SLACK, -torch.inf)
-        reach = own.unsqueeze(2) + own.unsqueeze(1)
-        between = (people.position.unsqueeze(2) - people.position.unsqueeze(1)).square().sum(-1)
-        near = (between < reach.square()) & (reach > 0)
-        of, first, second = near.triu(1).nonzero(as_tuple=True)
-        both = 2 * self.body_radius + extra[of, first] + extra[of, second]
-        apart = (path[of, first] - path[of, second]).abs().amax(-1)
-        pair, trace, step = (apart < both.view(-1, 1, 1) + _SLACK).nonzero(as_tuple=True)
-        meetings: list[list[tuple[int, ...]]] = [[] for _ in range(len(path))]
-        columns = (of[pair], first[pair], second[pair], trace, step)
-        for scene, *meeting in torch.stack(columns, 1).tolist():
-            meetings[scene].append(tuple(meeting))
-        paths, rooms, wider = as_array(path), far.cpu().numpy(), as_array(extra)
-        for asked in self._scenes.placed(people, present):
-            if asked.present:
-                way, more = moved(asked.affine, paths[asked.index]), wider[asked.index]
-                self._meet(asked.bullet, way, more, meetings[asked.index], agent[asked.index])
-                self._hit(asked, way, more, rooms[asked.index], wall[asked.index])
-        return Contacts(*(torch.from_numpy(values).to(path.device) for values in (agent, wall)))
+    def _of_plan(self, kind: type, row: int, *settings: object) -> Any:
+        """Return what holds a client for the floor plan in a row of the bank; the first time, it is made.
+
+        Raises:
+            UserError: All were closed, or this client is gone.
+        """
+        if self._closed:
+            raise UserError("this Bullet was closed: make a new one, Bullet(bank)")
+        key = kind, row, settings
+        if key not in self._clients:
+            walls = boxes(self.bank.grids[row], self.bank.unknown) if row >= 0 else np.zeros((0, 4))
+            # boxes of one body lie near one another
+            walls = walls[np.lexsort(np.floor(walls[:, :2] / 2).T)]
+            self._clients[key] = kind(walls, *settings)
+        if not self._clients[key].client.isConnected():
+            raise UserError(
+                "a pybullet client of this Bullet is gone, pybullet.disconnect was called: make a new "
+                "Bullet(bank), and leave its clients to close()"
+            )
+        return self._clients[key]
+
+    def _placed(self, people: Bodies, present: Tensor) -> Iterator[_Placed]:
+        """Yield scene after scene, with those of their agents that are ``present`` (B, A) bool."""
+        rows, places = self.bank.index(people.map_id[:, 0]).tolist(), as_array(people.position)
+        for index, (row, pose, here) in enumerate(zip(rows, people.pose, present, strict=True)):
+            frame = scene_to_grid(pose, self.bank.grids[row] if row >= 0 else None)
+            yield _Placed(index, row, frame, moved(frame, places[index]), here.nonzero()[:, 0].tolist())
 
     def owned(self, state: State) -> Tensor | None:
         """See `Physics.owned`: robots that drive by their wheels."""
@@ -134,91 +147,73 @@ class Bullet(Compiled):
     ) -> OwnedMotion:
         """See `Physics.move_owned`; pybullet limits friction and walls, and the robot its accelerations."""
         people = Bodies.of(state)
-        placed = self._scenes.placed(people, self._present(people) & moving)
-        return drive_by_wheels(placed, state, command, ticks, substeps)
+        path = as_array(state.position)[:, :, None, None].repeat(ticks, 2).repeat(substeps, 3)
+        heading, rate = as_array(state.heading).copy(), np.zeros(state.mask.shape)
+        speed = (state.velocity * direction_of(state.heading)).sum(-1)
+        wanted, turn = speed_and_turn(command.unbind(-1), state.drive, state.track)
+        wanted = wanted.clamp(-state.top_speed, state.top_speed)
+        columns = state.heading, speed, state.turn_rate, wanted, turn
+        limits = state.acceleration, state.turn_acceleration, state.track
+        values = as_array(torch.stack((*columns, *limits), -1))
+        at = np.round(np.arange(1, ticks * substeps + 1) * (STEPS / substeps)).astype(np.int64) - 1
+        for one in self._placed(people, self._present(people) & moving):
+            if not one.present:
+                continue
+            linear, here = one.frame[:2, :2], (one.index, one.present)
+            mirror = 1.0 if np.linalg.det(linear) > 0 else -1.0
+            drive = values[here]
+            drive[:, 0] = _turned(linear, drive[:, 0])
+            drive[:, [2, 4]] *= mirror
+            robots = self._of_plan(DrivenRobots, one.row, self.urdf)
+            ways = robots.run(one.present, one.places[one.present], drive, ticks)
+            path[here] = moved(np.linalg.inv(one.frame), ways[:, at, :2]).reshape(-1, ticks, substeps, 2)
+            angles = ways[..., 2]
+            heading[here] = _turned(linear.T, angles[:, -1])
+            last = np.unwrap(angles[:, -STEPS - 1 :], axis=1) if ticks > 1 else np.unwrap(angles, axis=1)
+            seconds = TRACE_SECONDS * (last.shape[1] - 1) / STEPS
+            rate[here] = mirror * (last[:, -1] - last[:, 0]) / seconds
+        return OwnedMotion(*(torch.from_numpy(values).to(state.velocity) for values in (path, heading, rate)))
 
     @torch.no_grad()
     def _touched(self, state: State, path: Tensor, inputs: MotionInput) -> Contacts:
         if self.urdf is None:
-            return self.contacts(path, Bodies.of(state))
+            return super()._touched(state, path, inputs)
         robots = (state.kind == ROBOT) & state.mask
-        people = Bodies.of(state)
-        between_people = self.contacts(path, people._replace(mask=people.mask & ~robots))
-        present = self._present(people) & path.isfinite().all(-1).flatten(2).all(-1)
-        placed = self._scenes.placed(people, present)
-        return with_shapes(
-            placed, between_people, state, path, headings(state, inputs), self.body_radius, self._margin
-        )
-
-    def _meet(
-        self,
-        bullet: BulletScene,
-        way: NDArray[np.float64],
-        extra: NDArray[np.float64],
-        meetings: list[tuple[int, ...]],
-        touching: NDArray[np.bool_],
-    ) -> None:
-        """Note which pairs touch; bodies are ``extra`` (A,) wider than their capsules, metres."""
-        for first, second, trace, step in meetings:
-            if touching[first, trace] and touching[second, trace]:
-                continue
-            bullet.place(first, *way[first, trace, step])
-            bullet.place(second, *way[second, trace, step])
-            more = float(extra[first] + extra[second])
-            if bullet.people_meet(first, second, more):
-                touching[[first, second], trace] = True
-
-    def _hit(
-        self,
-        asked: PlacedScene,
-        way: NDArray[np.float64],
-        extra: NDArray[np.float64],
-        far: NDArray[Any],
-        touching: NDArray[np.bool_],
-    ) -> None:
-        low, high = np.split(asked.bullet.boxes, 2, axis=1)
-        room = (self.body_radius + _SLACK + extra)[:, None, None]
-        start, reach = asked.places[asked.present, None], far[asked.present, None, None] + room[asked.present]
-        near, box = np.nonzero(((start > low - reach) & (start < high + reach)).all(-1))
-        person = np.array(asked.present, dtype=np.int64)[near]
-        points, margin = way[person], room[person][:, None]
-        at = (points > low[box, None, None] - margin) & (points < high[box, None, None] + margin)
-        which, trace, step = np.nonzero(at.all(-1))
-        questions = np.stack((person[which], box[which], trace), axis=1).tolist()
-        places = points[which, trace, step].tolist()
-        for (person, box, trace), place in zip(questions, places, strict=True):
-            if not touching[person, trace]:
-                asked.bullet.place(person, *place)
-                touching[person, trace] = asked.bullet.hits_wall(person, box, float(extra[person]))
-
-    @torch.no_grad()
-    def rays(self, people: Bodies, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:
-        """See `Physics.rays`: pybullet's batched ray test, at the height of the chest."""
-        result = np.full(origin.shape[:2], reach)
-        starts = as_array(origin)
-        widths = self._radius(people).tolist()
-        for asked in self._scenes.placed(people, self._present(people)):
-            width = [round(radius, 6) for radius in widths[asked.index]]
-            start = moved(asked.affine, starts[asked.index])
-            along = direction[asked.index].cpu().double().numpy() @ asked.affine[:, :2].T
-            which = np.flatnonzero((np.isfinite(start) & np.isfinite(along)).all(axis=1))
-            result[asked.index, which] = scene_rays(asked, width, start[which], along[which], reach)
-        return torch.from_numpy(result).to(origin)
+        people = super()._touched(state._replace(mask=state.mask & ~robots), path, inputs)
+        agent, wall = (values.cpu().numpy().copy() for values in people)
+        paths, radius, ahead = map(as_array, (path, state.radius, direction_of(_headings(state, inputs))))
+        bodies, mine = Bodies.of(state), robots.cpu().numpy()
+        # what stands in the way of wheels stops them: they never overlap
+        margin = SKIN if self.drive == "wheels" else 0.0
+        for one in self._placed(bodies, self._present(bodies) & path.isfinite().flatten(2).all(-1)):
+            at, frame = one.index, one.frame
+            x, y = np.moveaxis(ahead[at] @ frame[:2, :2].T, -1, 0)
+            way = Crossing(one.present, mine[at], moved(frame, paths[at]), np.arctan2(y, x), radius[at])
+            shapes = self._of_plan(RobotShapes, one.row, self.urdf, self.body_radius, margin)
+            shapes.touch(way, agent[at], wall[at])
+        return Contacts(*(torch.from_numpy(values).to(path.device) for values in (agent, wall)))
 
     def image(
         self, people: Bodies, scene: int, size: tuple[int, int] = (640, 480), camera: Camera | None = None
     ) -> NDArray[np.uint8]:
         """See `Physics.image`; drawn on a GPU where pybullet's plugin for it works, else on the CPU."""
         one = people.scene(scene)
-        (asked,) = self._scenes.placed(one, self._present(one))
-        camera, linear = self.framed(people, scene, size, camera), asked.affine[:, :2]
+        (asked,) = self._placed(one, self._present(one))
+        camera, linear = self.framed(people, scene, size, camera), asked.frame[:2, :2]
         eye, target, up = (np.array(values) for values in camera.eye())
+        distance = float(np.linalg.norm(eye - target))
         for place in (eye, target):
-            place[:2] = linear @ place[:2] + asked.affine[:, 2]
+            place[:2] = moved(asked.frame, place[:2])
         up[:2] = linear @ up[:2]
-        pinhole = eye.tolist(), target.tolist(), up.tolist()
+        looks = self._of_plan(BulletLooks, asked.row, CUT_HEIGHT)
+        pinhole, limits = (
+            (eye.tolist(), target.tolist(), up.tolist()),
+            (max(0.1, 0.2 * distance), 3 * distance + 10),
+        )
         figures = _figures(asked, one, self._radius(one)[0])
-        picture = asked.bullet.looks(CUT_HEIGHT).render(figures, size, pinhole, VIEW_ANGLE[camera.view])
+        picture, _, empty = looks.shot(figures, size, pinhole, VIEW_ANGLE[camera.view], limits)
+        # The floor is where no body is: one to draw takes longer on the CPU than all the rest.
+        picture[empty] = FLOOR
         # in a mirrored scene, left is right
         return picture if np.linalg.det(linear) > 0 else np.ascontiguousarray(picture[:, ::-1])
 
@@ -229,30 +224,66 @@ class Bullet(Compiled):
         """See `Physics.onboard`."""
         shape = (*heading.shape, lens.height, lens.width)
         pictures, depths = np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.float32)
-        ahead, radius = as_array(direction_of(heading)), self._radius(people)
-        first = radius.shape[1] - heading.shape[1]
-        for asked in self._scenes.placed(people, self._present(people)):
-            linear, looks = asked.affine[:, :2], asked.bullet.looks(WALL_HEIGHT)
+        ahead, radius, height = as_array(direction_of(heading)), self._radius(people), lens.eye_height
+        first, limits = radius.shape[1] - heading.shape[1], (_NEAREST, 1.2 * lens.reach + 1)
+        floor = np.broadcast_to(lens.floor()[:, None], shape[2:])
+        for asked in self._placed(people, self._present(people)):
+            linear, looks = asked.frame[:2, :2], self._of_plan(BulletLooks, asked.row, WALL_HEIGHT)
             order = 1 if np.linalg.det(linear) > 0 else -1
             figures = _figures(asked, people, radius[asked.index])
             for robot in (agent for agent in asked.present if agent >= first):
                 others = {agent: figure for agent, figure in figures.items() if agent != robot}
-                at = asked.index, robot - first
-                picture, depth = looks.onboard(
-                    others, figures[robot][:2], (linear @ ahead[at]).tolist(), lens
-                )
-                pictures[at], depths[at] = picture[:, ::order], depth[:, ::order]
+                at, (x, y) = (asked.index, robot - first), figures[robot][:2]
+                dx, dy = linear @ ahead[at]
+                eye = [x, y, height], [x + dx, y + dy, height], [0.0, 0.0, 1.0]
+                picture, depth, empty = looks.shot(others, (lens.width, lens.height), eye, lens.angle, limits)
+                picture[empty] = np.where(floor[empty, None] < np.inf, FLOOR, OUTSIDE)
+                depth[empty] = floor[empty]
+                pictures[at], depths[at] = picture[:, ::order], np.minimum(depth, lens.reach)[:, ::order]
         return pictures, depths
 
 
-def _figures(asked: PlacedScene, people: Bodies, radius: Tensor) -> dict[int, Figure]:
+def _turned(linear: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return angles (N,), radians, of directions that a linear map (2, 2) has turned or mirrored."""
+    x, y = linear @ np.stack((np.cos(angle), np.sin(angle)))
+    return np.arctan2(y, x)
+
+
+def _figures(asked: _Placed, people: Bodies, radius: Tensor) -> dict[int, Figure]:
     """Return how the agents of a scene are drawn in pybullet's frame; bodies have ``radius`` (A,) metres."""
     at, angles = asked.index, np.zeros(len(radius))
     if people.heading is not None:
-        x, y = (as_array(direction_of(people.heading[at])) @ asked.affine[:, :2].T).T
-        angles = np.arctan2(y, x)
+        angles = _turned(asked.frame[:2, :2], as_array(people.heading[at]))
     robots = [False] * len(radius) if people.kind is None else (people.kind[at] == ROBOT).tolist()
     return {
         agent: Figure(x, y, round(float(radius[agent]), 6), float(angles[agent]), robots[agent])
         for agent, (x, y) in zip(asked.present, asked.places[asked.present].tolist(), strict=True)
     }
+
+
+def _headings(state: State, inputs: MotionInput) -> Tensor:
+    """Return where agents face at all sub-steps (B, A, S, M), radians; between trace points they turn evenly.
+
+    Agents on the common path face as the kernel turns them, agents that the backend owns turn evenly.
+    """
+    wheels = state.drive != HOLONOMIC
+    command = torch.zeros_like(state.velocity) if inputs.command is None else inputs.command
+    now, points = state, [state.heading]
+    for tick in range(inputs.velocity.shape[1]):
+        velocity = inputs.velocity[:, tick : tick + 1]
+        _, heading, rate = driven(now, command.movedim(-1, 0), velocity)
+        going = velocity[:, 0].movedim(0, -1)
+        heading = torch.where(wheels, heading, heading_of(going, now.heading, TURNS_FROM))
+        now = now._replace(heading=heading, turn_rate=rate, velocity=going)
+        points.append(heading)
+    turned = torch.stack(points, dim=-1)
+    if inputs.owned is not None:
+        share = torch.linspace(0, 1, turned.shape[-1], device=turned.device)
+        own = state.heading.unsqueeze(-1) + share * _short(inputs.owned.heading - state.heading).unsqueeze(-1)
+        turned = torch.where((inputs.moving | ~wheels).unsqueeze(-1), turned, own)
+    step = torch.arange(1, inputs.substeps + 1, device=turned.device) / inputs.substeps
+    return turned[..., :-1, None] + step * _short(turned.diff(dim=-1)).unsqueeze(-1)
+
+
+def _short(angle: Tensor) -> Tensor:
+    return torch.atan2(angle.sin(), angle.cos())

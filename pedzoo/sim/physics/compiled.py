@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import namedtuple
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -57,12 +57,12 @@ _After = namedtuple(
 class Compiled(Torch):
     """Answers as `Torch`, several times faster on a CPU. With gradients it is `Torch`."""
 
-    _whole: ClassVar[bool] = True
+    _whole = True
 
     def __init_subclass__(cls, **settings: Any) -> None:
         """Find contacts in loops only where a subclass has none of its own."""
         super().__init_subclass__(**settings)
-        names = ("contacts", "owned", "advance", "_advance", "_touched", "_integrated")
+        names = ("contacts", "owned", "advance", "_advance", "_touched")
         cls._whole = all(getattr(cls, name) is getattr(Compiled, name) for name in names)
 
     def _advance(self, state: State, inputs: MotionInput) -> Motion:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from pedzoo.core.batch import ROBOT
+from pedzoo.core.errors import UserError
 from pedzoo.maps.walls import LocalWalls
-from pedzoo.sim.camera import Camera
-from pedzoo.sim.drawing import draw_top_view
+from pedzoo.sim.camera import Camera, person_color
+from pedzoo.sim.drawing import Canvas, draw_floor
 from pedzoo.sim.physics._base import REACH, Bodies, Physics
 from pedzoo.sim.state import Contacts, Distances, MotionInput, State
 
@@ -22,7 +26,11 @@ class Torch(Physics):
 
     def distances(self, people: Bodies, reach: float = REACH) -> Distances:
         """See `Physics.distances`; differentiable with respect to positions."""
-        self._check_reach(reach)
+        if self.bank.grids and reach > self.bank.max_distance:
+            raise UserError(
+                f"reach {reach} m is more than floor plans are measured for ({self.bank.max_distance} m): "
+                f"make the bank with MapBank(..., max_distance={reach})"
+            )
         present = self._present(people)
         position = torch.where(present.unsqueeze(-1), people.position, 0)
         between = torch.cdist(position, position, compute_mode="donot_use_mm_for_euclid_dist")
@@ -90,18 +98,17 @@ class Torch(Physics):
         self, people: Bodies, scene: int, size: tuple[int, int] = (640, 480), camera: Camera | None = None
     ) -> NDArray[np.uint8]:
         """See `Physics.image`; always from the top, drawn without any renderer."""
-        return draw_top_view(
-            self._plan(people, scene),
-            self.bank.unknown,
-            people.pose[scene],
-            people.position[scene],
-            self._present(people)[scene],
-            self._radius(people)[scene],
-            size,
-            self.framed(people, scene, size, camera),
-            None if people.heading is None else people.heading[scene],
-            None if people.kind is None else people.kind[scene],
-        )
+        camera = replace(self.framed(people, scene, size, camera), view="top")
+        grid, radius = self.bank.grid(people.map_id[scene]), self._radius(people)[scene]
+        canvas = Canvas(draw_floor(grid, self.bank.unknown, people.pose[scene], size, camera), camera)
+        for agent in self._present(people)[scene].nonzero()[:, 0].tolist():
+            place, wide, color = people.position[scene, agent], float(radius[agent]), person_color(agent)
+            robot = people.kind is not None and int(people.kind[scene, agent]) == ROBOT
+            if people.heading is None or robot:
+                canvas.disc(place, wide, color)
+            else:
+                canvas.person(place, float(people.heading[scene, agent]), wide, color)
+        return canvas.image
 
 
 _AT_ONCE = 1 << 17

@@ -71,7 +71,7 @@ def outcome_of(
     """Return the outcome of a decision for the last R ``robots``, of the scenes ``before`` and ``after`` it.
 
     Each robot has to reach so many ``goals`` within the ``time_limit``, seconds; None for the deadlines of
-    `pedzoo.sim.arrival.deadline`. For ``ends_at`` see `EndsAt`.
+    `pedzoo.sim.rules.deadline`. For ``ends_at`` see `EndsAt`.
     """
     last = slice(-robots, None)
     active = before.controlled[:, last]

@@ -19,7 +19,6 @@ from pedzoo.core.types import AHEAD_SECONDS, GOAL_RADIUS, STEP_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim import kernel
-from pedzoo.sim.arrival import arrived
 from pedzoo.sim.dynamics import STRIDE
 from pedzoo.sim.observation import observed, state_of
 from pedzoo.sim.physics.torch import Torch
@@ -27,7 +26,7 @@ from pedzoo.sim.recorded_people import top_speed_of
 from pedzoo.sim.rules import Rules
 from pedzoo.sim.scenario import SLOWEST
 from pedzoo.sim.script import Script
-from pedzoo.sim.state import TRACE_PER_STEP, Motion, MotionInput, State
+from pedzoo.sim.state import TRACE_PER_STEP, Contacts, MotionInput, State
 
 Walk = Callable[[TensorDict], Tensor]
 """Returns each person's next displacement (B, A, 2), metres, for an observation."""
@@ -149,8 +148,6 @@ class OpenFloor(Torch):
         """Take no floor plan."""
         super().__init__(MapBank())
 
-    def _advance(self, state: State, inputs: MotionInput) -> Motion:
-        path = self._integrated(state, inputs)
-        trace = path[:, inputs.substeps - 1 :: inputs.substeps].permute(2, 3, 1, 0)
-        nothing = torch.zeros_like(trace[..., 0], dtype=torch.bool)
-        return Motion(trace, nothing, nothing, arrived(path, state.goal_point, inputs))
+    def _touched(self, state: State, path: Tensor, inputs: MotionInput) -> Contacts:
+        nothing = torch.zeros_like(path[:, :, :, 0, 0], dtype=torch.bool)
+        return Contacts(nothing, nothing)

@@ -10,23 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pedzoo.core.types import BODY_RADIUS
-from pedzoo.sim.camera import FLOOR, OUTSIDE, ROBOT_BODY, ROBOT_FRONT, WALL, Lens, person_color
+from pedzoo.sim.camera import ROBOT_BODY, ROBOT_FRONT, WALL, person_color
 from pedzoo.sim.drawing import HAIR, SKIN
-from pedzoo.sim.physics.pybullet.client import (
-    AWAY,
-    UPRIGHT,
-    about_z,
-    connect,
-    egl_plugin,
-    load_egl,
-    walls_over,
-)
+from pedzoo.sim.physics._pybullet import AWAY, UPRIGHT, about_z, build_walls, connect, egl_plugin, quiet
 
 CUT_HEIGHT = 1.0
 """Metres at which walls are cut off in pictures from above, so that people behind them are seen."""
-
-_NEAREST = 0.05
-"""Metres from which on robots see."""
 
 BROADER = (0.8, 1.4)
 """Figures are broader where bodies are wider than usual, within these limits."""
@@ -62,15 +51,7 @@ _MIDDLE = (
 
 
 class Figure(NamedTuple):
-    """How an agent is drawn, in pybullet's frame.
-
-    Attributes:
-        x: Metres.
-        y: Metres.
-        radius: Of the body, metres.
-        heading: Where it faces, radians.
-        robot: Whether it is a robot.
-    """
+    """How an agent is drawn: where it stands and how wide it is, metres, and where it faces, radians."""
 
     x: float
     y: float
@@ -79,11 +60,18 @@ class Figure(NamedTuple):
     robot: bool = False
 
 
+Eye = tuple[Sequence[float], Sequence[float], Sequence[float]]
+"""Where a camera stands, what it looks at and which way is up, (x, y, z) each."""
+
+
 class BulletLooks:
     """Walls and figures of people in a pybullet client of their own.
 
     pybullet draws every body that can be collided with, in colours of its choice. And a GPU's renderer shows
     only what is made after it is loaded, which takes long: programs without pictures should not wait for it.
+
+    Attributes:
+        client: Theirs.
     """
 
     def __init__(
@@ -93,110 +81,49 @@ class BulletLooks:
 
         With a ``window`` all is seen on the display.
         """
-        pybullet, client, self._finalizer = connect(self, window)
-        self._p, self.client = pybullet, client
-        plugin = None if window else egl_plugin()
-        self._egl = plugin is not None and load_egl(client, plugin)
-        for half, middle in walls_over(boxes, wall_height):
-            looks = {
-                "halfExtents": half,
-                "visualFramePositions": middle,
-                "rgbaColors": [_rgba(WALL)] * len(half),
-            }
-            self._body((0.0, 0.0, 0.0), shapeTypes=[pybullet.GEOM_BOX] * len(half), **looks)
+        self.client = connect(window)
+        self._egl = False
+        if not window and (plugin := egl_plugin()):
+            with quiet(1), quiet(2):
+                self._egl = self.client.loadPlugin(plugin, "_eglRendererPlugin") >= 0
+        build_walls(self.client, boxes, wall_height, _rgba(WALL))
         self._bodies: dict[tuple[int, float, bool], int] = {}
 
     def look_at(self, low: Sequence[float], high: Sequence[float]) -> None:
-        """Let the window show a rectangle from above, from its south.
-
-        Args:
-            low: Its lower corner (x, y), metres.
-            high: Its upper corner (x, y), metres.
-        """
+        """Let the window show the rectangle from ``low`` to ``high`` (x, y), metres, from above its south."""
         width, depth = high[0] - low[0], high[1] - low[1]
-        self._p.resetDebugVisualizerCamera(
+        self.client.resetDebugVisualizerCamera(
             cameraDistance=max(0.5 * width, 0.7 * depth) + 1,
             cameraYaw=0,
             cameraPitch=-65,
             cameraTargetPosition=[(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, 0],
-            physicsClientId=self.client,
         )
 
-    def close(self) -> None:
-        """Disconnect; a second time does nothing."""
-        self._finalizer()
-
-    def render(
+    def shot(
         self,
         figures: dict[int, Figure],
         size: tuple[int, int],
-        eye: tuple[Sequence[float], Sequence[float], Sequence[float]],
-        view_angle: float,
-    ) -> NDArray[np.uint8]:
-        """Return a picture (H, W, 3) uint8 RGB.
+        eye: Eye,
+        angle: float,
+        limits: tuple[float, float],
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.bool_]]:
+        """Return colours (H, W, 3) uint8 RGB, depths (H, W), metres, and where no body is (H, W).
 
         Args:
             figures: How to draw which agent.
             size: Width and height in pixels.
-            eye: Where the camera stands, what it looks at and which way is up.
-            view_angle: Horizontal opening angle, radians.
-        """
-        width, height = size
-        distance = math.dist(eye[0], eye[1])
-        upright = 2 * math.atan(math.tan(view_angle / 2) * height / width)
-        picture, _, empty = self._shot(
-            figures, size, eye, upright, (max(0.1, 0.2 * distance), 3 * distance + 10)
-        )
-        # The floor is where no body is: one to draw takes longer on the CPU than all the rest.
-        picture[empty] = FLOOR
-        return picture
-
-    def onboard(
-        self,
-        figures: dict[int, Figure],
-        place: Sequence[float],
-        ahead: Sequence[float],
-        lens: Lens,
-    ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-        """Return a picture (H, W, 3) uint8 RGB and the depth (H, W), metres, as a robot sees it.
-
-        Args:
-            figures: See `render`.
-            place: Where the camera stands (x, y), metres.
-            ahead: The direction (x, y) in which it looks.
-            lens: Its pixels, angle and height.
-        """
-        (x, y), (dx, dy), z = place, ahead, lens.eye_height
-        size, farthest = (lens.width, lens.height), 1.2 * lens.reach + 1
-        upright = 2 * math.atan(math.tan(lens.angle / 2) * lens.height / lens.width)
-        eye = ([x, y, z], [x + dx, y + dy, z], [0.0, 0.0, 1.0])
-        picture, buffer, empty = self._shot(figures, size, eye, upright, (_NEAREST, farthest))
-        depth = _NEAREST * farthest / (farthest - (farthest - _NEAREST) * buffer)
-        floor = np.broadcast_to(lens.floor()[:, None], empty.shape)
-        picture[empty] = np.where(floor[empty, None] < np.inf, FLOOR, OUTSIDE)
-        depth[empty] = floor[empty]
-        return picture, np.minimum(depth, lens.reach).astype(np.float32)
-
-    def _shot(
-        self,
-        figures: dict[int, Figure],
-        size: tuple[int, int],
-        eye: tuple[Sequence[float], Sequence[float], Sequence[float]],
-        upright: float,
-        limits: tuple[float, float],
-    ) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.bool_]]:
-        """Return colours (H, W, 3), the depth buffer (H, W) and where no body is (H, W).
-
-        The vertical opening angle ``upright`` is in radians, and ``limits``, the planes between which bodies
-        are drawn, in metres.
+            eye: The camera.
+            angle: Its horizontal opening angle, radians.
+            limits: Metres between which bodies are drawn.
         """
         self.place(figures)
-        width, height = size
-        image = self._p.getCameraImage(
+        (width, height), (least, most) = size, limits
+        upright = 2 * math.atan(math.tan(angle / 2) * height / width)
+        image = self.client.getCameraImage(
             width,
             height,
-            viewMatrix=self._p.computeViewMatrix(*eye),
-            projectionMatrix=self._p.computeProjectionMatrixFOV(
+            viewMatrix=self.client.computeViewMatrix(*eye),
+            projectionMatrix=self.client.computeProjectionMatrixFOV(
                 math.degrees(upright), width / height, *limits
             ),
             lightDirection=(-3, -5, 12),
@@ -205,15 +132,15 @@ class BulletLooks:
             lightDiffuseCoeff=0.42,
             lightSpecularCoeff=0.0,
             shadow=0,
-            renderer=self._p.ER_BULLET_HARDWARE_OPENGL if self._egl else self._p.ER_TINY_RENDERER,
-            physicsClientId=self.client,
+            renderer=self.client.ER_BULLET_HARDWARE_OPENGL if self._egl else self.client.ER_TINY_RENDERER,
         )
         picture = np.asarray(image[2], dtype=np.uint8).reshape(height, width, 4)[..., :3].copy()
         buffer = np.asarray(image[3], dtype=np.float64).reshape(height, width)
-        return picture, buffer, np.asarray(image[4]).reshape(height, width) < 0
+        depth = least * most / (most - (most - least) * buffer)
+        return picture, depth, np.asarray(image[4]).reshape(height, width) < 0
 
     def place(self, figures: dict[int, Figure]) -> None:
-        """Show these agents, see `render`, and no others; the body of each is made when it is first shown."""
+        """Show these agents and no others; the body of each is made when it is first shown."""
         for agent, figure in figures.items():
             key = agent, figure.radius, figure.robot
             if key not in self._bodies:
@@ -223,9 +150,7 @@ class BulletLooks:
             place, heading = AWAY, 0.0
             if figure and [figure.radius, figure.robot] == looks:
                 place, heading = (figure.x, figure.y, 0.0), figure.heading
-            self._p.resetBasePositionAndOrientation(
-                body, place, about_z(heading), physicsClientId=self.client
-            )
+            self.client.resetBasePositionAndOrientation(body, place, about_z(heading))
 
     def _person(self, agent: int, radius: float) -> int:
         shirt = person_color(agent)
@@ -235,8 +160,7 @@ class BulletLooks:
         right = [(*part, (x, -y, z)) for *part, (x, y, z) in _SIDE]
         cloth, radii, lengths, axes, places = zip(*_SIDE, *right, *_MIDDLE, strict=True)
         return self._body(
-            AWAY,
-            shapeTypes=[self._p.GEOM_CAPSULE] * len(cloth),
+            shapeTypes=[self.client.GEOM_CAPSULE] * len(cloth),
             radii=[broad * value for value in radii],
             lengths=lengths,
             visualFramePositions=[(broad * x, broad * y, z) for x, y, z in places],
@@ -246,19 +170,17 @@ class BulletLooks:
 
     def _robot(self, radius: float) -> int:
         return self._body(
-            AWAY,
-            shapeTypes=[self._p.GEOM_CYLINDER] * 2,
+            shapeTypes=[self.client.GEOM_CYLINDER] * 2,
             radii=[radius, 0.3 * radius],
             lengths=[ROBOT_HEIGHT - 0.03, 0.11],
             visualFramePositions=[(0.0, 0.0, ROBOT_HEIGHT / 2), (0.6 * radius, 0.0, ROBOT_HEIGHT - 0.045)],
             rgbaColors=[_rgba(ROBOT_BODY), _rgba(ROBOT_FRONT)],
         )
 
-    def _body(self, place: Sequence[float], **shapes: Any) -> int:
+    def _body(self, **shapes: Any) -> int:
         """Return a new body of some shapes; nothing can collide with it."""
-        looks = self._p.createVisualShapeArray(**shapes, physicsClientId=self.client)
-        return self._p.createMultiBody(0, -1, looks, place, physicsClientId=self.client)
+        return self.client.createMultiBody(0, -1, self.client.createVisualShapeArray(**shapes), AWAY)
 
 
-def _rgba(color: tuple[int, int, int]) -> list[float]:
-    return [*(value / 255 for value in color), 1.0]
+def _rgba(color: tuple[int, int, int]) -> tuple[float, ...]:
+    return *(value / 255 for value in color), 1.0
