@@ -91,16 +91,14 @@ def integrate(
         steps: M, a multiple of `STRIDE`.
         walls: As agents see them, None for none.
     """
-    strides = steps // STRIDE
-    seconds = TRACE_SECONDS / strides
     if walls is None:
         time = torch.arange(1, steps + 1, device=position.device, dtype=position.dtype)
         moved = (velocity * TRACE_SECONDS).cumsum(1)
         begin = position.unsqueeze(1) + moved - velocity * TRACE_SECONDS
         time = time.view(1, 1, -1, 1, 1) * (TRACE_SECONDS / steps)
         return (begin.unsqueeze(2) + velocity.unsqueeze(2) * time).flatten(1, 2)
-    reach = radius - SKIN
-    wanted = velocity * seconds
+    reach, strides = radius - SKIN, steps // STRIDE
+    wanted = velocity * (TRACE_SECONDS / strides)
     length = (wanted.square().sum(0) + 1e-12).sqrt()
     keeping = Keeping(reach, radius + reach, ROUNDING, CREEP)  # no stride is longer than the reach
     here, places = position, [position]

@@ -69,8 +69,8 @@ class PedestrianEnv(EnvBase):
     ) -> None:
         """Take a prepared scenario and the physics that moves its people; `pedzoo.make_env` does both.
 
-        B is ``num_envs``; `pedzoo.make_env` explains the others. A scene that ends is followed by the one that
-        is ``stride`` numbers on: ``num_envs`` times the number of workers where several share a seed.
+        B is ``num_envs``; `pedzoo.make_env` explains the others. A scene that ends is followed by the one
+        ``stride`` numbers on: ``num_envs`` times the number of workers where several share a seed.
 
         Raises:
             UserError: A setting is out of range.

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -159,24 +158,19 @@ class Rollout:
 
     def episodes(self, index: slice) -> Rollout:
         """Return some of the episodes."""
-        values = ((field.name, getattr(self, field.name)) for field in fields(self))
-        chosen: dict[str, Any] = {key: v[index] if isinstance(v, Tensor) else v for key, v in values}
-        return Rollout(**chosen)
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return replace(self, **{name: v[index] for name, v in values.items() if isinstance(v, Tensor)})
 
 
 def joined(parts: Sequence[Rollout]) -> Rollout:
     """Join rollouts of the same scenario; shorter ones stand still, absent, until the longest ends."""
-    longest = max(part.trace.shape[2] for part in parts)
-    result: dict[str, Any] = {}
-    for field in fields(Rollout):
-        values = [getattr(part, field.name) for part in parts]
-        if isinstance(values[0], Tensor):
-            if field.name in (*OVER_TIME, "changed"):
-                values = [grown(value, longest) for value in values]
-            result[field.name] = torch.cat(values)
-        else:
-            result[field.name] = values[0]
-    return Rollout(**result)
+    longest, result = max(part.trace.shape[2] for part in parts), {}
+    for name, first in ((field.name, getattr(parts[0], field.name)) for field in fields(Rollout)):
+        if isinstance(first, Tensor):
+            values = [getattr(part, name) for part in parts]
+            grows = name in (*OVER_TIME, "changed")
+            result[name] = torch.cat([grown(value, longest) if grows else value for value in values])
+    return replace(parts[0], **result)
 
 
 def grown(value: Tensor, points: int) -> Tensor:
@@ -204,18 +198,13 @@ def rollout_of(
         decision_dt: Seconds between two decisions.
     """
     known = [*OVER_TIME, *(["changed"] if "changed" in steps[0] else [])]
+    as_begun = ("mask", "past", "pref_speed", "radius", "kind", "map_id", "pose")
     return Rollout(
         **{key: torch.cat([step[key] for step in steps], dim=2) for key in known},
+        **{key: getattr(start, key) for key in as_begun},
         overdue=overdue,
         failed=failed,
-        mask=start.mask,
-        past=start.past,
-        pref_speed=start.pref_speed,
         first_path_length=start.remaining_path,
-        radius=start.radius,
-        kind=start.kind,
-        map_id=start.map_id,
-        pose=start.pose,
         goals=scenario.goals,
         gate=scenario.gate(Draws(start.key)),
         decision_dt=decision_dt,

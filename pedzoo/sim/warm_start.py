@@ -41,18 +41,14 @@ def rolled(state: State, physics: Physics, rules: Rules, walls: WallSegments) ->
         walls: Walls for ORCA.
     """
     rules = replace(rules, ticks=TRACE_PER_STEP, leave=False, keep_goal=True, script=None, waits=None)
-    agents = state.mask.shape[1]
-    controlled, stands = state.controlled, state.stands
+    agents, controlled, stands = state.mask.shape[1], state.controlled, state.stands
     walks = controlled & (stands <= 0) & (state.drive == HOLONOMIC) & (state.kind != ROBOT)
     state = state._replace(controlled=walks, stands=torch.zeros_like(stands))
     map_id, poses = state.map_id.repeat_interleave(agents), state.pose.repeat_interleave(agents, 0)
     guidance = rules.guidance(state)
     # people are on their way already
-    state = state._replace(
-        velocity=torch.where(walks.unsqueeze(2), guidance.desired_velocity, 0.0),
-        goal_point=guidance.goal_point,
-    )
-    top_speed = state.top_speed
+    velocity = torch.where(walks.unsqueeze(2), guidance.desired_velocity, 0.0)
+    state, top_speed = state._replace(velocity=velocity, goal_point=guidance.goal_point), state.top_speed
     radius = ORCA.radii(state.radius, state.kind == ROBOT, state.controlled)
     for _ in range(OBS_LEN - 1):
         reach = ORCA.wall_reach(top_speed, radius).flatten()

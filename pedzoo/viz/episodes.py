@@ -14,8 +14,7 @@ from pedzoo.eval.comparison import PolicyRollout, row
 from pedzoo.eval.packed_episodes import packed_episodes
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.rollout import Rollout
-from pedzoo.viz.page import framed, page
-from pedzoo.viz.report import add_report, empty_content, shorten
+from pedzoo.viz.report import add_report, empty_content, framed, page, shorten
 
 P = ParamSpec("P")
 

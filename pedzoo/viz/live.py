@@ -28,7 +28,7 @@ from pedzoo.sim.drawing import headings_along
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.physics._looks import BulletLooks, Figure
 from pedzoo.sim.physics._pybullet import disconnect
-from pedzoo.viz.page import page
+from pedzoo.viz.report import page
 
 HOST = "127.0.0.1"
 """Only this machine can ask."""

@@ -31,11 +31,8 @@ MARGIN = 2.0
 CURVE = "density_speed"
 """Key of the curves in rows of a replay."""
 
-PANEL = (2.2, 1.5)
-"""Inches."""
-
-LEAST = (3.4, 2.9)
-"""Inches that the words along the sides of the whole picture take."""
+PANEL, LEAST = (2.2, 1.5), (3.4, 2.9)
+"""Inches of a panel, and those that the words along the sides of the whole picture take."""
 
 LOOK: dict[str, Any] = {"color": "tab:red", "marker": ".", "lw": 1.4}
 REAL_LOOK: dict[str, Any] = {"color": "black", "lw": 2.2}
@@ -162,8 +159,8 @@ def plot_density_speed(rows: Sequence[Mapping[str, Any]], path: str | Path, simu
         raise UserError("there is no density and speed to draw: evaluate the suite replay")
     folds = list(dict.fromkeys(row["case"]["fold"] for row in mine))
     names = [name for name in dict.fromkeys(row["name"] for row in mine) if name != REAL] or [REAL]
-    size = PANEL[0] * len(folds) + 0.6, PANEL[1] * len(names) + 0.6
-    figure = Figure(figsize=(max(size[0], LEAST[0]), max(size[1], LEAST[1])), layout="constrained")
+    size = max(PANEL[0] * len(folds) + 0.6, LEAST[0]), max(PANEL[1] * len(names) + 0.6, LEAST[1])
+    figure = Figure(figsize=size, layout="constrained")
     panels = figure.subplots(len(names), len(folds), squeeze=False, sharex="col", sharey="col")
     curves = {(row["name"], row["case"]["fold"]): row[CURVE] for row in mine}
     for i, name in enumerate(names):

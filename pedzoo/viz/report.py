@@ -1,18 +1,23 @@
-"""What a page of results shows, from the files that commands write."""
+"""A page of results from the files that commands write: one HTML file, and no address of anything else."""
 
 from __future__ import annotations
 
+import base64
 import csv
+import hashlib
+import html
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from importlib import resources
 from itertools import count
 from pathlib import Path
+from string import Template
 from typing import Any
 
 from pedzoo.core.errors import UserError
 from pedzoo.eval.results import INTERVALS, SEEN, case_label, legend
-from pedzoo.viz.page import LARGEST
 
 Row = Mapping[str, Any]
 
@@ -21,9 +26,11 @@ REAL = "real"
 REFERENCES = (REAL, "real halves")
 """Rows that no policy is better than."""
 
-_NOTE = INTERVALS.replace("In brackets", "Below numbers") + " A number that is a link leads to an episode."
+SCRIPTS = ("dom", "decode", "scene", "charts", "inspect", "table", "player", "main")
+"""Files of the page's script, in this order."""
 
-_ROOM = 400_000  # bytes of a page beside its episodes and floor plans
+LARGEST, ROOM = 3_000_000, 400_000
+"""Bytes of a page, which opens at once and fits an e-mail; of these, beside episodes and floor plans."""
 
 HIGHER = re.compile(
     r"success|clean|contact_free|s[pt]l|goals_p.*|personal_space.*|(all_)?through|specific_flow.*|.*steps_per_s"
@@ -55,7 +62,52 @@ PANELS = 12
 RARE = 0.005
 """Densities that a smaller share of the real steps has are not drawn: their means are of a few people."""
 
-_CASE_SIZE = re.compile(r"(\d+) x (\d+)")
+
+def page(content: Mapping[str, Any], title: str = "pedzoo report", live: str | None = None) -> str:
+    """Return the page.
+
+    Names in ``content`` may come from any file. They stand in JSON without ``<``, the script writes them as
+    text, and the page's policy runs no script but its own.
+
+    Args:
+        content: ``about``, ``cases``, ``plans``, ``tables``, ``charts`` and ``notes``, as of `content_of`.
+        title: In the head of the page.
+        live: Where people who walk now are asked for, on the server that the page is from.
+    """
+    style, body = _asset("page.css"), "".join(_asset(f"{name}.js") for name in SCRIPTS)
+    script = f"'use strict';\n(() => {{\n{body}}})();\n"
+    sources = f"style-src {_hash(style)}; script-src {_hash(script)}; img-src data:"
+    sources += "; connect-src 'self'" if live else ""
+    policy = f"default-src 'none'; {sources}; base-uri 'none'; form-action 'none'"
+    # JSON that no HTML parser takes for anything else
+    data = json.dumps({**content, "live": live}, separators=(",", ":"), allow_nan=False)
+    for sign in "<>&\u2028\u2029":
+        data = data.replace(sign, f"\\u{ord(sign):04x}")
+    title, policy = html.escape(title), html.escape(policy, quote=True)
+    parts = {"title": title, "policy": policy, "style": style, "script": script, "data": data}
+    return Template(_asset("page.html")).substitute(parts)
+
+
+def framed(content: Mapping[str, Any], title: str, height: int = 640) -> str:
+    """Return the page as a frame for notebooks, ``height`` pixels high; its script sees nothing outside."""
+    inside = html.escape(page(content, title), quote=True)
+    return (
+        f'<iframe srcdoc="{inside}" sandbox="allow-scripts" title="{html.escape(title, quote=True)}" '
+        f'style="width:100%;height:{int(height)}px;border:0"></iframe>'
+    )
+
+
+def _asset(name: str) -> str:
+    return (resources.files("pedzoo.viz") / "assets" / name).read_text(encoding="utf-8")
+
+
+def _hash(text: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+
+
+def empty_content() -> dict[str, Any]:
+    """Return the content of a page without anything."""
+    return {"cases": [], "plans": {}, "tables": [], "charts": [], "notes": []}
 
 
 def content_of(files: Sequence[str | Path]) -> dict[str, Any]:
@@ -68,7 +120,7 @@ def content_of(files: Sequence[str | Path]) -> dict[str, Any]:
     Raises:
         UserError: A file is not there, or is something else.
     """
-    reports, runs, content = {}, [], empty_content()
+    reports, runs, content, about = {}, [], empty_content(), []
     for path in map(Path, files):
         if path.is_dir():
             runs += _trainings(path)
@@ -76,18 +128,19 @@ def content_of(files: Sequence[str | Path]) -> dict[str, Any]:
             reports[str(path)] = _read(path)
     for path, report in reports.items():
         add_report(content, report, Path(path).stem if len(reports) > 1 else "")
-    content["charts"] += training_curves(runs)
-    content["about"] = _about(list(reports.values()), runs)
+        versions, seeds = report.get("versions", {}), report.get("seeds", [])
+        made = [f"pedzoo {report.get('command', '')}".strip(), f"version {versions.get('pedzoo', 'unknown')}"]
+        made += [f"commit {versions['commit']}"] if "commit" in versions else []
+        made += [f"seeds {' '.join(map(str, seeds))}"] if isinstance(seeds, list) and seeds else []
+        about.append(", ".join(made))
+    about += [f"{len(runs)} trainings"] if runs else []
+    content["charts"] += _training_curves(runs)
+    content["about"] = "; ".join(dict.fromkeys(about))
     shorten(content)
     return content
 
 
-def empty_content() -> dict[str, Any]:
-    """Return the content of a page without anything."""
-    return {"cases": [], "plans": {}, "tables": [], "charts": [], "notes": []}
-
-
-def shorten(content: dict[str, Any], largest: int = LARGEST - _ROOM) -> None:
+def shorten(content: dict[str, Any], largest: int = LARGEST - ROOM) -> None:
     """Leave out the last episodes of all policies until a page is small enough, and plans without use."""
     policies = [policy for case in content["cases"] for policy in case["policies"]]
     sizes = [[len(json.dumps(one)) for one in policy["episodes"]] for policy in policies]
@@ -99,10 +152,9 @@ def shorten(content: dict[str, Any], largest: int = LARGEST - _ROOM) -> None:
         content["notes"].append(
             f"Only the first {most} of {longest} episodes are here: the page would be too large with more."
         )
-    used = set()
     for policy in policies:
         policy["episodes"] = policy["episodes"][:most]
-        used |= {one["plan"] for one in policy["episodes"]}
+    used = {one["plan"] for policy in policies for one in policy["episodes"]}
     content["cases"] = content["cases"] if most else []
     content["plans"] = {name: plan for name, plan in content["plans"].items() if name in used}
 
@@ -117,8 +169,9 @@ def _read(path: Path) -> dict[str, Any]:
     except ValueError as error:
         raise UserError(f"{str(path)!r} is no JSON: {wanted}") from error
     rows = report.get("rows") if isinstance(report, dict) else None
-    are_rows = isinstance(rows, list) and all(isinstance(row, dict) for row in rows)
-    if not are_rows or not all({"name", "metrics"} <= row.keys() for row in rows or ()):
+    if not isinstance(rows, list) or not all(
+        isinstance(row, dict) and {"name", "metrics"} <= row.keys() for row in rows
+    ):
         raise UserError(f"{str(path)!r} has no rows with name and metrics: {wanted}")
     return report
 
@@ -135,28 +188,39 @@ def _trainings(folder: Path) -> list[Path]:
 
 def add_report(content: dict[str, Any], report: Mapping[str, Any], stem: str = "") -> None:
     """Add the tables, episodes and curves of one file, with its ``stem`` in their titles."""
-    suffix = f" ({stem})" if stem else ""
+    suffix, protocol = f" ({stem})" if stem else "", report.get("protocol", {})
+    usual = protocol.get("scenario") if isinstance(protocol, dict) else None
+
+    def table(row: Row) -> str:
+        return str(row.get("table") or row.get("section") or usual or report.get("command", "results"))
+
+    def label(row: Row) -> str:
+        case = {key: str(value) for key, value in row.get("case", {}).items()}
+        return case_label({"case": case}) if case else ""
+
     content["plans"] |= report.get("plans", {})
-    for name, rows in _grouped(report["rows"], lambda row: _table(row, report)).items():
-        cases = _grouped(rows, _label)
+    for name, rows in _grouped(report["rows"], table).items():
+        cases = _grouped(rows, label)
         means = [row for row in report.get("summary", []) if row.get("table") == name]
-        tables = []
-        if len(cases) > 1 and means:
-            tables.append(_table_of(f"mean of {len(cases)} cases", means, None))
-        for label, of_case in cases.items():
-            number = _add_case(content, f"{name} {label}".strip() + suffix, of_case)
-            tables.append(_table_of(label or name, of_case, number))
-        note = "" if content["tables"] else _NOTE
+        tables = [_table(f"mean of {len(cases)} cases", means, None)] if len(cases) > 1 and means else []
+        for case, of_case in cases.items():
+            number = _add_case(content, f"{name} {case}".strip() + suffix, of_case)
+            tables.append(_table(case or name, of_case, number))
+        note = (
+            INTERVALS.replace("In brackets", "Below numbers")
+            + " A number that is a link leads to an episode."
+        )
+        note = "" if content["tables"] else note
         content["tables"].append({"name": name + suffix, "note": note, "tables": tables})
     content["notes"] += [str(note) for note in report.get("notes", [])]
     content["charts"] += _distributions(report["rows"], suffix) + _scaling(report["rows"], suffix)
 
 
-def _grouped(rows: Sequence[Row], key: Callable[[Row], str]) -> dict[str, list[Row]]:
+def _grouped(rows: Iterable[Row], key: Callable[[Row], str]) -> dict[str, list[Row]]:
     """Return rows by their key, in the order in which keys are first seen."""
-    groups: dict[str, list[Row]] = {}
+    groups = defaultdict[str, list[Row]](list)
     for row in rows:
-        groups.setdefault(key(row), []).append(row)
+        groups[key(row)].append(row)
     return groups
 
 
@@ -174,50 +238,30 @@ def _add_case(content: dict[str, Any], name: str, rows: Sequence[Row]) -> int | 
     return len(content["cases"]) - 1
 
 
-def _table(row: Row, report: Mapping[str, Any]) -> str:
-    protocol = report.get("protocol", {})
-    usual = protocol.get("scenario") if isinstance(protocol, dict) else None
-    return str(row.get("table") or row.get("section") or usual or report.get("command", "results"))
-
-
-def _label(row: Row) -> str:
-    case = {key: str(value) for key, value in row.get("case", {}).items()}
-    return case_label({"case": case}) if case else ""
-
-
-def _table_of(title: str, rows: Sequence[Row], case: int | None) -> dict[str, Any]:
+def _table(title: str, rows: Sequence[Row], case: int | None) -> dict[str, Any]:
     """Return a table; ``case`` is the number of the case whose episodes it leads to, None for a mean."""
-    texts = legend()
-    metrics = list(dict.fromkeys(key for row in rows for key in row["metrics"]))
+    texts, metrics = legend(), list(dict.fromkeys(key for row in rows for key in row["metrics"]))
+    # all of them are shown at once where none is known
+    first = [name for name in FIRST if name in metrics][:AT_ONCE]
+    order = [(name, True) for name in first] + [(name, not first) for name in metrics if name not in first]
     columns = [
-        {"key": key, "help": texts.get(key, ""), "better": better(key), "first": first}
-        for key, first in ordered(metrics)
+        {"key": key, "help": texts.get(key, ""), "better": better(key), "first": at_once}
+        for key, at_once in order
     ]
-    return {"title": title, "case": case, "columns": columns, "rows": list(map(_row, rows))}
-
-
-def _row(row: Row) -> dict[str, Any]:
-    intervals, number = row.get("ci95", {}), row.get("n", "")
-    numbers = {key: value for key, value in row["metrics"].items() if isinstance(value, int | float)}
-    return {
-        "name": str(row["name"]),
-        "n": number if isinstance(number, int | str) else "",
-        "cells": {key: [value, *intervals.get(key, (None, None))] for key, value in numbers.items()},
-        "seen": SEEN in row.get("case", {}),
-        "reference": row["name"] in REFERENCES,
-    }
-
-
-def _about(reports: Sequence[Row], runs: Sequence[Path]) -> str:
     lines = []
-    for report in reports:
-        versions, seeds = report.get("versions", {}), report.get("seeds", [])
-        made = [f"pedzoo {report.get('command', '')}".strip(), f"version {versions.get('pedzoo', 'unknown')}"]
-        made += [f"commit {versions['commit']}"] if "commit" in versions else []
-        made += [f"seeds {' '.join(map(str, seeds))}"] if isinstance(seeds, list) and seeds else []
-        lines.append(", ".join(made))
-    lines += [f"{len(runs)} trainings"] if runs else []
-    return "; ".join(dict.fromkeys(lines))
+    for row in rows:
+        intervals, number = row.get("ci95", {}), row.get("n", "")
+        numbers = {key: value for key, value in row["metrics"].items() if isinstance(value, int | float)}
+        lines.append(
+            {
+                "name": str(row["name"]),
+                "n": number if isinstance(number, int | str) else "",
+                "cells": {key: [value, *intervals.get(key, (None, None))] for key, value in numbers.items()},
+                "seen": SEEN in row.get("case", {}),
+                "reference": row["name"] in REFERENCES,
+            }
+        )
+    return {"title": title, "case": case, "columns": columns, "rows": lines}
 
 
 def better(metric: str) -> int:
@@ -227,19 +271,23 @@ def better(metric: str) -> int:
     return -1 if LOWER.fullmatch(metric) else 0
 
 
-def ordered(metrics: list[str]) -> list[tuple[str, bool]]:
-    """Return metrics with whether they are shown at once: all of them where none is known."""
-    first = [name for name in FIRST if name in metrics][:AT_ONCE]
-    return [(name, True) for name in first] + [(name, not first) for name in metrics if name not in first]
-
-
-def training_curves(runs: Sequence[Path]) -> list[dict[str, Any]]:
+def _training_curves(runs: Sequence[Path]) -> list[dict[str, Any]]:
     """Return the charts of trainings, a panel for each metric of validation, a line for each run."""
-    panels: dict[str, list[dict[str, Any]]] = {}
+    panels = defaultdict[str, list[dict[str, Any]]](list)
     for run in runs:
-        name = f"{run.parent.name}/{run.name}"
-        for metric, (epochs, values) in _logged(run / "metrics.csv").items():
-            panels.setdefault(metric, []).append({"name": name, "x": epochs, "y": values})
+        logged = defaultdict[str, dict[int, list[float]]](lambda: defaultdict(list))
+        with (run / "metrics.csv").open(newline="") as lines:
+            for row in csv.DictReader(lines):
+                for key, text in row.items():
+                    if (
+                        text
+                        and row.get("epoch")
+                        and re.match(r"(val|rollout)/|train/.*loss|train/g", key or "")
+                    ):
+                        logged[key][int(float(row["epoch"]))].append(float(text))
+        for metric, values in logged.items():
+            means = {epoch: sum(values[epoch]) / len(values[epoch]) for epoch in sorted(values)}
+            panels[metric].append(_line(f"{run.parent.name}/{run.name}", means))
     order = sorted(panels, key=lambda metric: (metric not in FIRST_CURVES, -len(panels[metric]), metric))
     common = {"x": "epoch", "y": "", "zero": False}
     charts = [{"title": metric, "lines": panels[metric], **common} for metric in order[:PANELS]]
@@ -247,18 +295,8 @@ def training_curves(runs: Sequence[Path]) -> list[dict[str, Any]]:
     return [{"title": "Training", "note": note, "panels": charts}] if charts else []
 
 
-def _logged(file: Path) -> dict[str, tuple[list[int], list[float]]]:
-    """Return epochs and means of every metric that is worth a panel."""
-    values: dict[str, dict[int, list[float]]] = {}
-    with file.open(newline="") as lines:
-        for row in csv.DictReader(lines):
-            for key, text in row.items():
-                if text and row.get("epoch") and re.match(r"(val|rollout)/|train/.*loss|train/g", key or ""):
-                    values.setdefault(key, {}).setdefault(int(float(row["epoch"])), []).append(float(text))
-    return {
-        key: (sorted(epochs), [sum(epochs[epoch]) / len(epochs[epoch]) for epoch in sorted(epochs)])
-        for key, epochs in values.items()
-    }
+def _line(name: str, points: Mapping[Any, Any]) -> dict[str, Any]:
+    return {"name": name, "x": list(points), "y": list(points.values())}
 
 
 def _distributions(rows: Sequence[Row], suffix: str) -> list[dict[str, Any]]:
@@ -285,12 +323,9 @@ def _beside_real(rows: Sequence[Row]) -> list[dict[str, Any]]:
         bins = len(first["real_share"])
         wide = (first["high"] - first["low"]) / bins
         x = [round(first["low"] + (i + 0.5) * wide, 4) for i in range(bins)]
+        having = [row for row in rows if feature in row.get("distributions", {})]
         shares = [(REAL, first["real_share"])]
-        shares += [
-            (str(row["name"]), row["distributions"][feature]["share"])
-            for row in rows
-            if feature in row.get("distributions", {})
-        ]
+        shares += [(str(row["name"]), row["distributions"][feature]["share"]) for row in having]
         lines = [{"name": name, "x": x, "y": share} for name, share in shares]
         unit = first["unit"].replace("_per_", "/")
         panels.append({"title": feature.replace("_", " "), "x": unit, "y": "share", "lines": lines})
@@ -309,18 +344,16 @@ def _beside_real(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 def _scaling(rows: Sequence[Row], suffix: str) -> list[dict[str, Any]]:
     """Return how many steps of people are done per second, by the number of people, of ``pedzoo bench``."""
-    places: dict[str, dict[str, dict[int, float]]] = {}
+    places = defaultdict[str, dict[str, dict[int, float]]](lambda: defaultdict(dict))
     for row in rows:
-        size = _CASE_SIZE.fullmatch(str(row.get("case", {}).get("size", "")))
+        size = re.fullmatch(r"(\d+) x (\d+)", str(row.get("case", {}).get("size", "")))
         if size and (value := row["metrics"].get("agent_steps_per_s")):
-            lines = places.setdefault(str(row["case"].get("map", "")), {})
-            lines.setdefault(str(row["name"]), {})[int(size[1]) * int(size[2])] = value
+            place = str(row["case"].get("map", ""))
+            places[place][str(row["name"])][int(size[1]) * int(size[2])] = value
     panels = []
     for place, by_name in places.items():
-        several = {name: sorted(points.items()) for name, points in by_name.items() if len(points) > 1}
         lines = [
-            {"name": name, "x": [size for size, _ in points], "y": [value for _, value in points]}
-            for name, points in several.items()
+            _line(name, dict(sorted(points.items()))) for name, points in by_name.items() if len(points) > 1
         ]
         common = {"x": "people in all scenes (powers of ten)", "y": "steps of people per second", "log": True}
         if lines:

@@ -30,11 +30,8 @@ from pedzoo.viz.video import ShownEpisode, check_episode
 STEPS_BEFORE = 3
 """Dots behind each star."""
 
-MOMENTS = 3
-"""Panels from the first meeting to the last one of all policies; the end has another one."""
-
-AROUND = 0.8
-"""Seconds before the first and after the last meeting where these begin and end."""
+MOMENTS, AROUND = 3, 0.8
+"""Panels from before the first meeting of all policies to after the last one, and so many seconds of it."""
 
 RECENT = 60
 """Trace points before a star that are drawn broad, 6 s; what is older is thin."""

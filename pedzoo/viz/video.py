@@ -20,17 +20,11 @@ from pedzoo.sim.physics._base import Bodies
 from pedzoo.sim.physics._pybullet import quiet
 from pedzoo.sim.rollout import Rollout
 
-COLUMNS = 3
-"""Panels beside each other."""
+COLUMNS, MARGIN = 3, 0.6
+"""Panels beside each other, and metres around people's paths that are seen."""
 
-MARGIN = 0.6
-"""Metres around people's paths that are seen."""
-
-HEADER = 30
-"""Pixels above each panel for its name."""
-
-GAP = 6
-"""White pixels to the right of each panel."""
+HEADER, GAP = 30, 6
+"""Pixels above each panel for its name, and white ones to its right."""
 
 HEADING, PITCH = math.radians(60), math.radians(45)
 """Where the perspective camera looks: obliquely, so that doors are seen in walls along either axis."""
@@ -134,11 +128,8 @@ def read_video(path: str | Path) -> tuple[int, tuple[int, int]]:
     with quiet(2):
         video = cv2.VideoCapture(str(path))
     count, size = 0, (0, 0)
-    while True:
-        there, frame = video.read()
-        if not there:
-            break
-        count, size = count + 1, (frame.shape[1], frame.shape[0])
+    while (read := video.read())[0]:
+        count, size = count + 1, (read[1].shape[1], read[1].shape[0])
     video.release()
     return count, size
 

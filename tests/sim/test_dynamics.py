@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from pedzoo.core.geometry import identity_pose, limit_speed, move_to_map, move_to_scene
+from pedzoo.core.geometry import direction_of, identity_pose, limit_speed, move_to_map, move_to_scene
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
@@ -24,25 +24,36 @@ NEAREST = BODY_RADIUS - SKIN
 def walk(
     position: Tensor,
     velocity: Tensor,
-    seconds: float,
-    steps: int,
-    bank: MapBank,
-    map_id: Tensor,
-    pose: Tensor,
+    seconds: float = 0.4,
+    steps: int = 16,
+    bank: MapBank = BANK,
+    pose: Tensor | None = None,
 ) -> Tensor:
-    walls = bank.walls_of_state(*bank.walls_of_scenes(bank.index(map_id), pose))
+    """Return the paths (1, A, N, 2) of people on the first floor plan of a bank."""
+    map_id = torch.tensor([bank.grids[0].map_id if bank.grids else -1])
+    frame, place = bank.walls_of_scenes(bank.index(map_id), identity_pose(1) if pose is None else pose)
     ticks = round(seconds / 0.1)
     wanted = velocity.movedim(-1, 0).unsqueeze(1).expand(2, ticks, *velocity.shape[:2])
-    radius = torch.full(position.shape[:2], BODY_RADIUS)
+    radius, walls = torch.full(position.shape[:2], BODY_RADIUS), bank.walls_of_state(frame, place)
     path = dynamics.integrate(position.movedim(-1, 0), wanted, radius, steps // ticks, walls)
     return path.permute(2, 3, 1, 0)
 
 
-def moved(start: list[float], velocity: list[float], seconds: float = 0.4, steps: int = 16) -> Tensor:
+def gaps(path: Tensor, bank: MapBank = BANK) -> Tensor:
+    """Return the distances to walls (A, N) on paths (1, A, N, 2)."""
+    map_id = torch.tensor([bank.grids[0].map_id])
+    return bank.closest_wall(path.flatten(1, 2), map_id, identity_pose(1))[0].view(path.shape[1:3])
+
+
+def moved(start: list[float], velocity: list[float], steps: int = 16) -> Tensor:
     """Return one person's path (N, 2)."""
     position, wanted = (torch.tensor([[values]]) for values in (start, velocity))
-    map_id = torch.tensor([BANK.grids[0].map_id])
-    return walk(position, wanted, seconds, steps, BANK, map_id, identity_pose(1))[0, 0]
+    return walk(position, wanted, steps=steps)[0, 0]
+
+
+def anywhere(people: int, generator: torch.Generator) -> Tensor:
+    """Return random places (1, A, 2) in the left room."""
+    return torch.rand(1, people, 2, generator=generator) * torch.tensor([1.7, 2.7]) + 0.15
 
 
 def test_free_walking_is_straight() -> None:
@@ -69,21 +80,16 @@ def test_an_inner_corner_stops_both_ways() -> None:
 
 
 @pytest.mark.parametrize(("thickness", "top"), [(0.1, 2.5), (0.01, 1.49), (0.01, 2.5), (0.05, 3.1)])
-def test_no_person_tunnels_through_a_thin_wall_at_top_speed(thickness: float, top: float) -> None:
+def test_no_person_tunnels_through_a_thin_wall(thickness: float, top: float) -> None:
     resolution = min(thickness, 0.05)
     walls = room((0, 0), (4, 3), resolution) + wall((2 + thickness / 2, 0), (2 + thickness / 2, 3), thickness)
-    bank = MapBank([rectangles(walls, resolution)], "wall")
-    generator = torch.Generator().manual_seed(0)
-    people = 2000
-    start = torch.rand(1, people, 2, generator=generator) * torch.tensor([1.7, 2.7]) + 0.15
-    map_id, pose = torch.tensor([bank.grids[0].map_id]), identity_pose(1)
+    bank, generator = MapBank([rectangles(walls, resolution)], "wall"), torch.Generator().manual_seed(0)
+    start = anywhere(1000, generator)
     for _ in range(10):
-        angle = torch.rand(1, people, generator=generator) * 6.3
-        velocity = top * torch.stack((angle.cos(), angle.sin()), dim=-1)
-        path = walk(start, velocity, 0.4, 4 * substeps(top), bank, map_id, pose)
-        distance, _ = bank.closest_wall(path.flatten(1, 2), map_id, pose)
+        velocity = top * direction_of(torch.rand(1, 1000, generator=generator) * 6.3)
+        path = walk(start, velocity, steps=4 * substeps(top), bank=bank)
         assert float(path[..., 0].max()) < 2.0
-        assert float(distance.min()) > NEAREST - 1e-3
+        assert float(gaps(path, bank).min()) > NEAREST - 1e-3
         moves = torch.cat((start.unsqueeze(2), path), dim=2).diff(dim=2).norm(dim=-1)
         assert float(moves.max()) < BODY_RADIUS / 2 * 1.1
         start = path[:, :, -1]
@@ -93,18 +99,14 @@ def test_no_person_tunnels_through_a_thin_wall_at_top_speed(thickness: float, to
 def test_no_sub_step_is_deeper_in_a_wall_than_a_body_gives(top: float) -> None:
     """Among scattered pieces of wall, where people turn round corners and are pushed out of them."""
     cells = np.where(np.random.default_rng(0).random((60, 80)) < 0.015, OCCUPIED, 0).astype(np.uint8)
-    bank = MapBank([OccupancyGrid(cells, 0.05)], "free")
-    map_id, pose = torch.tensor([bank.grids[0].map_id]), identity_pose(1)
-    generator = torch.Generator().manual_seed(0)
+    bank, generator = MapBank([OccupancyGrid(cells, 0.05)], "free"), torch.Generator().manual_seed(0)
     start = torch.rand(1, 3000, 2, generator=generator) * torch.tensor([4.0, 3.0])
     for _ in range(4):
-        begun = bank.closest_wall(start, map_id, pose)[0]
-        angle = torch.rand(1, 3000, generator=generator) * 6.3
-        velocity = top * torch.stack((angle.cos(), angle.sin()), dim=-1)
-        path = walk(start, velocity, 0.4, 4 * substeps(top), bank, map_id, pose)
-        distance = bank.closest_wall(path.flatten(1, 2), map_id, pose)[0].view(path.shape[:3])
-        deeper = begun.clamp_max(NEAREST).unsqueeze(2) - distance
-        assert float(deeper[..., 1::2].max()) < 2e-3  # where strides end, and so at all trace points
+        begun = gaps(start.unsqueeze(2), bank)
+        velocity = top * direction_of(torch.rand(1, 3000, generator=generator) * 6.3)
+        path = walk(start, velocity, steps=4 * substeps(top), bank=bank)
+        deeper = begun.clamp_max(NEAREST) - gaps(path, bank)
+        assert float(deeper[:, 1::2].max()) < 2e-3  # where strides end, and so at all trace points
         # half-way between two of them the straight line may cut a corner a little
         assert float(deeper.max()) < NEAREST / 4
         start = path[:, :, -1]
@@ -116,11 +118,9 @@ def test_sub_steps_are_at_most_half_a_body_radius() -> None:
 
 
 def test_who_starts_inside_a_wall_may_only_move_out() -> None:
-    deeper = moved([2.04, 1.5], [1.0, 0.0], steps=16)
-    distance, _ = BANK.closest_wall(deeper[None], torch.tensor([BANK.grids[0].map_id]), identity_pose(1))
-    assert (distance[0].diff() >= -1e-5).all()
-    outwards = moved([2.04, 1.5], [-1.0, 0.0], steps=16)
-    assert float(outwards[-1, 0]) < 2.0 - BODY_RADIUS
+    deeper = moved([2.04, 1.5], [1.0, 0.0])
+    assert (gaps(deeper[None, None])[0].diff() >= -1e-5).all()
+    assert float(moved([2.04, 1.5], [-1.0, 0.0])[-1, 0]) < 2.0 - BODY_RADIUS
 
 
 def test_top_speed() -> None:
@@ -131,50 +131,40 @@ def test_top_speed() -> None:
 
 def test_gradients_follow_the_wall() -> None:
     velocity = torch.tensor([[[1.0, 1.0]]], requires_grad=True)
-    map_id = torch.tensor([BANK.grids[0].map_id])
-    end = walk(torch.tensor([[[1.85, 1.0]]]), velocity, 0.4, 16, BANK, map_id, identity_pose(1))[0, 0, -1]
-    gradient = torch.stack(
-        [torch.autograd.grad(value, velocity, retain_graph=True)[0][0, 0] for value in end]
-    )
+    end = walk(torch.tensor([[[1.85, 1.0]]]), velocity)[0, 0, -1]
+    gradient = [torch.autograd.grad(value, velocity, retain_graph=True)[0][0, 0] for value in end]
     # along the wall the whole 0.4 s count, against it nothing
-    assert torch.allclose(gradient, torch.tensor([[0.0, 0.0], [0.0, 0.4]]), atol=1e-4)
-    free = walk(torch.tensor([[[0.5, 1.0]]]), velocity, 0.4, 16, BANK, map_id, identity_pose(1))[0, 0, -1]
+    assert torch.allclose(torch.stack(gradient), torch.tensor([[0.0, 0.0], [0.0, 0.4]]), atol=1e-4)
+    free = walk(torch.tensor([[[0.5, 1.0]]]), velocity)[0, 0, -1]
     assert float(torch.autograd.grad(free[0], velocity)[0][0, 0, 0]) == pytest.approx(0.4)
 
 
 def test_a_turned_and_mirrored_scene_moves_alike() -> None:
     pose = torch.tensor([[0.7, -1.0, 5.0, -3.0]])
     start, goal = torch.tensor([[[1.8, 1.0]]]), torch.tensor([[[2.8, 1.9]]])
-    map_id = torch.tensor([BANK.grids[0].map_id])
-    plain = walk(start, goal - start, 0.4, 16, BANK, map_id, identity_pose(1))
-    turned_start = move_to_scene(start, pose)
-    turned = walk(turned_start, move_to_scene(goal, pose) - turned_start, 0.4, 16, BANK, map_id, pose)
-    assert torch.allclose(move_to_map(turned, pose), plain, atol=1e-4)
+    turned = move_to_scene(start, pose)
+    path = walk(turned, move_to_scene(goal, pose) - turned, pose=pose)
+    assert torch.allclose(move_to_map(path, pose), walk(start, goal - start), atol=1e-4)
 
 
 def test_without_floor_plans_nothing_is_in_the_way() -> None:
-    path = walk(
-        torch.zeros(1, 1, 2), torch.ones(1, 1, 2), 0.4, 8, MapBank(), torch.tensor([-1]), identity_pose(1)
-    )
+    path = walk(torch.zeros(1, 1, 2), torch.ones(1, 1, 2), steps=8, bank=MapBank())
     assert torch.allclose(path[0, 0, -1], torch.tensor([0.4, 0.4]))
 
 
 def test_no_persons_path_depends_on_who_else_walks() -> None:
     generator = torch.Generator().manual_seed(1)
-    start = torch.rand(1, 400, 2, generator=generator) * torch.tensor([1.7, 2.7]) + 0.15
-    velocity = 2 * torch.randn(1, 400, 2, generator=generator)
-    map_id, pose = torch.tensor([BANK.grids[0].map_id]), identity_pose(1)
-    together = walk(start, velocity, 0.4, 16, BANK, map_id, pose)
+    start, velocity = anywhere(400, generator), 2 * torch.randn(1, 400, 2, generator=generator)
+    together = walk(start, velocity)
     for i in range(0, 400, 9):
-        alone = walk(start[:, i : i + 1], velocity[:, i : i + 1], 0.4, 16, BANK, map_id, pose)
+        alone = walk(start[:, i : i + 1], velocity[:, i : i + 1])
         assert torch.equal(alone[:, 0], together[:, i])
 
 
 def test_no_person_creeps_into_a_wall() -> None:
     """Sliding along at a shallow angle, for two minutes."""
-    map_id, pose = torch.tensor([BANK.grids[0].map_id]), identity_pose(1)
     position = torch.tensor([[[2.0 - NEAREST, 0.5]]])
     for step in range(300):
         velocity = torch.tensor([[[1e-3, 0.5 if step // 10 % 2 else -0.5]]])
-        position = walk(position, velocity, 0.4, 16, BANK, map_id, pose)[:, :, -1]
+        position = walk(position, velocity)[:, :, -1]
     assert float(position[0, 0, 0]) < 2.0 - NEAREST + 1e-3

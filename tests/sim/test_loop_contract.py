@@ -155,23 +155,20 @@ def test_the_goal_is_noticed_between_two_decisions() -> None:
 
 
 def test_time_limits_and_how_scenes_end() -> None:
-    class Stands(GoToGoal):
-        """Stays where it is."""
-
-        def forward(self, tensordict: Any) -> Any:
-            tensordict["agents", "action"] = torch.zeros_like(tensordict["agents", "velocity"])
-            return tensordict
-
+    """Of people who stand."""
     env = make_env("door", num_envs=2)
-    env.reset()
-    way, speed = env.state.remaining_path, env.state.pref_speed
-    assert torch.allclose(env.state.deadline, torch.clamp(4 * way / speed, min=20.0))
-    results = walked(env, math.ceil(float(env.state.deadline.max()) / 0.4) + 1, Stands())
-    last = results[-1]["next"]
+    now: Any = env.reset()
+    way, speed, until = env.state.remaining_path, env.state.pref_speed, env.state.deadline
+    assert torch.allclose(until, torch.clamp(4 * way / speed, min=20.0))
+    done = []
+    for _ in range(math.ceil(float(until.max()) / 0.4) + 1):
+        now["agents", "action"] = torch.zeros_like(now["agents", "velocity"])
+        now = step_mdp(result := env.step(now))
+        done.append(bool(result["next", "done"][0]))
+    last = result["next"]
     assert last["truncated"].all() and not last["terminated"].any()
     assert last["agents", "info", "overdue"].all()
-    first = next(i for i, result in enumerate(results) if bool(result["next", "done"][0]))
-    assert 0.4 * (first + 1) > float(env.state.deadline[0].max())
+    assert 0.4 * (done.index(True) + 1) > float(until[0].max())
 
 
 @pytest.mark.parametrize("physics", ["compiled", "torch"])
@@ -400,35 +397,33 @@ def test_noise_belongs_to_the_scene_not_to_the_batch() -> None:
 # 9. Failure
 
 
+class Breaks(GoToGoal):
+    """Says a number that is none for one person at the third decision."""
+
+    number = 0.0
+
+    def forward(self, tensordict: Any) -> Any:
+        """Write the actions."""
+        super().forward(tensordict)
+        if self.number and abs(float(tensordict["time"][0, 0]) - 0.8) < 1e-3:
+            action = tensordict["agents", "action"].clone()
+            action[1, 0, 1] = self.number
+            tensordict["agents", "action"] = action
+        return tensordict
+
+
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_a_bad_action_fails_its_scene_only(bad: float) -> None:
-    class Breaks(GoToGoal):
-        """Fails for one person at the third decision."""
-
-        broken = False
-
-        def forward(self, tensordict: Any) -> Any:
-            super().forward(tensordict)
-            action = tensordict["agents", "action"].clone()
-            if self.broken and abs(float(tensordict["time"][0, 0]) - 0.8) < 1e-3:
-                action[1, 0, 1] = bad
-            tensordict["agents", "action"] = action
-            return tensordict
-
-    fine = walked(make_env("door", num_envs=3), 6, Breaks())
-    policy = Breaks()
-    policy.broken = True
-    env = make_env("door", num_envs=3)
-    env.policy_name = "mine"
+    fine, policy, env = walked(make_env("door", num_envs=3), 6), Breaks(), make_env("door", num_envs=3)
+    policy.number, env.policy_name = bad, "mine"
     with pytest.warns(UserWarning, match="mine gave the action .* for agent 0 of scene 1"):
         hurt = walked(env, 6, policy)
     assert torch.equal(positions(fine)[[0, 2]], positions(hurt)[[0, 2]])
     later = hurt[5]["next"]
     assert bool(later["truncated"][1]) and not bool(later["terminated"][1])
     assert torch.equal(positions(hurt)[1, :, 8], positions(hurt)[1, :, -1])
-    ended = hurt[2]["next"]
-    assert ended["failed"].flatten().tolist() == [False, True, False]
-    assert ended["truncated"].flatten().tolist() == [False, True, False]
+    for key in ("failed", "truncated"):
+        assert hurt[2]["next", key].flatten().tolist() == [False, True, False]
     assert torch.isfinite(positions(hurt)).all()
 
 

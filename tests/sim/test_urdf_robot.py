@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 import torch
 from helpers.bodies import put, yard
+from torch import Tensor
 
 import pedzoo
 from pedzoo.core.batch import PERSON, ROBOT
@@ -93,26 +95,6 @@ def test_two_robots_touch_by_their_shapes() -> None:
         env.physics.close()
 
 
-def test_walls_are_touched_by_the_shape() -> None:
-    """A disc of its half width follows the path: a Husky that turns at a wall touches it with its corners."""
-    env = pedzoo.make_robot_env(
-        "goals:map=apartment.7,people=2", robot="husky:radius=0.35", people="orca", num_envs=8,
-        physics=HUSKY, sensors=["goal"], ends_at="none", clearance=0.4,
-    )  # fmt: skip
-    seen, shape, disc, far = env.reset(seed=0), [], [], []
-    for _ in range(15):
-        seen["robots", "action"] = torch.tensor([0.2, 0.8]).expand(8, 1, 2)
-        seen = env.step(seen)["next"]
-        gap, _ = env.bank.closest_wall(env.state.position, env.state.map_id, env.state.pose)
-        shape.append(seen["robots", "info", "wall_contact"][:, 0])
-        disc.append(gap[:, -1] < 0.33)
-        far.append(gap[:, -1] > 0.75)
-    env.physics.close()
-    touched, inside, away = torch.stack(shape), torch.stack(disc), torch.stack(far)
-    assert touched.any() and (touched & ~inside).any()
-    assert not (touched & away).any()
-
-
 def test_wheels_drive_straight_and_turn_to_the_left() -> None:
     """At 3 m/s^2 it is at 0.5 m/s after 0.17 s: 0.46 m in 1 s. Wheels that skid turn it less."""
     env, state = beside([0.0, 4.0], 0.4, physics=f"{HUSKY},drive=wheels")
@@ -139,17 +121,32 @@ def office() -> RobotEnv:
     )  # fmt: skip
 
 
-def test_walls_stop_wheels_and_are_touched() -> None:
-    env = office()
-    seen, touched = env.reset(seed=0), []
-    for _ in range(30):
-        seen["robots", "action"] = torch.full((6, 1, 2), 0.8)
+def driving(env: RobotEnv, action: list[float], steps: int) -> Iterator[tuple[Tensor, Tensor]]:
+    """Yield whether the robot of each scene touches a wall (B,), and its distance to one, after decisions."""
+    seen = env.reset(seed=0)
+    for _ in range(steps):
+        seen["robots", "action"] = torch.tensor(action).expand(*env.batch_size, 1, 2)
         seen = env.step(seen)["next"]
-        touched.append(seen["robots", "info", "wall_contact"][:, 0])
         gap, _ = env.bank.closest_wall(env.state.position, env.state.map_id, env.state.pose)
-        assert gap[:, -1].min() > 0.25
+        yield seen["robots", "info", "wall_contact"][:, 0], gap[:, -1]
     env.physics.close()
-    assert torch.stack(touched).any(0).sum() >= 4
+
+
+def test_walls_are_touched_by_the_shape() -> None:
+    """A disc of its half width follows the path: a Husky that turns at a wall touches it with its corners."""
+    env = pedzoo.make_robot_env(
+        "goals:map=apartment.7,people=2", robot="husky:radius=0.35", people="orca", num_envs=8,
+        physics=HUSKY, sensors=["goal"], ends_at="none", clearance=0.4,
+    )  # fmt: skip
+    touched, gap = map(torch.stack, zip(*driving(env, [0.2, 0.8], 15), strict=True))
+    assert touched.any() and (touched & (gap >= 0.33)).any()
+    assert not (touched & (gap > 0.75)).any()
+
+
+def test_walls_stop_wheels_and_are_touched() -> None:
+    touched, gap = map(torch.stack, zip(*driving(office(), [0.8, 0.8], 30), strict=True))
+    assert gap.min() > 0.25
+    assert touched.any(0).sum() >= 4
 
 
 def test_a_mirrored_scene_has_mirrored_ways() -> None:

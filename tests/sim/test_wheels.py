@@ -45,17 +45,15 @@ def needs(physics: str) -> None:
         pytest.importorskip("pybullet")
 
 
-def test_a_unicycle_speeds_up_by_its_acceleration(physics: str) -> None:
-    """At 1 m/s^2 its speeds are 0.1, 0.2, 0.3, 0.4 m/s; at the top speed of 1.2 m/s it stays."""
+def test_a_unicycle_speeds_up_and_turns_by_its_limits(physics: str) -> None:
+    """At 1 m/s^2 its speeds are 0.1, 0.2, 0.3, 0.4 m/s; at the top speed of 1.2 m/s it stays.
+
+    At 2 rad/s^2 its rates are 0.2, 0.4, 0.6, 0.8 rad/s: 0.2 rad after 0.4 s, then 1 rad/s.
+    """
     trace, heading = drive(yard(physics, drive=[UNICYCLE], **LIMITS), *[[5.0, 0.0]] * 4)
     speed = torch.cat((torch.zeros(1), trace[:, 0])).diff() / 0.1
-    expected = torch.linspace(0.1, 1.6, 16).clamp_max(1.2)
-    assert torch.allclose(speed, expected, atol=1e-4)
+    assert torch.allclose(speed, torch.linspace(0.1, 1.6, 16).clamp_max(1.2), atol=1e-4)
     assert trace[:, 1].abs().max() < 1e-6 and heading.abs().max() < 1e-6
-
-
-def test_a_unicycle_turns_in_place(physics: str) -> None:
-    """At 2 rad/s^2 its rates are 0.2, 0.4, 0.6, 0.8 rad/s: 0.2 rad after 0.4 s, then 1 rad/s."""
     trace, heading = drive(yard(physics, drive=[UNICYCLE], **LIMITS), *[[0.0, 1.0]] * 2)
     assert trace.abs().max() < 1e-6
     assert heading.tolist() == pytest.approx([0.2, 0.6], abs=1e-5)
@@ -128,21 +126,16 @@ def test_robots_stand_and_face_as_told_in_the_warm_start(physics: str) -> None:
     [
         ({"radius": [0.05]}, r"radius 0\.05 m of an agent in Yard: expected at least 0\.1"),
         ({"top_speed": [9.0]}, r"top_speed 9 m/s of an agent in Yard: expected at most 3"),
+        ({"drive": [UNICYCLE]}, r"expected Yard\.wheels = True"),
     ],
 )
-def test_bodies_that_sub_steps_are_too_long_for_are_refused(
-    physics: str, bodies: dict[str, Any], message: str
+def test_bodies_that_a_scenario_does_not_announce_are_refused(
+    physics: str, bodies: dict[str, Any], message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(Yard, "wheels", "drive" not in bodies)
     with pytest.raises(UserError, match=message):
         yard(physics, **bodies).reset()
 
 
-def test_wheels_have_to_be_said(physics: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Yard, "wheels", False)
-    with pytest.raises(UserError, match=r"expected Yard\.wheels = True"):
-        yard(physics, drive=[UNICYCLE]).reset()
-
-
 def test_sub_steps_heed_the_smallest_body(physics: str) -> None:
-    env = yard(physics)
-    assert 3.0 * 0.1 / env.rules.substeps <= 0.1 / 2 + 1e-9
+    assert 3.0 * 0.1 / yard(physics).rules.substeps <= 0.1 / 2 + 1e-9

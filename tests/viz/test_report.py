@@ -16,8 +16,7 @@ import pedzoo
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.sim.drawing import FACE, FACE_AHEAD, HAIR, HEAD, SHOULDERS, SKIN
-from pedzoo.viz.page import framed, page
-from pedzoo.viz.report import better, content_of, shorten
+from pedzoo.viz.report import better, content_of, framed, page, shorten
 
 NAUGHTY = "</script><script>alert(1)</script><img src=x onerror=alert(2)>\u2028&amp;"
 
@@ -136,9 +135,9 @@ def test_what_is_no_result_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_command_and_a_rollout_write_pages(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    common = ["--physics", "compiled", "--episodes", "2", "--metrics", "success", "--keep_episodes", "2"]
+    words = "rollout go_to_goal --physics compiled --episodes 2 --metrics success --keep_episodes 2"
     files = ["--html", str(tmp_path / "a.html"), "--json", str(tmp_path / "a.json")]
-    assert main(["rollout", "go_to_goal", *common, *files]) == 0
+    assert main([*words.split(), *files]) == 0
     assert main(["report", str(tmp_path / "a.json"), "-o", str(tmp_path / "b.html")]) == 0
     assert "2 replays" in capsys.readouterr().out
     (mine,), (other,) = (data_of((tmp_path / name).read_text())["cases"] for name in ("a.html", "b.html"))

@@ -15,8 +15,7 @@ import pytest
 
 from pedzoo.eval.packed_episodes import _differences, _text, packed_plan
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.viz.page import page
-from pedzoo.viz.report import content_of
+from pedzoo.viz.report import content_of, page
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")

@@ -136,13 +136,16 @@ def test_picture_is_written_whole(walked: PolicyRollout, tmp_path: Path, suffix:
 
 
 def test_mistakes(walked: PolicyRollout, tmp_path: Path) -> None:
-    with pytest.raises(UserError, match=r"\.png or \.pdf or \.svg"):
-        plot_rollouts([walked], tmp_path / "a.bmp")
     (tmp_path / "file").write_text("")
-    with pytest.raises(UserError, match="cannot write"):
-        plot_rollouts([walked], tmp_path / "file" / "a.png")
-    with pytest.raises(UserError, match="episode 7: go_to_goal has walked 2, 0 to 1"):
-        plot_rollouts([walked], tmp_path / "a.png", 7)
+    for name, episode, message in (
+        ("a.bmp", 0, r"\.png or \.pdf or \.svg"),
+        ("file/a.png", 0, "cannot write"),
+        ("a.png", 7, "episode 7: go_to_goal has walked 2, 0 to 1"),
+    ):
+        with pytest.raises(UserError, match=message):
+            plot_rollouts([walked], tmp_path / name, episode)
+    with pytest.raises(UserError, match="episode 2"):
+        draw_episode(Figure().subplots(), walked, 2)
 
 
 def test_an_episode_on_axes_of_ones_own(walked: PolicyRollout) -> None:
@@ -150,8 +153,6 @@ def test_an_episode_on_axes_of_ones_own(walked: PolicyRollout) -> None:
     draw_episode(axes, walked, 1)
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
     seen = walked.rollout.trace[1][walked.rollout.present[1]]
-    assert left < float(seen[:, 0].min()) and float(seen[:, 0].max()) < right
-    assert bottom < float(seen[:, 1].min()) and float(seen[:, 1].max()) < top
+    (low_x, low_y), (high_x, high_y) = seen.amin(0).tolist(), seen.amax(0).tolist()
+    assert left < low_x and high_x < right and bottom < low_y and high_y < top
     assert "ended at" in axes.get_title()
-    with pytest.raises(UserError, match="episode 2"):
-        draw_episode(axes, walked, 2)

@@ -19,8 +19,7 @@ def run(results: list[str], /, out: str = "report.html", title: str = "pedzoo re
     check_outputs(out=out)
     check_output_ending("out", out, PAGES)
 
-    from pedzoo.viz.page import page
-    from pedzoo.viz.report import content_of
+    from pedzoo.viz.report import content_of, page
 
     content = content_of(results)
     text = page(content, title)

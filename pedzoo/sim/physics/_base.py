@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import replace
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 import torch
@@ -152,19 +152,18 @@ class Physics(ABC):
         own = self.owned(state)
         if own is None:
             return self._advance(state, MotionInput(velocity, moving, substeps, played, wanted, command))
-        own = own & moving
+        own, ticks = own & moving, velocity.shape[1]
         command = torch.zeros_like(state.velocity) if command is None else command
-        ticks = velocity.shape[1]
         moved = self.move_owned(state, command, own, ticks, substeps)
         if played is None:
             played = state.position[:, :, None, None].expand(-1, -1, ticks, substeps, 2)
         played = torch.where(own[:, :, None, None, None], moved.path, played)
         inputs = MotionInput(velocity, moving & ~own, substeps, played, wanted, command, moved)
-        motion = self._advance(state, inputs)
-        return motion._replace(
-            heading=torch.where(own, moved.heading, torch.nan),
-            turn_rate=torch.where(own, moved.turn_rate, 0.0),
+        heading, turn_rate = (
+            torch.where(own, moved.heading, torch.nan),
+            torch.where(own, moved.turn_rate, 0.0),
         )
+        return self._advance(state, inputs)._replace(heading=heading, turn_rate=turn_rate)
 
     def _advance(self, state: State, inputs: MotionInput) -> Motion:
         """See `advance`, of agents that move on the common path."""
@@ -255,9 +254,8 @@ class Physics(ABC):
         camera = camera or Camera()
         if camera.center is not None and camera.width is not None:
             return camera
-        grid = self.bank.grid(people.map_id[scene])
         points, margin = people.position[scene][people.mask[scene]], 1.0
-        if grid is not None:
+        if (grid := self.bank.grid(people.map_id[scene])) is not None:
             corners = torch.from_numpy(free_corners(grid, self.bank.unknown)).to(people.pose)
             points, margin = move_to_scene(corners[None], people.pose[[scene]]), 0.4
         fitted = camera.around(points, size, margin)
@@ -277,7 +275,7 @@ class Physics(ABC):
     def close(self) -> None:  # noqa: B027 (most backends hold nothing)
         """Give back what the backend holds outside of Python; it cannot be asked afterwards."""
 
-    def __enter__(self) -> Physics:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
