@@ -224,5 +224,5 @@ def legend() -> list[Line2D]:
         "touch": {"marker": "o", "markersize": 8, "fillstyle": "none", "color": TOUCH},
         "warm start": {"linestyle": "-", "linewidth": 0.8, "color": "0.6"},
     }
-    usual = {"color": "0.3", "linestyle": "none"}
+    usual: dict[str, Any] = {"color": "0.3", "linestyle": "none"}
     return [Line2D([], [], label=label, **(usual | style)) for label, style in entries.items()]

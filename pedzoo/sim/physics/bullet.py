@@ -166,7 +166,8 @@ class Bullet(Compiled):
             drive[:, [2, 4]] *= mirror
             robots = self._of_plan(DrivenRobots, one.row, self.urdf)
             ways = robots.run(one.present, one.places[one.present], drive, ticks)
-            path[here] = moved(np.linalg.inv(one.frame), ways[:, at, :2]).reshape(-1, ticks, substeps, 2)
+            places = (ways[:, at, :2] - one.frame[:2, 2]) @ linear
+            path[here] = places.reshape(-1, ticks, substeps, 2)
             angles = ways[..., 2]
             heading[here] = _turned(linear.T, angles[:, -1])
             last = np.unwrap(angles[:, -STEPS - 1 :], axis=1) if ticks > 1 else np.unwrap(angles, axis=1)
