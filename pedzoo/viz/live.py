@@ -6,9 +6,8 @@ import json
 import os
 import re
 import sys
-import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from itertools import count, islice
 from typing import Any
@@ -28,10 +27,10 @@ from pedzoo.sim.drawing import headings_along
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.physics._looks import BulletLooks, Figure
 from pedzoo.sim.physics._pybullet import disconnect
-from pedzoo.viz.report import page
+from pedzoo.viz.report import empty_content, page
 
-HOST = "127.0.0.1"
-"""Only this machine can ask."""
+HOST, HERE = "127.0.0.1", re.compile(r"(127\.0\.0\.1|\[::1\]|localhost)(:\d+)?", re.IGNORECASE)
+"""Only this machine can ask: the address, and its names in requests, at any port, which may be a tunnel's."""
 
 FINEST = 50
 """Pictures per second of the window, at most."""
@@ -46,7 +45,7 @@ class Live:
     """One scene after the other, in real time.
 
     Attributes:
-        over: Whether no episode follows.
+        answer: The present episode as JSON: ``episode``, ``plans`` and whether it is all ``over``.
     """
 
     def __init__(
@@ -57,53 +56,35 @@ class Live:
             raise UserError(f"speed {speed}: expected more than 0, such as 1 for real time")
         self._policy, self.env = prepare(policy, scenario, physics, 1, seed)
         self.name, self.scenario, self._seed, self._speed = policy, scenario, seed, speed
-        self._lock, self._answer = threading.Lock(), b""
-        self.over = False
+        self.answer = b""
 
+    @torch.no_grad()
     def walk(self, episodes: int | None = None, shown: Callable[[Recorder], None] | None = None) -> None:
         """Walk so many episodes, None for without end; ``shown`` is called after each decision."""
         for number in islice(count(), episodes):
-            for recorder in self._decisions():
-                if shown:
-                    shown(recorder)
-                else:
-                    packed, plans = packed_episodes(recorder.rollout(), self.env.bank, 1, self._seed)
-                    self._tell({"episode": packed[0] | {"episode": number}, "plans": plans, "over": False})
-        self.over = True
-        if not shown:
-            self._tell(json.loads(self._answer) | {"over": True})
-
-    def _tell(self, content: dict[str, Any]) -> None:
-        answer = json.dumps(content).encode()
-        with self._lock:
-            self._answer = answer
-
-    def _decisions(self) -> Iterator[Recorder]:
-        """Yield what is recorded of an episode after each decision, in its own time divided by the speed."""
-        with torch.no_grad():
             now = self.env.reset()
             recorder, due = Recorder(self.env), time.monotonic()
             while recorder.alive.any():
                 result = self.env.step(self._policy(now))
                 recorder.add(result["next"])
                 due = max(due + self.env.decision_dt / self._speed, time.monotonic())
-                yield recorder
+                if shown:
+                    shown(recorder)
+                else:
+                    packed, plans = packed_episodes(recorder.rollout(), self.env.bank, 1, self._seed)
+                    content = {"episode": packed[0] | {"episode": number}, "plans": plans, "over": False}
+                    self.answer = json.dumps(content).encode()
                 time.sleep(max(0.0, due - time.monotonic()))
                 now = step_mdp(result)
-
-    def latest(self) -> bytes:
-        """Return the present episode as JSON: ``episode``, ``plans`` and whether it is all ``over``."""
-        with self._lock:
-            return self._answer
+        if not shown:
+            self.answer = json.dumps(json.loads(self.answer) | {"over": True}).encode()
 
     def page(self) -> str:
         """Return the page that follows what happens."""
-        first = json.loads(self.latest())
+        first = json.loads(self.answer)
         case = {"name": self.scenario, "policies": [{"name": self.name, "episodes": [first["episode"]]}]}
-        content = {"cases": [case], "plans": first["plans"], "tables": [], "charts": [], "notes": []}
-        return page(
-            {**content, "about": f"live, seed {self._seed}"}, f"{self.name} in {self.scenario}", "/live"
-        )
+        content = {"cases": [case], "plans": first["plans"], "about": f"live, seed {self._seed}"}
+        return page(empty_content() | content, f"{self.name} in {self.scenario}", "/live")
 
     def server(self, port: int) -> ThreadingHTTPServer:
         """Return a server of the page and of what happens, on this machine alone; 0 is any free port.
@@ -115,16 +96,16 @@ class Live:
 
         class Handler(BaseHTTPRequestHandler):
             def do_GET(self) -> None:
-                kind, body, status = "text/plain", b"not here", 404
-                if not all(map(_is_here, self.headers.get_all("Host", [""]))):
+                kind, body, status, answer = "text/plain", b"not here", 404, live.answer
+                if not all(HERE.fullmatch(host.strip()) for host in self.headers.get_all("Host", [""])):
                     # a page of another site, whose name leads to this machine
                     body, status = b"open the address that pedzoo view has printed", 403
-                elif not live.latest():
+                elif not answer:
                     body, status = b"the first people are about to start: load this again", 503
                 elif self.path == "/":
                     kind, body, status = "text/html", live.page().encode(), 200
                 elif self.path == "/live":
-                    kind, body, status = "application/json", live.latest(), 200
+                    kind, body, status = "application/json", answer, 200
                 self.send_response(status)
                 self.send_header("Content-Type", f"{kind}; charset=utf-8")
                 self.send_header("Content-Length", str(len(body)))
@@ -141,11 +122,6 @@ class Live:
             raise UserError(
                 f"cannot serve on port {port}: {error}; take another one, --port 0 for any"
             ) from error
-
-
-def _is_here(host: str) -> bool:
-    """Return whether a Host header names this machine, at any port: it may be that of a tunnel."""
-    return bool(re.fullmatch(r"(127\.0\.0\.1|\[::1\]|localhost)(:\d+)?", host.strip(), re.IGNORECASE))
 
 
 class BulletWindow:

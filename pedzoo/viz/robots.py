@@ -85,71 +85,55 @@ def robot_frames(
     episodes = len(rollout.walked.failed)
     if not 0 <= episode < episodes:
         raise UserError(f"episode {episode}: there are {episodes}, 0 to {episodes - 1}")
-    scene = _Scene(rollout, episode, env)
-    ends = scene.lidar_ends(env, beams, reach)
-    large = size[0] * FINER, size[1] * FINER
-    camera, pose = Camera("top").around(scene.seen, large, MARGIN), scene.rollout.pose[0]
-    floor = draw_floor(scene.plan, env.scenario.unknown, pose, large, camera)
-    frames = scene.length if seconds is None else min(scene.length, round(seconds / TRACE_SECONDS))
+    shown, unknown = ShownEpisode(rollout.walked, episode), env.scenario.unknown
+    one, seen, first = shown.rollout, shown.seen, len(shown.path) - rollout.robots
+    plan, large = env.bank.grid(one.map_id), (size[0] * FINER, size[1] * FINER)
+    if plan is not None and max(plan.cells.shape) * plan.resolution <= WHOLE:
+        corners = torch.from_numpy(free_corners(plan, unknown)).float()
+        seen = torch.cat((seen, move_to_scene(corners.unsqueeze(0), one.pose)[0]))
+    camera = Camera("top").around(seen, large, MARGIN)
+    floor, radius = draw_floor(plan, unknown, one.pose[0], large, camera), one.radius[0].tolist()
+    heading, facing = rollout.heading[episode, :, : shown.length + 1], headings_along(shown.path)
+    ends = _lidar_ends(shown, heading, env, beams, reach)
+    frames = shown.length if seconds is None else min(shown.length, round(seconds / TRACE_SECONDS))
     for frame in range(frames + 1):
-        canvas = Canvas(floor.copy(), camera)
-        scene.draw(canvas, frame, ends[frame])
+        canvas, place = Canvas(floor.copy(), camera), shown.path[:, frame]
+        here = shown.present[:, frame].nonzero()[:, 0].tolist()
+        for robot in (agent for agent in here if agent >= first and beams):
+            _draw_lidar(canvas, place[robot], ends[frame, robot - first])
+        for agent in here:
+            color = ROBOT_BODY if agent >= first else person_color(agent)
+            canvas.line(shown.path[agent, max(0, frame - RECENT) : frame + 1], color, FINER)
+            canvas.goal(shown.goal[agent, min(frame, shown.length - 1)], color, FINER)
+        for agent in here:
+            if agent >= first:
+                canvas.disc(place[agent], radius[agent], ROBOT_BODY)
+            else:
+                canvas.person(place[agent], float(facing[agent, frame]), radius[agent], person_color(agent))
+        for robot, angle in enumerate(heading[:, frame], first):
+            tip = place[robot] + radius[robot] * direction_of(angle)
+            canvas.line(torch.stack((place[robot], tip)), ROBOT_FRONT, 2 * FINER)
         image = cv2.resize(canvas.image, size, interpolation=cv2.INTER_AREA).astype(np.uint8)
         yield labelled(image, title, frame * TRACE_SECONDS)
 
 
-class _Scene(ShownEpisode):
-    """One episode; frame i is point i. Robots are the last R agents."""
-
-    def __init__(self, rollout: RobotRollout, episode: int, env: RobotEnv) -> None:
-        super().__init__(rollout.walked, episode)
-        self.robots, self.radius = rollout.robots, self.rollout.radius[0]
-        self.heading = rollout.heading[episode, :, : self.length + 1]
-        self.facing = headings_along(self.path)
-        self.plan = plan = env.bank.grid(self.rollout.map_id)
-        if plan is not None and max(plan.cells.shape) * plan.resolution <= WHOLE:
-            corners = torch.from_numpy(free_corners(plan, env.scenario.unknown)).float()
-            self.seen = torch.cat((self.seen, move_to_scene(corners.unsqueeze(0), self.rollout.pose)[0]))
-
-    def lidar_ends(self, env: RobotEnv, beams: int, reach: float) -> Tensor:
-        """Return where the beams of all robots end in every frame (F, R, N, 2), metres."""
-        frames = self.length + 1
-        angle = 2 * torch.pi * torch.arange(beams) / max(beams, 1)
-        direction = direction_of(self.heading.T.unsqueeze(2) + angle)
-        origin = self.path[-self.robots :].transpose(0, 1).unsqueeze(2).expand_as(direction)
-        if not beams:
-            return origin
-        bodies = Bodies(
-            self.path.transpose(0, 1),
-            self.present.T,
-            self.rollout.map_id.expand(frames).unsqueeze(1),
-            self.rollout.pose.expand(frames, -1),
-            self.radius.expand(frames, -1),
-        )
-        far = env.physics.rays(bodies, origin.flatten(1, 2), direction.flatten(1, 2), reach)
-        return origin + far.view(*direction.shape[:3], 1) * direction
-
-    def draw(self, canvas: Canvas, frame: int, ends: Tensor) -> None:
-        """Draw a frame; lidars see until their ``ends`` (R, N, 2), metres."""
-        first = len(self.path) - self.robots
-        here = self.present[:, frame].nonzero()[:, 0].tolist()
-        for agent in here:
-            if agent >= first and ends.shape[1]:
-                _draw_lidar(canvas, self.path[agent, frame], ends[agent - first])
-        for agent in here:
-            color = ROBOT_BODY if agent >= first else person_color(agent)
-            canvas.line(self.path[agent, max(0, frame - RECENT) : frame + 1], color, FINER)
-            canvas.goal(self.goal[agent, min(frame, self.goal.shape[1] - 1)], color, FINER)
-        for agent in here:
-            place, wide = self.path[agent, frame], float(self.radius[agent])
-            if agent >= first:
-                canvas.disc(place, wide, ROBOT_BODY)
-            else:
-                canvas.person(place, float(self.facing[agent, frame]), wide, person_color(agent))
-        for robot, heading in enumerate(self.heading[:, frame], first):
-            place = self.path[robot, frame]
-            tip = place + self.radius[robot] * direction_of(heading)
-            canvas.line(torch.stack((place, tip)), ROBOT_FRONT, 2 * FINER)
+def _lidar_ends(shown: ShownEpisode, heading: Tensor, env: RobotEnv, beams: int, reach: float) -> Tensor:
+    """Return where the beams of all robots end in every frame (F, R, N, 2), metres."""
+    frames, one = shown.path.shape[1], shown.rollout
+    angle = 2 * torch.pi * torch.arange(beams) / max(beams, 1)
+    direction = direction_of(heading.T.unsqueeze(2) + angle)
+    origin = shown.path[-len(heading) :].transpose(0, 1).unsqueeze(2).expand_as(direction)
+    if not beams:
+        return origin
+    bodies = Bodies(
+        shown.path.transpose(0, 1),
+        shown.present.T,
+        one.map_id.expand(frames).unsqueeze(1),
+        one.pose.expand(frames, -1),
+        one.radius.expand(frames, -1),
+    )
+    far = env.physics.rays(bodies, origin.flatten(1, 2), direction.flatten(1, 2), reach)
+    return origin + far.view(*direction.shape[:3], 1) * direction
 
 
 def _draw_lidar(canvas: Canvas, origin: Tensor, ends: Tensor) -> None:

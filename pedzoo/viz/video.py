@@ -58,16 +58,19 @@ def film(
     check_video_path(path)
     for one in walked:
         check_episode(one, episode)
-    panels = [_Panel(one, episode, size) for one in walked]
-    seen = torch.cat([panel.seen for panel in panels])
+    shown = [ShownEpisode(one.rollout, episode) for one in walked]
+    seen = torch.cat([one.seen for one in shown])
     camera = Camera(view, heading=HEADING, pitch=PITCH).around(seen, size, MARGIN)
-    frames = max(panel.length for panel in panels) + 1
+    frames = max(one.length for one in shown) + 1
     if seconds is not None:
         frames = min(frames, round(seconds / TRACE_SECONDS) + 1)
+    panels = [_panel(*one, size, camera) for one in zip(walked, shown, strict=True)]
 
     def pictures() -> Iterator[Image]:
+        latest = [np.empty(0, np.uint8)] * len(panels)
         for i in range(frames):
-            yield _side_by_side([panel.draw(i, camera) for panel in panels])
+            latest = [next(panel, picture) for panel, picture in zip(panels, latest, strict=True)]
+            yield _side_by_side(latest)
             if progress:
                 progress("video", i + 1, frames)
 
@@ -159,45 +162,31 @@ class ShownEpisode:
         self.stays = rollout.stays(episode)
 
 
-class _Panel(ShownEpisode):
-    """One policy's episode; frame i is point i, and the last one stays where the episode is over."""
+def _panel(
+    walked: PolicyRollout, shown: ShownEpisode, size: tuple[int, int], camera: Camera
+) -> Iterator[Image]:
+    """Yield the pictures of one policy's episode at all of its points."""
+    physics, one, heading = walked.env.physics, shown.rollout, headings_along(shown.path)
+    if camera.view not in physics.views:
+        camera = replace(camera, view="top")
 
-    def __init__(self, walked: PolicyRollout, episode: int, size: tuple[int, int]) -> None:
-        super().__init__(walked.rollout, episode)
-        self.name, self.physics, self.size = walked.name, walked.env.physics, size
-        self.heading = headings_along(self.path)
-        self._empty: Image | None = None
-        self._last: Image | None = None
+    def taken(i: int, people: bool = True) -> Image:
+        """Return what the physics' camera sees, with or without people."""
+        place, present = shown.path[None, :, i], shown.present[None, :, i] & people
+        map_id = one.map_id.unsqueeze(1)
+        bodies = Bodies(place, present, map_id, one.pose, one.radius, heading[None, :, i], one.kind)
+        return physics.image(bodies, 0, size, camera)
 
-    def draw(self, i: int, camera: Camera) -> Image:
-        if self._last is not None and i > self.length:
-            return self._last
-        if camera.view not in self.physics.views:
-            camera = replace(camera, view="top")
-        if self._empty is None:
-            self._empty = self._taken(0, camera, people=False)
-        bodies, canvas = self._taken(i, camera), Canvas(self._empty.copy(), camera)
-        for person, first, last in self.stays:
+    empty = taken(0, people=False)
+    for i in range(shown.length + 1):
+        bodies, canvas = taken(i), Canvas(empty.copy(), camera)
+        for person, first, last in shown.stays:
             if first <= i <= last:
-                canvas.line(self.path[person, first : i + 1], person_color(person))
-                canvas.goal(self.goal[person, min(i, self.length - 1)], person_color(person))
+                canvas.line(shown.path[person, first : i + 1], person_color(person))
+                canvas.goal(shown.goal[person, min(i, shown.length - 1)], person_color(person))
         # bodies stand on the marks of the floor
-        there = (bodies != self._empty).any(axis=-1, keepdims=True)
-        self._last = labelled(np.where(there, bodies, canvas.image), self.name, i * TRACE_SECONDS)
-        return self._last
-
-    def _taken(self, i: int, camera: Camera, people: bool = True) -> Image:
-        """Return what the physics' camera sees in frame i, with or without people."""
-        bodies = Bodies(
-            self.path[:, i].unsqueeze(0),
-            self.present[:, i].unsqueeze(0) & people,
-            self.rollout.map_id.unsqueeze(1),
-            self.rollout.pose,
-            self.rollout.radius,
-            self.heading[None, :, i],
-            self.rollout.kind,
-        )
-        return self.physics.image(bodies, 0, self.size, camera)
+        there = (bodies != empty).any(axis=-1, keepdims=True)
+        yield labelled(np.where(there, bodies, canvas.image), walked.name, i * TRACE_SECONDS)
 
 
 def labelled(image: Image, name: str, seconds: float) -> Image:
