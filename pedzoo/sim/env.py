@@ -69,8 +69,20 @@ class PedestrianEnv(EnvBase):
     ) -> None:
         """Take a prepared scenario and the physics that moves its people; `pedzoo.make_env` does both.
 
-        B is ``num_envs``; `pedzoo.make_env` explains the others. A scene that ends is followed by the one
-        ``stride`` numbers on: ``num_envs`` times the number of workers where several share a seed.
+        Args:
+            prepared: The result of `Scenario.prepare`.
+            physics: Moves agents, and finds contacts.
+            num_envs: B.
+            seed: Of all scenes; scene i of a seed is the same however many are run at once. None: 0, and in
+                processes that Python has started, such as a collector's workers, the number of the process.
+            decision_dt: Seconds between two decisions, a multiple of 0.1.
+            warm_start: Where the first 8 observed steps come from.
+            first_episode: Number of the first scene.
+            stride: A scene that ends is followed by the one this many numbers on: ``num_envs`` by default,
+                and ``num_envs`` times the number of workers where several share a seed.
+            body_radius: Of a person, metres.
+            device: Where scenes are, and everything that they are looked up in.
+            deadline: Seconds that people have for every goal; see `pedzoo.make_env`.
 
         Raises:
             UserError: A setting is out of range.
