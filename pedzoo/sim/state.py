@@ -32,8 +32,7 @@ class State(NamedTuple):
         key: Key of each scene's draws (B,) long.
         map_id: Floor plan (B,) long, -1 for none.
         row: Its row in the bank (B,) long, -1 for none.
-        wall_frame: How the walls lie in each scene, see `LocalWalls.frame` (B, 7).
-        wall_place: See `LocalWalls.place` (B, 3) int32.
+        wall_frame: How the walls lie in scenes (B, 7), with ``wall_place`` (B, 3) int32: see `LocalWalls`.
         pose: Scene poses (B, 4).
         scene: Which scene of the scenario's script is played (B,) long; 0 where there is none.
         clock: Time since the warm start (B,), seconds.
@@ -65,8 +64,7 @@ class State(NamedTuple):
         deadline: When the goal has to be reached (B, A), seconds on the clock.
         overdue: A goal was not reached in time (B, A) bool.
         remaining_path: Length of the path to the goal (B, A), metres.
-        planned: Paths of all goals up to this one, each as of when the goal was set and less its radius (B,
-            A), metres.
+        planned: Paths of all goals up to this one (B, A), metres, each as of then and less the goal's radius.
         stands: Until when an agent stands where it began, or holds its place (B, A), seconds on the clock; 0
             where it does neither, infinite where no time says when.
     """
@@ -120,16 +118,12 @@ class State(NamedTuple):
             given: All that differs between scenes, and every other unusual value.
         """
         nothing, none = torch.zeros_like(pref_speed), torch.zeros_like(mask, dtype=torch.long)
-        endless, never = torch.full_like(nothing, torch.inf), torch.zeros_like(mask)
+        endless, begin = torch.full_like(nothing, torch.inf), nothing.new_zeros(len(mask))
         usual = dict.fromkeys(("turn_rate", "remaining_path", "planned", "stands"), nothing)
         usual |= dict.fromkeys(("kind", "drive", "goal_index", "reached"), none)
         usual |= dict.fromkeys(("acceleration", "turn_acceleration", "deadline"), endless)
         usual |= {"group": none - 1, "goal_since": -endless, "track": torch.ones_like(nothing)}
-        usual |= {
-            "overdue": never,
-            "failed": never.new_zeros(len(mask)),
-            "clock": nothing.new_zeros(len(mask)),
-        }
+        usual |= {"overdue": torch.zeros_like(mask), "failed": begin > 0, "clock": begin}
         usual |= {"top_speed": TOP_SPEED_RATIO * pref_speed}
         usual |= {name: value for name, value in given.items() if value is not None}
         return cls(past=past, mask=mask, pref_speed=pref_speed, **usual)

@@ -13,7 +13,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.transforms import Affine2D
-from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import PLOTS, check_ending, write_atomically
@@ -105,7 +104,13 @@ def plot_forecasts(
             axes.plot(*last[0].numpy(), "o", color="black", markersize=4, zorder=5)
             if goals:
                 axes.plot(*agents["goal"][i, person].numpy(), "x", color="tab:blue", markersize=6, zorder=5)
-        _frame(axes, torch.cat((agents["history"], agents["future"]), 2)[i, here])
+        seen = torch.cat((agents["history"], agents["future"]), 2)[i, here].flatten(0, 1)
+        low, high = seen.amin(0), seen.amax(0)
+        (x, y), half = ((low + high) / 2).tolist(), float((high - low).max()) / 2 + MARGIN
+        axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half), aspect="equal")
+        axes.tick_params(labelsize=7)
+        axes.set_xlabel("x, m", fontsize=7)
+        axes.set_ylabel("y, m", fontsize=7)
         axes.set_title(f"test window {int(chosen[i])}", fontsize=9)
     handles = [
         Line2D([], [], color="black", marker="o", markersize=4, label="seen"),
@@ -134,15 +139,6 @@ def draw_floor_plan(axes: Axes, grid: OccupancyGrid) -> None:
     extent = (0, width, 0, height)
     image = axes.imshow(shade.numpy(), cmap="gray", vmin=0, vmax=1, origin="lower", extent=extent, zorder=0)
     image.set_transform(pose + axes.transData)
-
-
-def _frame(axes: Axes, positions: Tensor) -> None:
-    low, high = positions.flatten(0, 1).amin(0), positions.flatten(0, 1).amax(0)
-    (x, y), half = ((low + high) / 2).tolist(), float((high - low).max()) / 2 + MARGIN
-    axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half), aspect="equal")
-    axes.tick_params(labelsize=7)
-    axes.set_xlabel("x, m", fontsize=7)
-    axes.set_ylabel("y, m", fontsize=7)
 
 
 def plot_density_speed(rows: Sequence[Mapping[str, Any]], path: str | Path, simulated: str = "all") -> None:

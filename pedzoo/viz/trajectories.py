@@ -58,8 +58,6 @@ def plot_rollouts(walked: Sequence[PolicyRollout], path: str | Path, episode: in
         UserError: No such episode, another suffix, or the file cannot be written.
     """
     check_plot_path(path)
-    for one in walked:
-        check_episode(one, episode)
     shown = [_Episode(one, episode) for one in walked]
     low = torch.stack([one.low for one in shown]).amin(0) - MARGIN
     high = torch.stack([one.high for one in shown]).amax(0) + MARGIN
@@ -97,7 +95,6 @@ def draw_episode(axes: Axes, walked: PolicyRollout, episode: int = 0, point: int
     Raises:
         UserError: No such episode.
     """
-    check_episode(walked, episode)
     one = _Episode(walked, episode)
     one.draw(axes, one.length if point is None else point)
     low, high = (one.low - MARGIN).tolist(), (one.high + MARGIN).tolist()
@@ -139,8 +136,6 @@ def meeting_and_end(walked: Sequence[PolicyRollout], episode: int = 0) -> tuple[
     Raises:
         UserError: No such episode.
     """
-    for one in walked:
-        check_episode(one, episode)
     shown = [_Episode(one, episode) for one in walked]
     return median_low(one.met for one in shown), max(one.length for one in shown)
 
@@ -149,6 +144,7 @@ class _Episode(ShownEpisode):
     """One episode in its map's frame, ready to be drawn; point 0 is where it begins."""
 
     def __init__(self, walked: PolicyRollout, episode: int) -> None:
+        check_episode(walked, episode)
         super().__init__(walked.rollout, episode, on_map=True)
         one = self.rollout
         self.name, self.all = walked.name, walked.rollout

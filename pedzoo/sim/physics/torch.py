@@ -57,12 +57,12 @@ class Torch(Physics):
         """See `Physics.contacts`."""
         frame, place = self.bank.walls_of_scenes(self.bank.index(people.map_id[:, 0]), people.pose)
         present = people.mask & path.isfinite().flatten(2).all(2)
-        return _found(path, self.bank.walls_of_state(frame, place), present, self._radius(people))
+        return contacts_of(path, self.bank.walls_of_state(frame, place), present, self._radius(people))
 
     def _touched(self, state: State, path: Tensor, inputs: MotionInput) -> Contacts:
         if type(self).contacts is not Torch.contacts:
             return super()._touched(state, path, inputs)
-        return _found(path, self._walls(state), state.mask, state.radius)
+        return contacts_of(path, self._walls(state), state.mask, state.radius)
 
     @torch.no_grad()
     def rays(self, people: Bodies, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:
@@ -115,45 +115,36 @@ _AT_ONCE = 1 << 17
 """Pairs of agents that are compared at once: what they need stays in the cache of the processor."""
 
 
-def _found(path: Tensor, walls: LocalWalls | None, present: Tensor, radius: Tensor) -> Contacts:
-    """Return contacts on paths (B, A, S, M, 2) between walls; all else is as of `contacts_of`."""
-    steps = path.permute(4, 2, 3, 0, 1)
-    gap = None if walls is None or not present.numel() else walls.half_planes(steps, radius)[0]
-    return contacts_of(steps, gap, present, radius)
-
-
 @torch.no_grad()
-def contacts_of(path: Tensor, gap: Tensor | None, present: Tensor, radius: Tensor) -> Contacts:
+def contacts_of(path: Tensor, walls: LocalWalls | None, present: Tensor, radius: Tensor) -> Contacts:
     """Return which agents touch another one or a wall in each trace step.
 
     Args:
-        path: Sub-steps (2, S, M, B, A), metres.
-        gap: Distances to walls there (S, M, B, A), metres; None without walls.
+        path: Sub-steps (B, A, S, M, 2), metres.
+        walls: As agents see them, None for none.
         present: Which agents are there (B, A) bool.
         radius: Of their bodies (B, A), metres.
     """
-    if gap is None:
+    path = path.permute(4, 2, 3, 0, 1)
+    if walls is None or not present.numel():
         wall = torch.zeros_like(path[0, :, 0], dtype=torch.bool)
     else:
-        wall = (gap.amin(1) < radius) & present
+        wall = (walls.half_planes(path, radius)[0].amin(1) < radius) & present
     if len(radius) > radius.shape[1]:
         return Contacts(_of_pairs(path, present, radius).permute(1, 2, 0), wall.permute(1, 2, 0))
     both = radius.unsqueeze(1) + radius.unsqueeze(2)
     least = torch.where(present.unsqueeze(1) & present.unsqueeze(2), both * both, -1.0)
     least.diagonal(dim1=1, dim2=2).fill_(-1.0)  # no agent touches itself
-    agent = torch.cat([_touching(part, least) for part in _parts(path, least)])
-    return Contacts(agent.permute(1, 2, 0), wall.permute(1, 2, 0))
+    touching = []
+    for part in _parts(path, least):
+        x, y = part.unsqueeze(-1) - part.unsqueeze(-2)
+        touching.append((torch.addcmul(x * x, y, y).amin(1) < least).any(-1))
+    return Contacts(torch.cat(touching).permute(1, 2, 0), wall.permute(1, 2, 0))
 
 
 def _parts(path: Tensor, least: Tensor) -> tuple[Tensor, ...]:
     """Return paths (2, S, M, ...) in parts of few trace steps, for as many pairs as ``least`` has."""
     return path.split(max(1, _AT_ONCE // max(1, path.shape[2] * least.numel())), dim=1)
-
-
-def _touching(path: Tensor, least: Tensor) -> Tensor:
-    """Return which agents (S, B, A) touch another one; ``least`` are the squared distances (B, A, A)."""
-    x, y = path.unsqueeze(-1) - path.unsqueeze(-2)
-    return (torch.addcmul(x * x, y, y).amin(1) < least).any(-1)
 
 
 def _of_pairs(path: Tensor, present: Tensor, radius: Tensor) -> Tensor:
