@@ -172,28 +172,21 @@ def _touches(rollout: RobotRollout, agents: _Agents) -> dict[str, Ratio]:
 
     After SEAN 2.0's "robot on person collision" (Tsoi et al., RA-L 2022), which HuNav has, too.
     """
-    contact = rollout.person_contact
-    point = contact.long().argmax(-1)
-    place, there = point[:, :, None, None], agents.present.unsqueeze(1)
-    before, after = (_at(agents.people.unsqueeze(1), place + step) for step in (0, 1))
-    robot, moved = (_at(agents.robots.unsqueeze(2), place + step) for step in (0, 1))
-    there = there.expand(-1, contact.shape[1], -1, -1).gather(3, place.expand(*after.shape[:3], 1))[..., 0]
+    contact, (episodes, people) = rollout.person_contact, agents.people.shape[:2]
+    touches, point = contact.any(-1), contact.long().argmax(-1).unsqueeze(2)
+    e, r = torch.arange(episodes).view(-1, 1, 1), torch.arange(rollout.robots).view(-1, 1)
+    n = torch.arange(people)
+    before, after = (agents.people[e, n, point + step] for step in (0, 1))  # (E, R, N, 2)
+    robot, moved = (agents.robots[e, r, point + step] for step in (0, 1))  # (E, R, 1, 2)
     gap = (after - moved).norm(dim=-1) - agents.reach
-    nearest = gap.masked_fill(~there, torch.inf).argmin(2, keepdim=True)
+    nearest = gap.masked_fill(~agents.present[e, n, point], torch.inf).argmin(2, keepdim=True)
     closing = ((moved - robot) + (after - before)) * (before - robot)
     drives = (closing.sum(-1) >= 0).gather(2, nearest)[..., 0]
-    touches, every = contact.any(-1), torch.ones_like(drives)
+    every = torch.ones_like(drives)
     return {
         "robot_on_person": share(touches & drives, every),
         "person_on_robot": share(touches & ~drives, every),
     }
-
-
-def _at(path: Tensor, point: Tensor) -> Tensor:
-    """Return where paths (E, ..., 1 + T, 2) are at points (E, R, 1, 1) long: (E, R, N, 2), metres."""
-    shape = torch.broadcast_shapes(path.shape[:3], point.shape[:3])
-    index = point.unsqueeze(-1).expand(*shape, 1, 2)
-    return path.expand(*shape, -1, -1).gather(3, index).squeeze(3)
 
 
 def _driving(rollout: RobotRollout) -> dict[str, Ratio]:
@@ -316,7 +309,7 @@ def encounters(
 
     def change(velocity: Tensor) -> Tensor:
         velocity = velocity.expand(*near.shape, 2)
-        first = velocity.gather(3, begin.unsqueeze(-1).expand(*begin.shape, 2))
+        first = torch.take_along_dim(velocity, begin.unsqueeze(-1), 3)
         return (velocity - first).norm(dim=-1).where(during, 0.0).amax(-1)
 
     robot, person, met = change(mine.unsqueeze(2)), change(theirs.unsqueeze(1)), near.any(-1)

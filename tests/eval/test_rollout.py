@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from helpers.walks import BROKEN
 
 import pedzoo
 from pedzoo.cli.main import main
@@ -22,25 +23,6 @@ from pedzoo.maps.plans import load_plan
 from pedzoo.sim.make import make_env
 from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.sim.rollout import OVER_TIME, Rollout
-
-BROKEN = '''
-from pedzoo.policies.policy import Policy
-
-
-class Broken(Policy):
-    """Walks to the goal until, after 0.8 s, it has no number for a person in the first scene."""
-
-    def __init__(self):
-        super().__init__(0.4)
-        self.in_keys = [*self.in_keys, "time"]
-
-    def forward(self, tensordict):
-        action = tensordict["agents", "desired_velocity"].clone()
-        if tensordict["time"][0] > 0.6:
-            action[0, 1] = float("nan")
-        tensordict["agents", "action"] = action
-        return tensordict
-'''
 
 
 def cut(walked: Rollout, episode: int) -> dict[str, torch.Tensor]:

@@ -1,4 +1,4 @@
-"""Rollouts made by hand for tests of what is said about them."""
+"""Rollouts made by hand, and a policy that fails, for tests of what is said about walks."""
 
 from __future__ import annotations
 
@@ -9,6 +9,26 @@ from torch import Tensor
 
 from pedzoo.core.geometry import identity_pose
 from pedzoo.sim.rollout import Rollout
+
+BROKEN = '''
+from pedzoo.policies.policy import Policy
+
+
+class Broken(Policy):
+    """Walks to the goal until, after 0.8 s, it has no number for a person in the first scene."""
+
+    def __init__(self):
+        super().__init__(0.4)
+        self.in_keys = [*self.in_keys, "time"]
+
+    def forward(self, tensordict):
+        action = tensordict["agents", "desired_velocity"].clone()
+        if tensordict["time"][0] > 0.6:
+            action[0, 1] = float("nan")
+        tensordict["agents", "action"] = action
+        return tensordict
+'''
+"""A policy of a file."""
 
 
 def made(path: Tensor, present: Tensor | None = None, **more: Any) -> Rollout:

@@ -13,7 +13,6 @@ from torch import Tensor
 from pedzoo.eval.comparison import row
 from pedzoo.metrics.arrival import time_ratios
 from pedzoo.metrics.closed_loop import NAMES, ClosedLoopScore, closed_loop
-from pedzoo.metrics.contacts import least_distance
 from pedzoo.metrics.ratios import summarised
 from pedzoo.metrics.statistics import wilson
 from pedzoo.sim.rollout import OVER_TIME, Rollout, joined
@@ -95,13 +94,6 @@ def turned(walked: Rollout, angle: float, shift: tuple[float, float]) -> Rollout
 
 def metrics(walked: Rollout) -> dict[str, float]:
     return summarised(closed_loop(walked))[0]
-
-
-def test_least_distance_is_to_people_who_are_there_at_that_time() -> None:
-    walked = two_episodes()
-    # the third point is the last that both share: 0.4 along x, 0.3 across; later they would be 0.3 apart
-    expected = [[0.5, 0.5], [INF, INF]]
-    assert least_distance(walked).tolist() == [pytest.approx(row) for row in expected]
 
 
 def test_row_of_two_episodes() -> None:
