@@ -361,7 +361,7 @@ def nearest_permitted(
         if not len(going):
             return result, failed
         rows, line, max_speed = rows[going], line[going], max_speed[going]
-        lines, own, optimum = lines[..., going], own[:, going], optimum[:, going]
+        lines, own, optimum = (_of(part, going) for part in (lines, own, optimum))
         chosen = lines.gather(1, line.expand(4, 1, -1))[:, 0]
         values, feasible = _best_on(chosen, lines, number < line, optimum, max_speed, towards)
         own = torch.where(feasible, values, own)
@@ -418,7 +418,7 @@ def _least_violating(lines: Tensor, result: Tensor, line: Tensor, max_speed: Ten
         if not len(going):
             return answer
         rows, line, max_speed = rows[going], line[going], max_speed[going]
-        lines, own = lines[..., going], own[:, going]
+        lines, own = _of(lines, going), _of(own, going)
 
 
 def _equally_violated(people: Tensor, chosen: Tensor, before: Tensor) -> Tensor:
@@ -441,6 +441,11 @@ def violation(lines: Tensor, velocity: Tensor) -> Tensor:
     px, py, dx, dy = lines
     x, y = velocity
     return (py - y) * dx - (px - x) * dy
+
+
+def _of(values: Tensor, rows: Tensor) -> Tensor:
+    """Return the values of some people (..., M); from a matrix several times faster than from three dims."""
+    return values.flatten(0, -2).index_select(1, rows).view(*values.shape[:-1], -1)
 
 
 def _first(wrong: Tensor) -> Tensor:
