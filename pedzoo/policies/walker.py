@@ -213,14 +213,9 @@ class Walker(NamedPolicy):
         if self.noise in ("step", "mixed"):
             step = (time / STEP_SECONDS).round().long()
             now = randomness.join(key, step.unsqueeze(-1))
-            lasts = dims < (episode_noise_dim(self.model.noise_dim) if self.noise == "mixed" else 0)
+            lasts = dims < ((self.model.noise_dim + 1) // 2 if self.noise == "mixed" else 0)
             key = torch.where(lasts, key, now)
         return randomness.normal(randomness.join(key, dims))
-
-
-def episode_noise_dim(noise_dim: int) -> int:
-    """Return how many of the numbers of ``mixed`` noise last for an episode."""
-    return (noise_dim + 1) // 2
 
 
 def check_interval(scenes: TensorDictBase, decision_dt: float, what: str) -> None:

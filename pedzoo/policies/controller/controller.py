@@ -35,8 +35,7 @@ from pedzoo.policies.controller.arguments import (
     of_present,
     origin_of,
 )
-from pedzoo.policies.controller.clock import CallerClock
-from pedzoo.policies.controller.ease import eased, expected, setting_out
+from pedzoo.policies.controller.ease import CallerClock, eased, expected, setting_out
 from pedzoo.policies.controller.roster import OnlineGoals, Roster
 
 Id = TypeVar("Id", bound=Hashable)
