@@ -14,13 +14,11 @@ from pedzoo.core.geometry import rotate
 from pedzoo.core.registry import ROBOT_POLICIES
 from pedzoo.policies.load import load_local_planner
 from pedzoo.policies.robots._base import DriveState, ObservedPeople, Robot
-from pedzoo.policies.robots.dwa import Dwa, DwaSettings, arc
-from pedzoo.policies.robots.sampling import Sampling, SamplingSettings, people_gap
+from pedzoo.policies.robots.dwa import Dwa, arc
+from pedzoo.policies.robots.sampling import Sampling, people_gap
 
 STEP = 0.25
-SAMPLING = Sampling(
-    SamplingSettings(horizon=8, margin=0.2, discount=1.0, margin_cost=4.0, collision_cost=10.0), STEP
-)
+SAMPLING = Sampling(horizon=8, margin=0.2, discount=1.0, margin_cost=4.0, collision_cost=10.0, time_step=STEP)
 
 
 def robots(goal: list[float], count: int = 1, velocity: tuple[float, float] = (0.0, 0.0)) -> Robot:
@@ -101,7 +99,7 @@ def test_on_a_free_way_it_goes_straight(goal: list[float], others: Any, expected
 
 
 def test_samples_are_directions_times_speeds_and_standing() -> None:
-    made = Sampling(SamplingSettings(directions=4, speeds=2)).velocities(robots([0.0, 5.0]))[0]
+    made = Sampling(directions=4, speeds=2).velocities(robots([0.0, 5.0]))[0]
     expected = [[0, 1], [0, 0.5], [-1, 0], [-0.5, 0], [0, -1], [0, -0.5], [1, 0], [0.5, 0], [0, 0]]
     assert torch.allclose(made, torch.tensor(expected, dtype=torch.float32), atol=1e-6)
 
@@ -141,7 +139,7 @@ def test_planners_leave_people_whom_they_touch() -> None:
 def test_walls_count_as_people_do() -> None:
     robot = robots([4.0, 0.0])
     chosen = SAMPLING(robot, people(), wall)[0]
-    assert float(chosen[0]) * SAMPLING.settings.horizon * STEP < 0.7  # it stays 0.3 m from the wall at x = 1
+    assert float(chosen[0]) * SAMPLING.horizon * STEP < 0.7  # it stays 0.3 m from the wall at x = 1
 
 
 def test_its_answer_turns_with_the_scene_in_any_batch() -> None:
@@ -168,9 +166,7 @@ def test_settings_of_planners_are_checked(wrong: str) -> None:
 
 # The dynamic window approach
 
-DWA = Dwa(
-    DwaSettings(acceleration=1.0, turn_acceleration=2.0, top_turn_rate=1.0, speeds=3, turn_rates=3), STEP
-)
+DWA = Dwa(acceleration=1.0, turn_acceleration=2.0, top_turn_rate=1.0, speeds=3, turn_rates=3, time_step=STEP)
 
 
 def drive(speed: float, turn_rate: float = 0.0, heading: float = 0.0) -> DriveState:

@@ -1,5 +1,7 @@
 """Baselines of robots, and the planners with which CrowdNav's tables compare. All are drop-ins."""
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 from torch.nn.functional import normalize
@@ -80,28 +82,27 @@ def toward(way: Tensor) -> Tensor:
     return way / way.norm(dim=-1, keepdim=True).clamp_min(1)
 
 
+@dataclass
 class CrowdnavSocialForce:
     """Baseline: social forces of circles with CrowdNav++'s constants.
 
     The robot is driven to the goal, and pushed away from people independent of their velocities, as in
     ``crowd_nav/policy/social_force.py``. Forces of ellipses are in `pedzoo.policies.rule_based.social_force`.
+
+    Attributes:
+        time_step: Seconds for which the velocities are held.
+        strength: Acceleration by a person who is touched, m/s^2 (A).
+        reach: Metres in which it falls to a share of 1 / e (B).
+        tau: Seconds in which the robot takes up its preferred velocity (1 / KI).
     """
 
-    def __init__(
-        self, time_step: float = 0.25, strength: float = 2.0, reach: float = 1.0, tau: float = 1.0
-    ) -> None:
-        """Set the constants; the defaults are CrowdNav++'s.
+    time_step: float = 0.25
+    strength: float = 2.0
+    reach: float = 1.0
+    tau: float = 1.0
 
-        Args:
-            time_step: Seconds for which the velocities are held.
-            strength: Acceleration by a person who is touched, m/s^2 (A).
-            reach: Metres in which it falls to a share of 1 / e (B).
-            tau: Seconds in which the robot takes up its preferred velocity (1 / KI).
-
-        Raises:
-            UserError: A constant is not above 0.
-        """
-        self.time_step, self.strength, self.reach, self.tau = time_step, strength, reach, tau
+    def __post_init__(self) -> None:
+        """Check the constants, which are to be above 0."""
         names = "time_step strength reach tau"
         check_range(self, "crowdnav_social_force", names, "a number above 0", above=True)
 

@@ -7,7 +7,7 @@ Magazine 4(1), 1997. B robots, S samples, N people.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
@@ -17,9 +17,21 @@ from pedzoo.core.geometry import direction_of, heading_of
 from pedzoo.policies.robots._base import Clearance, DriveState, ObservedPeople, Robot
 
 
-@dataclass(frozen=True)
-class DwaSettings:
-    """Limits of a robot, the sampled arcs, and the weights that judge them.
+def arc(heading: Tensor, speed: Tensor, turn_rate: Tensor, seconds: Tensor | float) -> Tensor:
+    """Return how far (..., 2) a constant speed, m/s, and turn rate, rad/s, lead in some seconds, metres.
+
+    The ``heading`` (...), radians, is that at the beginning.
+    """
+    half = 0.5 * turn_rate * seconds
+    chord = speed * seconds * torch.sinc(half / math.pi)
+    return chord[..., None] * direction_of(heading + half)
+
+
+@dataclass
+class Dwa:
+    """A differential drive that faces its goal at first, and whose wheels follow the commands at once.
+
+    It remembers where it faces and how it moves. Its velocities lead to the ends of its arcs.
 
     Attributes:
         acceleration: Forwards and backwards, m/s^2.
@@ -33,6 +45,7 @@ class DwaSettings:
         heading_weight: Of facing the goal after the next step (alpha in the paper).
         clearance_weight: Of the share of the horizon that is clear (beta).
         speed_weight: Of the speed (gamma).
+        time_step: Seconds for which a command is held.
     """
 
     acceleration: float = 1.0
@@ -46,6 +59,8 @@ class DwaSettings:
     heading_weight: float = 0.8
     clearance_weight: float = 0.8
     speed_weight: float = 0.4
+    time_step: float = 0.25
+    _drive: DriveState | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -54,31 +69,9 @@ class DwaSettings:
             UserError: A count is below 1, a margin or weight below 0, or something else not above 0.
         """
         check_range(self, "dwa", "speeds turn_rates horizon", "1 or more", least=1)
-        limits = "acceleration turn_acceleration top_turn_rate step"
+        limits = "acceleration turn_acceleration top_turn_rate step time_step"
         check_range(self, "dwa", limits, "a number above 0", above=True)
         check_range(self, "dwa", "margin heading_weight clearance_weight speed_weight", "0 or more")
-
-
-def arc(heading: Tensor, speed: Tensor, turn_rate: Tensor, seconds: Tensor | float) -> Tensor:
-    """Return how far (..., 2) a constant speed, m/s, and turn rate, rad/s, lead in some seconds, metres.
-
-    The ``heading`` (...), radians, is that at the beginning.
-    """
-    half = 0.5 * turn_rate * seconds
-    chord = speed * seconds * torch.sinc(half / math.pi)
-    return chord[..., None] * direction_of(heading + half)
-
-
-class Dwa:
-    """A differential drive that faces its goal at first, and whose wheels follow the commands at once.
-
-    It remembers where it faces and how it moves. Its velocities lead to the ends of its arcs.
-    """
-
-    def __init__(self, settings: DwaSettings = DwaSettings(), time_step: float = 0.25) -> None:
-        """Take the settings; ``time_step`` is in seconds."""
-        self.settings, self.time_step = settings, time_step
-        self._drive: DriveState | None = None
 
     def command(
         self, robot: Robot, drive: DriveState, people: ObservedPeople, walls: Clearance | None = None
@@ -94,7 +87,6 @@ class Dwa:
             people: Those known to them, at constant velocity.
             walls: How far points are from walls; None: there are none.
         """
-        settings = self.settings
         speed, turn_rate = self.window(drive, robot.v_pref)
         free = self.free_seconds(robot, drive, people, speed, turn_rate, walls)
         facing = drive.heading[:, None] + turn_rate * self.time_step
@@ -102,10 +94,10 @@ class Dwa:
         off = heading_of(robot.goal[:, None] - end) - facing
         off = torch.remainder(off + math.pi, 2 * math.pi) - math.pi
         pace = speed / robot.v_pref[:, None].clamp_min(1e-9)
-        clear = free / (settings.horizon * settings.step)
-        score = settings.heading_weight * (1 - off.abs() / math.pi) + settings.clearance_weight * clear
-        score = score + settings.speed_weight * pace
-        admissible = speed <= settings.acceleration * free
+        clear = free / (self.horizon * self.step)
+        score = self.heading_weight * (1 - off.abs() / math.pi) + self.clearance_weight * clear
+        score = score + self.speed_weight * pace
+        admissible = speed <= self.acceleration * free
         best = torch.where(admissible, score, clear - pace - 1e3).argmax(1, keepdim=True)
         return speed.gather(1, best)[:, 0], turn_rate.gather(1, best)[:, 0]
 
@@ -114,11 +106,8 @@ class Dwa:
 
         They do not go backwards, nor faster than the ``top_speed`` (B,), m/s.
         """
-        settings = self.settings
-        more, turn_more = (
-            self.time_step * most for most in (settings.acceleration, settings.turn_acceleration)
-        )
-        top_rate = torch.full_like(top_speed, settings.top_turn_rate)
+        more, turn_more = (self.time_step * most for most in (self.acceleration, self.turn_acceleration))
+        top_rate = torch.full_like(top_speed, self.top_turn_rate)
         low, high = (drive.speed - more).clamp_min(0), (drive.speed + more).minimum(top_speed)
         left = (drive.turn_rate + turn_more).minimum(top_rate)
         right = (drive.turn_rate - turn_more).maximum(-top_rate)
@@ -126,9 +115,9 @@ class Dwa:
             least.minimum(most)[:, None]
             + (most - least.minimum(most))[:, None]
             * torch.linspace(0, 1, count, device=low.device, dtype=low.dtype)
-            for least, most, count in ((low, high, settings.speeds), (right, left, settings.turn_rates))
+            for least, most, count in ((low, high, self.speeds), (right, left, self.turn_rates))
         )
-        shape = (len(low), settings.speeds, settings.turn_rates)
+        shape = (len(low), self.speeds, self.turn_rates)
         return speed[:, :, None].expand(shape).flatten(1), turn_rate[:, None].expand(shape).flatten(1)
 
     def free_seconds(
@@ -144,8 +133,8 @@ class Dwa:
 
         The other arguments are those of `command`, and the speeds (B, S), m/s, and turn rates (B, S), rad/s.
         """
-        steps = torch.arange(self.settings.horizon + 1, device=speed.device, dtype=speed.dtype)
-        seconds = steps * self.settings.step
+        steps = torch.arange(self.horizon + 1, device=speed.device, dtype=speed.dtype)
+        seconds = steps * self.step
         moved = arc(drive.heading[:, None, None], speed[..., None], turn_rate[..., None], seconds)
         place = robot.position[:, None, None] + moved
         gap = torch.full_like(place[..., 0], torch.inf)
@@ -156,8 +145,8 @@ class Dwa:
         if walls is not None:
             gap = gap.minimum(walls(place.flatten(1, 2)).view(gap.shape))
         gap = gap - robot.radius[:, None, None]
-        least = gap[..., :1].clamp_max(self.settings.margin)  # a robot that is nearer already may go away
-        return (gap[..., 1:] >= least).to(seconds.dtype).cumprod(-1).sum(-1) * self.settings.step
+        least = gap[..., :1].clamp_max(self.margin)  # a robot that is nearer already may go away
+        return (gap[..., 1:] >= least).to(seconds.dtype).cumprod(-1).sum(-1) * self.step
 
     def __call__(self, robot: Robot, people: ObservedPeople) -> Tensor:
         """Return the velocities (B, 2), m/s."""

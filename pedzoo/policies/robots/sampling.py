@@ -20,9 +20,9 @@ ROUNDING = 1e-5
 """Metres by which a distance may be wrong in single precision."""
 
 
-@dataclass(frozen=True)
-class SamplingSettings:
-    """The sampled velocities, and the weights that judge them.
+@dataclass
+class Sampling:
+    """The planner with settings of about 100 that did best on 500 cases of CrowdNav's validation (.998).
 
     Attributes:
         directions: Tried, the first one straight to the goal.
@@ -32,6 +32,7 @@ class SamplingSettings:
         discount: Of each further step.
         margin_cost: Of each metre less than the margin for one second, in metres of progress.
         collision_cost: In metres of progress.
+        time_step: Seconds of a step.
     """
 
     directions: int = 24
@@ -41,6 +42,7 @@ class SamplingSettings:
     discount: float = 0.9
     margin_cost: float = 16.0
     collision_cost: float = 10.0
+    time_step: float = 0.25
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -51,14 +53,6 @@ class SamplingSettings:
         check_range(self, "sampling", "directions speeds horizon", "1 or more", least=1)
         check_range(self, "sampling", "margin margin_cost collision_cost", "0 or more")
         check_range(self, "sampling", "discount", "above 0 and at most 1", most=1, above=True)
-
-
-class Sampling:
-    """The planner with settings of about 100 that did best on 500 cases of CrowdNav's validation (.998)."""
-
-    def __init__(self, settings: SamplingSettings = SamplingSettings(), time_step: float = 0.25) -> None:
-        """Take the settings; ``time_step`` is in seconds."""
-        self.settings, self.time_step = settings, time_step
 
     def __call__(self, robot: Robot, people: ObservedPeople, walls: Clearance | None = None) -> Tensor:
         """Return the best of the sampled velocities (B, 2), m/s.
@@ -72,13 +66,13 @@ class Sampling:
             people: Those known to them.
             walls: How far points are from walls; None: there are none.
         """
-        settings, samples = self.settings, self.velocities(robot)
-        steps = torch.arange(settings.horizon + 1, device=samples.device, dtype=samples.dtype)
+        samples = self.velocities(robot)
+        steps = torch.arange(self.horizon + 1, device=samples.device, dtype=samples.dtype)
         place = robot.position[:, None, None] + samples[:, :, None] * (steps * self.time_step)[:, None]
         left = (robot.goal[:, None, None] - place).norm(dim=-1)
-        gap = people_gap(robot, people, samples, self.time_step, settings.horizon)
+        gap = people_gap(robot, people, samples, self.time_step, self.horizon)
         allowed = people_gap(robot, people, torch.zeros_like(samples[:, :1]), 0.0, 1).clamp_max(0)
-        near = (settings.margin - gap).clamp_min(0)
+        near = (self.margin - gap).clamp_min(0)
         if walls is not None:
             wall_gap = walls(place.flatten(1, 2)).view(left.shape) - robot.radius[:, None, None]
             gap = gap.minimum(wall_gap[..., 1:].minimum(wall_gap[..., :-1]))
@@ -87,18 +81,18 @@ class Sampling:
         touched = gap < allowed - ROUNDING
         over = (touched | there[..., 1:]).long().cumsum(-1)
         on = torch.cat((torch.zeros_like(over[..., :1]), over[..., :-1]), dim=-1) == 0
-        worth = left[..., :-1] - left[..., 1:] - settings.margin_cost * self.time_step * near
-        worth = torch.where(touched, -settings.collision_cost, worth) * settings.discount ** steps[:-1]
+        worth = left[..., :-1] - left[..., 1:] - self.margin_cost * self.time_step * near
+        worth = torch.where(touched, -self.collision_cost, worth) * self.discount ** steps[:-1]
         best = (worth * on).sum(-1).argmax(1)
         return samples[torch.arange(len(best), device=best.device), best]
 
     def velocities(self, robot: Robot) -> Tensor:
         """Return the sampled velocities (B, S, 2), m/s, S = directions * speeds + 1."""
-        like, settings = robot.position, self.settings
-        number = torch.arange(settings.directions, device=like.device, dtype=like.dtype)
-        angle = number * (2 * math.pi / settings.directions)
+        like = robot.position
+        number = torch.arange(self.directions, device=like.device, dtype=like.dtype)
+        angle = number * (2 * math.pi / self.directions)
         ahead = rotate(normalize(robot.goal - robot.position, dim=-1)[:, None], direction_of(angle))
-        share = torch.arange(settings.speeds, 0, -1, device=like.device, dtype=like.dtype) / settings.speeds
+        share = torch.arange(self.speeds, 0, -1, device=like.device, dtype=like.dtype) / self.speeds
         moving = (ahead[:, :, None] * share[:, None]).flatten(1, 2) * robot.v_pref[:, None, None]
         return torch.cat((moving, torch.zeros_like(moving[:, :1])), dim=1)
 
