@@ -355,18 +355,20 @@ def nearest_permitted(
     result, failed = start.clone(), torch.full_like(max_speed, count, dtype=torch.long)
     number, rows = (torch.arange(size, device=lines.device) for size in lines.shape[1:])
     number, own, last = number[:, None], start, torch.full_like(failed, -1)
-    while True:
-        line = _first((violation(lines, own) > 0) & (number > last))
+    while count:
+        line = _first((violation(lines, own) > 0) & (number > last), number)
         going = (line < count).nonzero()[:, 0]
         if not len(going):
-            return result, failed
+            break
         rows, line, max_speed = rows[going], line[going], max_speed[going]
         lines, own, optimum = (_of(part, going) for part in (lines, own, optimum))
         chosen = lines.gather(1, line.expand(4, 1, -1))[:, 0]
         values, feasible = _best_on(chosen, lines, number < line, optimum, max_speed, towards)
         own = torch.where(feasible, values, own)
         last = torch.where(feasible, line, count)  # people who are stuck have no further lines
-        result[:, rows], failed[rows] = own, torch.where(feasible, count, line)
+        result.index_copy_(1, rows, own)
+        failed.index_copy_(0, rows, torch.where(feasible, count, line))
+    return result, failed
 
 
 def _best_on(
@@ -412,8 +414,8 @@ def _least_violating(lines: Tensor, result: Tensor, line: Tensor, max_speed: Ten
         moved, failed = nearest_permitted(projected, inward * max_speed, inward, max_speed, towards=True)
         # it fails by rounding only: the current velocity is feasible by construction
         own = torch.where(failed == count, moved, own)
-        answer[:, rows] = own
-        line = _first((violation(lines, own) > violation(chosen, own)) & (number > line))
+        answer.index_copy_(1, rows, own)
+        line = _first((violation(lines, own) > violation(chosen, own)) & (number > line), number)
         going = (line < count).nonzero()[:, 0]
         if not len(going):
             return answer
@@ -448,9 +450,9 @@ def _of(values: Tensor, rows: Tensor) -> Tensor:
     return values.flatten(0, -2).index_select(1, rows).view(*values.shape[:-1], -1)
 
 
-def _first(wrong: Tensor) -> Tensor:
-    """Return the number of the first line (N,) that is ``wrong`` (L, N) bool; L where there is none."""
-    return torch.cat((wrong, wrong.new_ones(1, wrong.shape[1]))).int().argmax(0)
+def _first(wrong: Tensor, number: Tensor) -> Tensor:
+    """Return the least ``number`` (L, 1) of lines that are ``wrong`` (L, N) bool; L where there is none."""
+    return torch.where(wrong, number, len(number)).amin(0)
 
 
 def _tiny(like: Tensor) -> float:
