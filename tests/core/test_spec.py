@@ -94,7 +94,7 @@ def test_typed_values_are_checked(settings: dict[str, Any], message: str) -> Non
         ("a.py:A:map=/x,y/plan.yaml", "a value with commas needs quotes: map='/x,y/plan.yaml'$"),
         ("a.py:A:map='/x,y", "needs quotes: map='/x,y'$"),
         ("a.py:A:map=/it's,y", 'needs quotes: map="/it\'s,y"$'),
-        ("orca:radius=-1", "radius -1.0 must be"),
+        ("orca:radius=-1", "radius -1.0: expected a number above 0"),
         ("orka", "did you mean 'orca'"),
         ("constant_velocity:noise=always", "expected Optional\\[Literal"),
         ("constant_velocity:speed=3", "unknown setting of walker constant_velocity 'speed'"),
