@@ -119,14 +119,14 @@ class TrajectoryDataModule(L.LightningDataModule):
         self.save_hyperparameters(given | {"loading": asdict(loading), "imitated": asdict(imitated)})
         if obs_len < 2 or pred_len < 1:
             raise UserError(f"--data.obs_len {obs_len} --data.pred_len {pred_len}: expected at least 2 and 1")
-        for name, count in (
-            ("min_people", min_people),
-            ("loading.batch_size", loading.batch_size),
-            ("loading.max_pairs", loading.max_pairs),
-            ("imitated.batch_size", imitated.batch_size),
-        ):
-            if count < 1:
-                raise UserError(f"--data.{name} {count}: expected at least 1")
+        counts = {
+            "min_people": min_people,
+            "loading.batch_size": loading.batch_size,
+            "loading.max_pairs": loading.max_pairs,
+            "imitated.batch_size": imitated.batch_size,
+        }
+        if wrong := [name for name, count in counts.items() if count < 1]:
+            raise UserError(f"--data.{wrong[0]} {counts[wrong[0]]}: expected at least 1")
         if imitated.steps < 0:
             raise UserError(
                 f"--data.imitated.steps {imitated.steps}: expected steps of 0.4 s, or 0 for no such windows"
@@ -176,9 +176,8 @@ class TrajectoryDataModule(L.LightningDataModule):
             # recorded people walk where the camera did not see the floor: unknown cells are free here
             self.bank = MapBank([grid.at_home() for grid in self._grids.values()], unknown="free")
         for split in missing:
-            self.sets[split] = self._scenes(
-                recordings[split], self.pred_len, self.keep_people, self.min_people
-            )
+            part = recordings[split]
+            self.sets[split] = self._scenes(part, self.pred_len, self.keep_people, self.min_people)
             _print_counts(f"{self.fold} {split}", self.sets[split])
         if steps:
             self.unrolled = self._scenes(real, steps, "present", 1)

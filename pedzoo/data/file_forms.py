@@ -2,6 +2,7 @@
 
 import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,7 +11,7 @@ import numpy as np
 from pedzoo.core.errors import UserError
 from pedzoo.core.size_limits import LARGEST_TABLE, MOST_POSITIONS, check_limit
 from pedzoo.core.types import STEP_SECONDS
-from pedzoo.data.text_format import Source, TextFormat, is_sqlite
+from pedzoo.data.text_format import CUT, Source, TextFormat, is_sqlite
 
 TICK = 1e-6
 """Seconds: times of files are counted in these."""
@@ -55,9 +56,15 @@ def contents_of(path: Path) -> Contents:
         unit = form.time or _unit(table, -1 if table.shape[1] == 5 else 0)
         if table.shape[1] == 5:
             seconds = seconds or _seconds_per_frame(table, unit)
+            table = table[:, :4].copy()
         else:
-            table[:, 0], seconds, timed = _frames(table[:, 0], unit)
-    table = table[:, :4].copy() if table.shape[1:] == (5,) else table
+            time = table[:, 0]
+            begin = np.min(time[np.isfinite(time)], initial=np.inf)
+            timed = not (time == np.round(time)).all()
+            if timed:
+                table[:, 0], seconds = np.round((time - begin) * ((unit or 1.0) / TICK)), TICK
+            else:
+                table[:, 0], seconds = time - begin if np.abs(time).max() > 2**53 else time, unit
     if form.metres not in (0.0, 1.0):
         table[:, 2:] *= form.metres
     source = Source(form.form, seconds, timed, form.metres)
@@ -83,20 +90,10 @@ def _seconds_per_frame(table: np.ndarray, unit: float | None) -> float | None:
     return float(each * unit) if 0 < each and off < max(each, 0.05 / unit) else None
 
 
-def _frames(time: np.ndarray, unit: float | None) -> tuple[np.ndarray, float | None, bool]:
-    """Return frame numbers for times, the seconds between these if known, and whether they are made."""
-    begin = np.min(time[np.isfinite(time)], initial=np.inf)
-    if (time == np.round(time)).all():
-        return (time - begin if np.abs(time).max() > 2**53 else time), unit, False
-    return np.round((time - begin) * ((unit or 1.0) / TICK)), TICK, True
-
-
 def _footsteps(table: np.ndarray, path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Return the places of people at begin and end of footsteps, and between in long ones, with their rows.
 
-    Args:
-        table: (N, 7) of time, agent, x and y of the begin, and time, x and y of the end.
-        path: For messages.
+    The table (N, 7) has time, agent, x and y of the begin, and time, x and y of the end.
     """
     last = table[:, 4] - table[:, 0]
     if not (np.isfinite(last).all() and (last >= 0).all()):
@@ -118,10 +115,9 @@ def _footsteps(table: np.ndarray, path: Path) -> tuple[np.ndarray, np.ndarray]:
 def _database(path: Path) -> Contents:
     """Return the contents of a SQLite file of JuPedSim: trajectory_data, and fps in metadata."""
     what = f"recording {str(path)!r}"
-    check_limit(path.stat().st_size, LARGEST_TABLE, what, "bytes", "cut the recording into several files")
+    check_limit(path.stat().st_size, LARGEST_TABLE, what, "bytes", CUT)
     try:
-        connection = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)
-        try:
+        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as connection:
             connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST_VALUE)
             # tables alone: a view may compute for ever
             tables = {
@@ -135,14 +131,12 @@ def _database(path: Path) -> Contents:
             table = np.fromiter(rows, dtype=np.dtype((float, 4)))
             query = "select value from metadata where key = 'fps'"
             fps = connection.execute(query).fetchone() if "metadata" in tables else None
-        finally:
-            connection.close()
         rate = float(fps[0]) if fps else 0.0
+    except UserError:
+        raise
     except sqlite3.Error as error:
         raise UserError(f"{what} is no SQLite file of JuPedSim: {error}") from error
     except (TypeError, ValueError) as error:
-        if isinstance(error, UserError):
-            raise
         raise UserError(f"{what}: a value of trajectory_data or fps is no number: {error}") from error
-    seconds = 1 / rate if rate > 0 else None
-    return Contents(table, lambda row: f"row {row + 1}", Source("SQLite of JuPedSim", seconds))
+    source = Source("SQLite of JuPedSim", 1 / rate if rate > 0 else None)
+    return Contents(table, lambda row: f"row {row + 1}", source)

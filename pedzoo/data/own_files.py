@@ -38,8 +38,7 @@ class OwnFiles:
         check_dt(dt, option=option, files=files)
         if twice := [file for i, file in enumerate(files) if file in files[:i]]:
             raise UserError(f"files name {twice[0]!r} twice: its people would count twice; leave one out")
-        self.files, self.dt, self.plan = files, dt, Path(plan) if plan else None
-        self.option = option
+        self.files, self.dt, self.plan, self.option = files, dt, Path(plan) if plan else None, option
         self.shares = _shares(split)
         self.homography = _homography(homography) if homography else None
 
@@ -59,7 +58,6 @@ class OwnFiles:
 
     @cached_property
     def _resampled(self) -> list[Tracks]:
-        """All files at steps of 0.4 s, read once for all splits."""
         return [self._read(file) for file in self.files]
 
     def _read(self, file: str) -> Tracks:
@@ -72,13 +70,12 @@ class OwnFiles:
             raise UserError(
                 f"recording {file!r} is in pixels: give --data.homography, which maps them to metres"
             )
-        if np.ptp(tracks.xy, axis=0).max() > LARGEST:
+        if (extent := np.ptp(tracks.xy, axis=0).max()) > LARGEST:
             raise UserError(
-                f"recording {file!r} extends over {np.ptp(tracks.xy, axis=0).max():g}, expected metres, at "
+                f"recording {file!r} extends over {extent:g}, expected metres, at "
                 f"most {LARGEST:g}: name columns by their unit (x_mm, y_mm), or give a homography to metres"
             )
-        if len(tracks) and np.ptp(tracks.frame) * seconds < STEP_SECONDS - 1e-6:
-            lasts = np.ptp(tracks.frame) * seconds
+        if (lasts := np.ptp(tracks.frame) * seconds) < STEP_SECONDS - 1e-6:
             raise UserError(
                 f"recording {file!r} lasts {lasts:.3g} s at {self.option} {seconds:g}: is it right?"
             )
@@ -93,8 +90,7 @@ class OwnFiles:
         Raises:
             UserError: Neither the option nor the file has them, or the option cannot be true.
         """
-        source, dt = tracks.source, self.dt
-        stated = source.seconds
+        source, dt, stated = tracks.source, self.dt, tracks.source.seconds
         if dt is None:
             check_dt(stated, file, self.option)
         elif source.timed and stated:
@@ -110,9 +106,8 @@ class OwnFiles:
         if source.timed:
             clock = "times in seconds"
         elif stated is None or dt is None:
-            clock = (
-                f"{seconds:.4g} s between frame numbers ({self.option if stated is None else 'it says so'})"
-            )
+            by = self.option if stated is None else "it says so"
+            clock = f"{seconds:.4g} s between frame numbers ({by})"
         else:
             clock = f"{dt:g} s between frame numbers ({self.option}; it says {stated:.4g})"
         if source.form or stated or source.metres != 1:

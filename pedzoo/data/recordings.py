@@ -49,10 +49,11 @@ class Scene(NamedTuple):
 
         A model or a walk then does not depend on where the scene is in the world.
         """
+        home = np.zeros(2)
         if grid is not None:
             home = grid.home
-        else:
-            home = home_of((tracks.xy.min(0) + tracks.xy.max(0)) / 2) if len(tracks) else np.zeros(2)
+        elif len(tracks):
+            home = home_of((tracks.xy.min(0) + tracks.xy.max(0)) / 2)
         moved = replace(tracks, xy=tracks.xy - home) if home.any() else tracks
         return cls(moved, grid and grid.at_home(), home)
 
@@ -107,11 +108,13 @@ class OpenFold:
                 f"dataset {self._name} has no method recordings(self, split), with split 'train', 'val' or "
                 f"'test': {_EXPECTED}"
             )
-        for call, given in ((cls, (fold, root, clock)), (method, (self, "test"))):
+        for call, given, means in (
+            (cls, (fold, root, clock), f"{self._name}(fold, root, clock)"),
+            (method, (self, "test"), "recordings(self, split)"),
+        ):
             try:
                 inspect.signature(call).bind(*given)
             except TypeError as error:
-                means = f"{self._name}(fold, root, clock)" if call is cls else "recordings(self, split)"
                 raise UserError(f"dataset {self._name}: expected {means}: {error}") from error
         self._dataset = cls(fold, root, clock)
 
@@ -122,10 +125,9 @@ class OpenFold:
             UserError: The dataset returns something else, or nobody moves as people do at a step of 0.4 s.
         """
         result = self._dataset.recordings(split)
-        right = isinstance(result, list | tuple) and all(
+        if not isinstance(result, list | tuple) or not all(
             isinstance(one, Recording) and isinstance(one.tracks, Tracks) for one in result
-        )
-        if not right:
+        ):
             raise UserError(f"{self._name}.recordings({split!r}) returned {result!r:.60}: {_EXPECTED}")
         for one in result:
             if (apart := rows_apart(one.tracks)) > 0:
@@ -205,11 +207,8 @@ def open_fold(fold: str, root: str | None, clock: TimeBase) -> OpenFold:
     raise unknown(kind, fold.removeprefix(dataset).removeprefix(":"), known)
 
 
-_FREE = "MIT, as pedzoo"
-"""Terms of recordings that pedzoo made itself."""
-
-_NO_TRADE = "CC BY-NC 4.0"
-"""Terms of masks that floor plans were drawn from."""
+_FREE, _NO_TRADE = "MIT, as pedzoo", "CC BY-NC 4.0"
+"""Terms of recordings that pedzoo made itself, and of masks that floor plans were drawn from."""
 
 
 def provenance(fold: str | None, files: Sequence[str] | None = None, plans: bool = False) -> dict[str, Any]:

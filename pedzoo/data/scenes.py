@@ -37,7 +37,7 @@ KeptPeople = Literal["complete", "present"]
 
 @dataclass(frozen=True)
 class WindowCounts:
-    """Windows and people kept and dropped, for the line that every run prints.
+    """Windows and people kept and dropped.
 
     Each person seen at the last observed step of a window is counted once for it, as one of ``people``,
     ``dropped_partial`` and ``dropped_lone``.
@@ -105,7 +105,13 @@ def cut_windows(
         keep[keep] = (person[first] == person[last]) & (step[last] - step[first] == length - 1)
         rows = here[keep, None] + np.arange(-obs_len + 1, pred_len + 1)
     else:
-        rows = _find_rows(person, step, here, obs_len, pred_len)
+        # key of (person, step): increasing over the table, so one search finds any person's row at any step
+        key = person * (step.max(initial=0) + 1 + length) + step
+        rows = np.empty((len(here), length), dtype=np.int32)
+        for column in range(length):  # one at a time: all at once would take eight times the memory
+            wanted = key[here] + column - (obs_len - 1)
+            index = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
+            rows[:, column] = np.where(key[index] == wanted, index, -1)
         keep = rows[:, obs_len - 2] >= 0
         rows = rows[keep]
     partial = len(here) - int(keep.sum())
@@ -124,21 +130,7 @@ def cut_windows(
     )
 
 
-def _find_rows(
-    person: np.ndarray, step: np.ndarray, here: np.ndarray, obs_len: int, pred_len: int
-) -> np.ndarray:
-    """Return the rows (W, L) around each of the rows ``here`` (W,), -1 where that person is not seen."""
-    # key of (person, step): increasing over the table, so one search finds any person's row at any step
-    key = person * (step.max(initial=0) + 1 + obs_len + pred_len) + step
-    rows = np.empty((len(here), obs_len + pred_len), dtype=np.int32)
-    for column in range(rows.shape[1]):  # one at a time: all at once would take eight times the memory
-        wanted = key[here] + column - (obs_len - 1)
-        index = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
-        rows[:, column] = np.where(key[index] == wanted, index, -1)
-    return rows
-
-
-def why_empty(
+def _why_empty(
     recordings: Sequence[Tracks], obs_len: int, pred_len: int, people: KeptPeople, min_people: int
 ) -> UserError:
     """Return the error for recordings that give no window, with the reason and the way out."""
@@ -193,7 +185,7 @@ class SceneSet:
         self.obs_len, self.pred_len, self.maps = obs_len, pred_len, maps
         cut = [cut_windows(r.tracks, obs_len, pred_len, people, min_people) for r in recordings]
         if not any(windows.counts.windows for windows in cut):
-            raise why_empty([r.tracks for r in recordings], obs_len, pred_len, people, min_people)
+            raise _why_empty([r.tracks for r in recordings], obs_len, pred_len, people, min_people)
         self.counts = [(r.tracks.name, w.counts) for r, w in zip(recordings, cut, strict=True)]
         # all recordings in one table: row numbers move up by the rows and people before
         rows_before = np.cumsum([0] + [len(r.tracks) for r in recordings], dtype=np.int32)
@@ -241,15 +233,20 @@ class SceneSet:
         person = (self.offsets[scenes].unsqueeze(1) + slot).where(mask, self.offsets[scenes].unsqueeze(1))
         rows = self.rows[person].long()  # (B, A, L)
         seen = (rows >= 0) & mask.unsqueeze(2)
-        last = rows[..., self.obs_len - 1]
         xy = _filled(self.xy, rows, self.obs_len)
         history, future = xy.split((self.obs_len, self.pred_len), dim=2)
         valid, future_valid = seen.split((self.obs_len, self.pred_len), dim=2)
         agents = {"history": history, "valid": valid, "future": future, "future_valid": future_valid}
         agents["velocity"] = (history[..., -1, :] - history[..., -2, :]) / STEP_SECONDS
-        agents["pref_speed"] = _mean_speed(history, valid)
+        both = (valid[..., 1:] & valid[..., :-1]).to(history.dtype)
+        walked = (history.diff(dim=2).norm(dim=-1) * both).sum(-1, keepdim=True)
+        agents["pref_speed"] = walked / (both.sum(-1, keepdim=True).clamp(min=1) * STEP_SECONDS)
         if goal != "none":
-            target = recorded_goals(goal, self.xy, last, self.end[person].long(), xy[..., -1, :], generator)
+            last, end = rows[..., self.obs_len - 1], self.end[person].long()
+            if goal == "random_future":
+                later = torch.rand(last.shape, generator=generator) * (end - last)
+                end = torch.minimum(last + 1 + later.long(), end)
+            target = xy[..., -1, :] if goal == "window_end" else self.xy[end]
             to_goal = target - history[..., -1, :]
             agents["goal"] = target
             agents["desired_velocity"] = agents["pref_speed"] * torch.nn.functional.normalize(to_goal, dim=-1)
@@ -288,30 +285,3 @@ def _filled(xy: Tensor, rows: Tensor, obs_len: int) -> Tensor:
     first = torch.where(known, steps, obs_len - 1).amin(-1, keepdim=True)
     step = torch.where(latest >= 0, latest, first)
     return xy[rows.gather(-1, step)]
-
-
-def _mean_speed(history: Tensor, valid: Tensor) -> Tensor:
-    both = (valid[..., 1:] & valid[..., :-1]).to(history.dtype)
-    walked = (history.diff(dim=2).norm(dim=-1) * both).sum(-1, keepdim=True)
-    return walked / (both.sum(-1, keepdim=True).clamp(min=1) * STEP_SECONDS)
-
-
-def recorded_goals(
-    protocol: GoalProtocol,
-    xy: Tensor,
-    last: Tensor,
-    end: Tensor,
-    window_end: Tensor,
-    generator: torch.Generator | None,
-) -> Tensor:
-    """Return goals (B, A, 2) by a protocol other than ``none``.
-
-    They are rows of positions ``xy`` (N, 2) between the last observed one, ``last`` (B, A), and the last
-    recorded one, ``end`` (B, A), or ``window_end`` (B, A, 2), the last known one of the window.
-    """
-    if protocol == "window_end":
-        return window_end
-    if protocol == "destination":
-        return xy[end]
-    later = torch.rand(last.shape, generator=generator) * (end - last)
-    return xy[torch.minimum(last + 1 + later.long(), end)]

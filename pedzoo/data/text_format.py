@@ -48,6 +48,8 @@ TIMES = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-
 LONGEST_LINE = 131_072
 """Letters that are read of a line before it is refused; csv has the same limit for a field."""
 
+CUT = "cut the recording into several files"
+
 _PACKED = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip or a workbook", b"BZh": "bzip2", b"\xfd7zXZ": "xz"}
 _NAME = re.compile(
     rf"(.+?)(?:-pid\d+)?(?:\s*[\s_/(\[]\s*({'|'.join((*LENGTHS, *TIMES))})[\])]?)?", re.IGNORECASE
@@ -82,35 +84,10 @@ class Column(NamedTuple):
     unit: str
 
 
-def columns_of(line: str, what: str) -> dict[str, Column]:
-    """Return the columns of `NAMES` that a line names; of several of a kind the first in that list."""
-    columns = {}
-    for place, name in enumerate(cells_of(line.lstrip("# \t"), separator_of(line), what)):
-        if match := _NAME.fullmatch(name.strip().lower()):
-            columns.setdefault(re.sub(r"[^a-z0-9]", "", match[1]), Column(place, name, match[2] or ""))
-    return {
-        kind: columns[names[0]]
-        for kind, known in NAMES.items()
-        if (names := [one for one in known.split() if one in columns])
-    }
-
-
-def width_of(line: str, what: str) -> int:
-    """Return how many columns a line names."""
-    return len(cells_of(line.lstrip("# \t"), separator_of(line), what))
-
-
-def separator_of(line: str, numbers: bool = False) -> str | None:
-    """Return the separator of a line: between spaced numbers, a comma begins a fraction."""
-
-    def spaced(by: str) -> bool:
-        return any(len(cell.split()) > 1 for cell in line.split(by))
-
-    if ";" in line:
-        return ";"
-    if "\t" in line:
-        return "\t" if spaced("\t") and not numbers else None
-    return "," if "," in line and not (numbers and spaced(",")) else None
+_ENDS = ["end time", "end x", "end y"]
+_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".traj", ".sqlite", ".sqlite3", ".db")
+_RATE = re.compile(r"(?:frame\s*rate|\bfps)[^\d\n]*(\d+(?:[.,]\d*)?)", re.IGNORECASE)
+_IN_COMMENT = re.compile(rf"(?:\bx\s*/|\bin)\s*({'|'.join(LENGTHS)})\b", re.IGNORECASE)
 
 
 def cells_of(line: str, delimiter: str | None, what: str) -> list[str]:
@@ -125,8 +102,30 @@ def cells_of(line: str, delimiter: str | None, what: str) -> list[str]:
         raise UserError(f"{what}: {line.strip()!r:.200} cannot be read: {error}") from error
 
 
-def is_number(text: str) -> bool:
-    """Return whether a text is a number, with a point or a comma."""
+def _named_in(line: str, what: str) -> tuple[dict[str, Column], int]:
+    """Return the columns of `NAMES` that a line names, of several the first in that list; and its width."""
+    columns, cells = {}, cells_of(line.lstrip("# \t"), _separator_of(line), what)
+    for place, name in enumerate(cells):
+        if match := _NAME.fullmatch(name.strip().lower()):
+            columns.setdefault(re.sub(r"[^a-z0-9]", "", match[1]), Column(place, name, match[2] or ""))
+    found = {kind: [one for one in known.split() if one in columns] for kind, known in NAMES.items()}
+    return {kind: columns[names[0]] for kind, names in found.items() if names}, len(cells)
+
+
+def _separator_of(line: str, numbers: bool = False) -> str | None:
+    """Return the separator of a line: between spaced numbers, a comma begins a fraction."""
+
+    def spaced(by: str) -> bool:
+        return any(len(cell.split()) > 1 for cell in line.split(by))
+
+    if ";" in line:
+        return ";"
+    if "\t" in line:
+        return "\t" if spaced("\t") and not numbers else None
+    return "," if "," in line and not (numbers and spaced(",")) else None
+
+
+def _is_number(text: str) -> bool:
     try:
         float(text.replace(",", "."))
     except ValueError:
@@ -134,12 +133,8 @@ def is_number(text: str) -> bool:
     return True
 
 
-def encoding_of(path: Path) -> str:
-    """Return how the letters of a file are written, by its first bytes.
-
-    Raises:
-        UserError: They are not those of a text.
-    """
+def _encoding_of(path: Path) -> str:
+    """Return how the letters of a file are written, by its first bytes."""
     with path.open("rb") as file:
         begin = file.read(1024)
     if begin.startswith((b"\xff\xfe", b"\xfe\xff")):
@@ -151,18 +146,12 @@ def encoding_of(path: Path) -> str:
     return "utf-8-sig"
 
 
-_ENDS = ["end time", "end x", "end y"]
-_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".traj", ".sqlite", ".sqlite3", ".db")
-_RATE = re.compile(r"(?:frame\s*rate|\bfps)[^\d\n]*(\d+(?:[.,]\d*)?)", re.IGNORECASE)
-_IN_COMMENT = re.compile(rf"(?:\bx\s*/|\bin)\s*({'|'.join(LENGTHS)})\b", re.IGNORECASE)
-
-
 def is_recording(text: str) -> bool:
     """Return whether a text names a file of walks rather than a policy."""
     path = Path(text)
-    return (
-        path.with_suffix("") if path.suffix.lower() in (".gz", ".zip") else path
-    ).suffix.lower() in _SUFFIXES
+    if path.suffix.lower() in (".gz", ".zip"):
+        path = path.with_suffix("")
+    return path.suffix.lower() in _SUFFIXES
 
 
 def check_dt(
@@ -190,7 +179,7 @@ def check_dt(
 
 def _may_have_times(path: Path) -> bool:
     try:
-        return is_sqlite(path) or TextFormat.of(path).has_times
+        return is_sqlite(path) or (form := TextFormat.of(path)).rate is not None or form.time is not None
     except OSError:
         return False
     except (UserError, UnicodeError):  # refused, with words of their own, where they are read
@@ -222,15 +211,15 @@ class TextFormat:
     """
 
     encoding: str
-    skip: int = 0
-    delimiter: str | None = None
-    width: int = 4
-    columns: tuple[int, ...] = (0, 1, 2, 3)
-    names: tuple[str, ...] = ()
-    time: float | None = None
-    rate: float | None = None
-    metres: float = 1.0
-    decimal: bool = False
+    skip: int
+    delimiter: str | None
+    width: int
+    columns: tuple[int, ...]
+    names: tuple[str, ...]
+    time: float | None
+    rate: float | None
+    metres: float
+    decimal: bool
 
     @classmethod
     def of(cls, path: Path) -> TextFormat:
@@ -239,39 +228,37 @@ class TextFormat:
         Raises:
             UserError: It names no or other columns, there are not four, or the file is too large.
         """
-        remedy, what = "cut the recording into several files", f"recording {str(path)!r}"
-        check_limit(path.stat().st_size, LARGEST_TABLE, what, "bytes", remedy)
-        encoding = encoding_of(path)
+        what = f"recording {str(path)!r}"
+        check_limit(path.stat().st_size, LARGEST_TABLE, what, "bytes", CUT)
+        encoding = _encoding_of(path)
         with path.open(encoding=encoding) as file:
             comments, head = _until_text(what, file)
-            named = bool(head) and not any(map(is_number, cells_of(head, separator_of(head), what)))
+            named = bool(head) and not any(map(_is_number, cells_of(head, _separator_of(head), what)))
             row = _until_text(what, file)[1] if named else head
-        skip = len(comments) + named
-        delimiter = separator_of(head) if named else None
+        delimiter = _separator_of(head) if named else None
         if delimiter is None or ";" in row:
-            delimiter = separator_of(row, numbers=True)
-        width = len(cells_of(row or head, delimiter, what))
-        lists = [head] if named else [one for one in reversed(comments) if width_of(one, what) == width]
-        for text in lists:
-            found = columns_of(text, what)
-            if lacking := [
-                one for one in COLUMNS if one not in found and (one != "frame" or "time" not in found)
-            ]:
-                if not named and not {"x", "y"} <= {*found}:
-                    continue  # a remark
+            delimiter = _separator_of(row, numbers=True)
+        width, found = len(cells_of(row or head, delimiter, what)), {}
+        for text in [head] if named else reversed(comments):
+            columns, count = _named_in(text, what)
+            lacking = [
+                one for one in COLUMNS if one not in columns and (one != "frame" or "time" not in columns)
+            ]
+            if not named and (count != width or (lacking and not {"x", "y"} <= {*columns})):
+                continue  # a remark
+            if lacking:
                 degrees = "; project degrees to metres" * bool(re.search(r"(?i)\blat|\blon|degree", text))
                 raise UserError(
                     f"{what} has no column {lacking[0]!r}: its first line is {text.strip()!r:.200}, expected "
                     f"{','.join(COLUMNS)} (any order, time instead of frame, more are ignored){degrees}"
                 )
-            if width_of(text, what) != width and row:
+            if count != width and row:
                 raise UserError(
-                    f"{what}: {row.strip()!r:.200} has {width} columns, but {width_of(text, what)} are "
-                    "named; numbers with a comma need another separator of columns"
+                    f"{what}: {row.strip()!r:.200} has {width} columns, but {count} are named; numbers with "
+                    "a comma need another separator of columns"
                 )
+            found = columns
             break
-        else:
-            found = {}
         comment = "\n".join(comments)
         rate = float(match[1].replace(",", ".")) if (match := _RATE.search(comment)) else None
         if not found and head and width != 4 and not (rate and width == 5):
@@ -284,7 +271,7 @@ class TextFormat:
             kinds += _ENDS
         elif kinds and kinds[0] == "frame" and "time" in found:
             cells = cells_of(row, delimiter, what)
-            kinds += ["time"] * bool(row and is_number(cells[found["time"].place]))
+            kinds += ["time"] * bool(row and _is_number(cells[found["time"].place]))
         used = [found[kind] for kind in kinds]
         units = [one.unit for one in used if one.unit in LENGTHS] or [
             match[1].lower() for match in _IN_COMMENT.finditer(comment)
@@ -293,7 +280,7 @@ class TextFormat:
             raise UserError(f"{what} has {' and '.join(units)}: expected one unit of length")
         return cls(
             encoding=encoding,
-            skip=skip,
+            skip=len(comments) + named,
             delimiter=delimiter,
             width=width,
             # PedPy's begin with the person where nothing names the columns
@@ -304,11 +291,6 @@ class TextFormat:
             metres=lengths.pop() if lengths else 1.0,
             decimal=delimiter != "," and "," in row,
         )
-
-    @property
-    def has_times(self) -> bool:
-        """Whether the file says when its rows are."""
-        return self.rate is not None or self.time is not None
 
     @property
     def form(self) -> str:
@@ -338,11 +320,15 @@ class TextFormat:
         table = self._loaded(path, None)
         if table is not None and (not len(table) or table.shape[1] == self.width):
             return table[:, self.columns] if len(table) else table
-        if (
-            self._even(path) and (table := self._loaded(path, self.columns)) is not None
-        ):  # texts beside numbers
+        with path.open(encoding=self.encoding) as file:  # texts beside numbers, none with a separator inside
+            rows = (line for line in islice(file, self.skip, None) if line.strip())
+            even = all(len(line) <= LONGEST_LINE and self._width(line) == self.width for line in rows)
+        if even and (table := self._loaded(path, self.columns)) is not None:
             return table
         return np.fromiter(self._one_by_one(path), dtype=np.dtype((float, len(self.columns))))
+
+    def _width(self, line: str) -> int:
+        return len(line.split(self.delimiter))
 
     def _loaded(self, path: Path, columns: tuple[int, ...] | None) -> np.ndarray | None:
         """Return columns as numpy reads them, all for None; None where it cannot."""
@@ -352,26 +338,13 @@ class TextFormat:
             # numpy unpacks archives where it is given a path; callers have words for empty files
             with path.open(encoding=self.encoding) as file, warnings.catch_warnings(action="ignore"):
                 lines = islice(file, self.skip, None)
-                return np.loadtxt(
-                    (line.replace(",", ".") for line in lines) if self.decimal else lines,
-                    ndmin=2,
-                    comments=None,
-                    quotechar='"',
-                    delimiter=self.delimiter,
-                    usecols=columns,
-                )
+                texts = (line.replace(",", ".") for line in lines) if self.decimal else lines
+                form = {"delimiter": self.delimiter, "usecols": columns}
+                return np.loadtxt(texts, ndmin=2, comments=None, quotechar='"', **form)
         except UnicodeDecodeError:
             raise
         except ValueError:
             return None
-
-    def _even(self, path: Path) -> bool:
-        """Return whether all rows have the same number of columns, none with a separator inside."""
-        with path.open(encoding=self.encoding) as file:
-            rows = (line for line in islice(file, self.skip, None) if line.strip())
-            return all(
-                len(line) <= LONGEST_LINE and len(line.split(self.delimiter)) == self.width for line in rows
-            )
 
     def _one_by_one(self, path: Path) -> Iterator[list[float]]:
         """Yield the rows as Python reads them: more forgiving than `numpy.loadtxt`, and knows the line."""

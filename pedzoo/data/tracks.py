@@ -77,25 +77,22 @@ class Tracks:
         if len(table) == 0:
             raise UserError(f"recording {name!r} is empty: expected rows of {', '.join(COLUMNS)}")
 
-        def refuse(row: int, why: str) -> UserError:
-            values = " ".join(f"{value:g}" for value in table[row])
-            return UserError(f"recording {name!r}, {place(row)} ({values}): {why}")
+        def refuse(bad: np.ndarray, why: str, order: np.ndarray | None = None) -> None:
+            if bad.any():
+                row = int(bad.argmax() if order is None else order[bad.argmax()])
+                values = " ".join(f"{value:g}" for value in table[row])
+                raise UserError(f"recording {name!r}, {place(row)} ({values}): {why}")
 
-        bad = np.flatnonzero(~np.isfinite(table).all(1))
-        if len(bad):
-            raise refuse(int(bad[0]), "a value is not finite; leave out the rows of people who are not seen")
+        hint = "a value is not finite; leave out the rows of people who are not seen"
+        refuse(~np.isfinite(table).all(1), hint)
         whole = np.round(table[:, :2])
-        bad = np.flatnonzero(((whole != table[:, :2]) | (np.abs(whole) > 2**53)).any(1))
-        if len(bad):
-            raise refuse(
-                bad[0], "frame and agent must be whole numbers (of times in seconds: round(time / dt))"
-            )
+        hint = "frame and agent must be whole numbers (of times in seconds: round(time / dt))"
+        refuse(((whole != table[:, :2]) | (np.abs(whole) > 2**53)).any(1), hint)
         order = np.lexsort((whole[:, 0], whole[:, 1]))
         frame, agent = whole[order].astype(np.int64).T
-        twice = np.flatnonzero((np.diff(agent) == 0) & (np.diff(frame) == 0))
-        if len(twice):
-            i = int(twice[0]) + 1
-            raise refuse(int(order[i]), f"agent {agent[i]} is twice in frame {frame[i]}; expected once")
+        twice = np.append(False, (np.diff(agent) == 0) & (np.diff(frame) == 0))
+        first = int(twice.argmax())
+        refuse(twice, f"agent {agent[first]} is twice in frame {frame[first]}; expected once", order)
         return cls(name, frame, agent, table[order, 2:])
 
     @classmethod
@@ -178,17 +175,12 @@ class Tracks:
         xy = np.column_stack(
             [np.interp(wanted + of_piece * span, time + piece * span, self.xy[:, axis]) for axis in (0, 1)]
         )
-        agent = _piece_agents(self.agent[starts])[of_piece]
+        # the agent's own number for their first piece, a fresh one for later pieces
+        numbers, later = self.agent[starts].copy(), np.append(False, np.diff(self.agent[starts]) == 0)
+        numbers[later] = numbers.max() + 1 + np.arange(later.sum())
+        agent = numbers[of_piece]
         order = np.lexsort((frame, agent))
         return Tracks(self.name, frame[order], agent[order], xy[order])
-
-
-def _piece_agents(agent: np.ndarray) -> np.ndarray:
-    """Return an agent number for each piece: the agent's own for the first, a fresh one for later pieces."""
-    repeated = np.concatenate(([False], agent[1:] == agent[:-1]))
-    numbers = agent.copy()
-    numbers[repeated] = agent.max() + 1 + np.arange(repeated.sum())
-    return numbers
 
 
 def rows_apart(tracks: Tracks) -> float:
@@ -209,10 +201,8 @@ def check_walks(tracks: Tracks, seconds: float, option: str = "dt") -> None:
         UserError: Rows are more than 0.8 s apart, the median speed of steps above 0.2 m/s is above 4 m/s, or
             everybody is within 0.1 m. The message has what is likely right.
     """
-    what, apart = f"recording {tracks.name!r}", rows_apart(tracks)
-    moved = _speeds(tracks, seconds)
-    usual = _usual(moved)
-    likely = _likely(moved, apart, seconds)
+    what, apart, moved = f"recording {tracks.name!r}", rows_apart(tracks), _speeds(tracks, seconds)
+    usual, likely = _usual(moved), _likely(moved, apart, seconds)
     if apart * seconds > FARTHEST + 1e-6:
         remedy = f"{option} {likely:.3g} is likely" if likely else "record more rows"
         raise UserError(
@@ -220,27 +210,23 @@ def check_walks(tracks: Tracks, seconds: float, option: str = "dt") -> None:
             f"{option} {seconds:.3g}, expected at most {FARTHEST:g} s: {remedy}"
         )
     if usual > FASTEST:
-        unit = next((u for u in _UNITS if 0.5 < usual * _UNITS[u][1] < 2.5), None)
-        turned = _swapped(tracks)
         remedies = [f"{option} {likely:.3g}"] if likely else []
-        if unit:
-            name, factor = _UNITS[unit]
-            remedies += [f"{unit} (name the columns x_{name} and y_{name}, a factor of {factor:g})"]
-        remedies += ["a first line that names the columns: they look like agent, frame, x, y"] * turned
+        remedies += [
+            f"{unit} (name the columns x_{name} and y_{name}, a factor of {factor:g})"
+            for unit, (name, factor) in _UNITS.items()
+            if 0.5 < usual * factor < 2.5
+        ][:1]
+        if _swapped(tracks):
+            remedies += ["a first line that names the columns: they look like agent, frame, x, y"]
         remedies += ["a homography from pixels to metres"]
         raise UserError(
             f"{what}: people move at {usual:.3g} m/s (median of those who move) with {option} {seconds:.3g}, "
             f"expected at most {FASTEST:g}: likely right are {', or '.join(remedies)}"
         )
-    _check_extent(tracks, what)
-
-
-def _check_extent(tracks: Tracks, what: str) -> None:
     extent = float(np.ptp(tracks.xy, axis=0).max()) if len(tracks) else 0.0
-    if not 0 < extent < _NARROW:
-        return
-    steps = np.linalg.norm(np.diff(tracks.xy, axis=0), axis=1).sum()
-    if len(np.unique(tracks.agent)) > 1 or steps < 3 * np.linalg.norm(tracks.xy[-1] - tracks.xy[0]):
+    straight = 3 * np.linalg.norm(tracks.xy[-1:] - tracks.xy[:1])
+    walked = np.linalg.norm(np.diff(tracks.xy, axis=0), axis=1).sum()
+    if 0 < extent < _NARROW and (tracks.people > 1 or walked < straight):
         raise UserError(
             f"{what}: everybody is within {extent:.2g} m, expected metres: degrees and kilometres need a "
             "projection or a factor (--data.homography)"
@@ -252,14 +238,10 @@ def doubts(tracks: Tracks, seconds: float, option: str) -> list[str]:
     moved = _speeds(tracks, seconds)
     if not (moved > 0).any():
         return []
-    result, far = [], distance(tracks)
-    usual, high = _usual(moved), brisk(tracks, seconds)
+    result, far, usual, high = [], distance(tracks), _usual(moved), brisk(tracks, seconds)
     if usual > _FAST or (high < _SLOW and far > WALKED):
-        how = (
-            f"move at {usual:.2g} m/s"
-            if usual > _FAST
-            else f"get {far:.2g} m far at less than {high:.2g} m/s"
-        )
+        slow = f"get {far:.2g} m far at less than {high:.2g} m/s"
+        how = f"move at {usual:.2g} m/s" if usual > _FAST else slow
         likely = _likely(moved, rows_apart(tracks), seconds)
         hint = f": is it {likely:.3g}?" if likely else ""
         result.append(f"people {how} with {option} {seconds:.3g}{hint}")
@@ -280,12 +262,11 @@ def say(line: str) -> None:
 def _swapped(tracks: Tracks) -> bool:
     """Return whether frames and agents look as if they had changed places."""
     order = np.lexsort((tracks.agent, tracks.frame))
-    same = np.diff(tracks.frame[order]) == 0
-    if not same.any():
-        return False
-    swapped = np.linalg.norm(np.diff(tracks.xy[order], axis=0), axis=1)[same]
-    own = np.linalg.norm(np.diff(tracks.xy, axis=0), axis=1)[np.diff(tracks.agent) == 0]
-    return bool(len(own) and np.median(swapped) < 0.5 * np.median(own))
+    steps = [
+        np.linalg.norm(np.diff(xy, axis=0), axis=1)[np.diff(same) == 0]
+        for xy, same in ((tracks.xy[order], tracks.frame[order]), (tracks.xy, tracks.agent))
+    ]
+    return all(map(len, steps)) and bool(np.median(steps[0]) < 0.5 * np.median(steps[1]))
 
 
 def brisk(tracks: Tracks, seconds: float) -> float:

@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-import signal
-import subprocess
-import sys
-import time
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from helpers.server import Page, Site, serving, without_patience
+from helpers.server import Site, serving, without_patience
 
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
@@ -215,55 +210,6 @@ def test_a_second_call_mends_what_is_missing_or_damaged(
     assert len(EthUcy("zara1", str(folder)).recordings("val")) == 7
 
 
-def start_download(site: Site) -> subprocess.Popen[str]:
-    """Run ``pedzoo download eth_ucy`` in a process of its own."""
-    code = f"""
-import sys
-from pedzoo.cli.main import main
-from pedzoo.data.published import files
-
-files.HOSTS = ({f"{site.url}/{RAW}"!r},)
-sys.exit(main(["download", "eth_ucy"]))
-"""
-    pipe = subprocess.PIPE
-    return subprocess.Popen([sys.executable, "-c", code], text=True, stdout=pipe, stderr=pipe)
-
-
-def test_an_interrupted_download_is_ended_by_two_at_once(full: Site, tmp_path: Path) -> None:
-    slow = next(page for path, page in full.pages.items() if path.endswith("crowds_zara02.txt"))
-    slow.drops, slow.drip = 2, 15.0
-    process = start_download(full)
-    part = tmp_path / "cache" / "data" / "eth_ucy" / "raw" / ".crowds_zara02.txt.part"
-    end = time.monotonic() + 20
-    while not (part.exists() and part.stat().st_size):
-        assert time.monotonic() < end
-        time.sleep(0.01)
-    process.send_signal(signal.SIGINT)
-    assert process.communicate(timeout=20)[1].endswith("pedzoo: interrupted\n")
-    assert process.returncode == 130
-
-    slow.drops, slow.drip = 1, 0.0
-    for process in [start_download(full), start_download(full)]:
-        _, said = process.communicate(timeout=60)
-        assert process.returncode == 0, said
-    asked = Counter(path for path, _ in full.asked)
-    assert asked.pop(next(path for path in asked if path.endswith("crowds_zara02.txt"))) == 2
-    assert set(asked.values()) == {1}
-    assert len(EthUcy("zara1", None).recordings("train")) == 7
-
-
-def test_other_content_in_a_public_place_is_refused(
-    full: Site, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = next(path for path in full.pages if path.endswith("eth_oracle.png"))
-    content = bytearray(full.pages[path].content)
-    content[-1] ^= 1
-    full.put(path, bytes(content))
-    said = refused(capsys, "eth_ucy", "--to", str(tmp_path))
-    assert "cannot download eth_oracle.png" in said
-    assert f"{path}: does not have the expected content" in said
-
-
 def test_a_folder_that_cannot_be_is_refused(
     site: Site, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -326,16 +272,6 @@ def test_without_a_network_alexnet_can_be_given(
     monkeypatch.setattr(alexnet, "URLS", (f"{site.url}/none.pth",))
     with pytest.raises(UserError, match=r"404 Not Found.*or in the environment variable PEDZOO_ALEXNET"):
         alexnet.load()
-
-
-def test_alexnet_of_another_size_is_not_read_to_its_end(
-    published_alexnet: tuple[Site, Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    site, _ = published_alexnet
-    site.put("large.pth", Page(b"0" * 10_000_000))
-    monkeypatch.setattr(alexnet, "URLS", (f"{site.url}/large.pth",))
-    with pytest.raises(UserError, match="has more than 9883029 bytes"):
-        alexnet.obtain()
 
 
 def test_a_shipped_model_is_there_already(site: Site, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import Any
 
 import pytest
 import torch
@@ -22,50 +23,40 @@ def scenes(draws: list[Draw]) -> list[list[int]]:
     return [draw.scenes.tolist() for draw in draws]
 
 
+def drawn(number: int, shuffle: bool = True, **options: Any) -> list[list[int]]:
+    return scenes(epoch(BucketSampler(SIZES, 64, 8192, shuffle, **options), number))
+
+
 @pytest.mark.parametrize("shuffle", [True, False])
-@pytest.mark.parametrize(("batch_size", "max_pairs"), [(64, 10**9), (64, 8192), (1, 8192), (1000, 10**9)])
-def test_every_scene_once_within_the_caps(shuffle: bool, batch_size: int, max_pairs: int) -> None:
-    sampler = BucketSampler(SIZES, batch_size, max_pairs, shuffle)
+@pytest.mark.parametrize(
+    ("batch_size", "max_pairs", "groups"),
+    [(64, 10**9, 1), (64, 8192, 1), (1, 8192, 1), (1000, 10**9, 1), (16, 8192, 3)],
+)
+def test_every_scene_once_within_the_caps(
+    shuffle: bool, batch_size: int, max_pairs: int, groups: int
+) -> None:
+    group = torch.arange(501) % groups * 10
+    sampler = BucketSampler(SIZES, batch_size, max_pairs, shuffle, groups=group)
     for number in range(3):
         draws = epoch(sampler, number)
         assert len(draws) == len(sampler)
         assert sorted(scene for draw in draws for scene in draw.scenes.tolist()) == list(range(501))
         for draw in draws:
-            assert len(draw.scenes) <= batch_size
+            assert len(draw.scenes) <= batch_size and len(group[draw.scenes].unique()) == 1
             assert (SIZES[draw.scenes] ** 2).sum() <= max_pairs or len(draw.scenes) == 1
     if max_pairs == 8192:
         assert [17] in scenes(draws)
+    if groups == 1:
+        assert scenes(draws) == scenes(epoch(BucketSampler(SIZES, batch_size, max_pairs, shuffle), 2))
 
 
-@pytest.mark.parametrize("shuffle", [True, False])
-def test_batches_of_groups_are_of_one_each(shuffle: bool) -> None:
-    groups = torch.arange(501) % 3 * 10
-    sampler = BucketSampler(SIZES, 16, 8192, shuffle, groups=groups)
-    draws = epoch(sampler, 1)
-    assert len(draws) == len(sampler)
-    assert sorted(scene for draw in draws for scene in draw.scenes.tolist()) == list(range(501))
-    assert all(len(groups[draw.scenes].unique()) == 1 for draw in draws)
-    assert all((SIZES[draw.scenes] ** 2).sum() <= 8192 or len(draw.scenes) == 1 for draw in draws)
-    one = BucketSampler(SIZES, 16, 8192, shuffle, groups=torch.zeros(501, dtype=torch.long))
-    assert scenes(epoch(one)) == scenes(epoch(BucketSampler(SIZES, 16, 8192, shuffle)))
-
-
-def test_caps_are_used() -> None:
-    """Batches are as large as they may be: one more scene of the next batch would not fit."""
-    sampler = BucketSampler(SIZES, 64, 8192, shuffle=False)
-    draws = epoch(sampler)
-    for draw, following in pairwise(draws):
+def test_batches_are_full_and_of_similar_sizes() -> None:
+    for draw, following in pairwise(epoch(BucketSampler(SIZES, 64, 8192, shuffle=False))):
         more = torch.cat((draw.scenes, following.scenes[:1]))
         assert len(more) > 64 or (SIZES[more] ** 2).sum() > 8192
-
-
-def test_sizes_within_a_batch_are_close() -> None:
-    padded = stored = 0
-    for draw in epoch(BucketSampler(SIZES, 64, 16384, shuffle=True)):
-        sizes = SIZES[draw.scenes]
-        padded += int(len(sizes) * sizes.max() ** 2)
-        stored += int((sizes**2).sum())
-    assert padded < 1.2 * stored
+    sizes = [SIZES[draw.scenes] for draw in epoch(BucketSampler(SIZES, 64, 16384, shuffle=True))]
+    padded = sum(int(len(part) * part.max() ** 2) for part in sizes)
+    assert padded < 1.2 * sum(int((part**2).sum()) for part in sizes)
     shuffled = sum(int(len(part) * part.max() ** 2) for part in SIZES[torch.randperm(501)].split(64))
     assert shuffled > 3 * padded
 
@@ -73,35 +64,26 @@ def test_sizes_within_a_batch_are_close() -> None:
 def test_an_epoch_depends_on_seed_and_number_only() -> None:
     first = BucketSampler(SIZES, 64, 8192, True, seed=1)
     epoch(first, 0)  # a resumed run has not drawn the earlier epochs
-    same = BucketSampler(SIZES, 64, 8192, True, seed=1)
-    assert scenes(epoch(first, 5)) == scenes(epoch(same, 5))
-    assert [draw.seed for draw in epoch(first, 5)] == [draw.seed for draw in epoch(same, 5)]
-    assert scenes(epoch(first, 5)) != scenes(epoch(first, 6))
-    assert {draw.seed for draw in epoch(first, 5)}.isdisjoint(draw.seed for draw in epoch(first, 6))
-    assert scenes(epoch(first, 5)) != scenes(epoch(BucketSampler(SIZES, 64, 8192, True, seed=2), 5))
+    fifth, sixth = epoch(first, 5), epoch(first, 6)
+    assert scenes(fifth) == drawn(5, seed=1) and drawn(5, seed=2) != scenes(fifth) != scenes(sixth)
+    assert [draw.seed for draw in fifth] == [draw.seed for draw in epoch(first, 5)]
+    assert {draw.seed for draw in fifth}.isdisjoint(draw.seed for draw in sixth)
+    still = BucketSampler(SIZES, 64, 8192, shuffle=False)
+    assert drawn(0, shuffle=False) == drawn(1, shuffle=False)
+    assert [draw.seed for draw in epoch(still, 0)] == [draw.seed for draw in epoch(still, 1)]
 
 
-def test_shuffling_mixes_scenes_of_a_size_and_the_order_of_batches() -> None:
-    sampler = BucketSampler(SIZES, 64, 8192, True)
-    one, two = epoch(sampler, 0), epoch(sampler, 1)
-    assert {frozenset(batch) for batch in scenes(one)} != {frozenset(batch) for batch in scenes(two)}
-    means = [float(SIZES[draw.scenes].float().mean()) for draw in one]
+def test_shuffling_mixes_scenes_of_a_size_and_batches() -> None:
+    one, two = drawn(0), drawn(1)
+    assert {frozenset(batch) for batch in one} != {frozenset(batch) for batch in two}
+    means = [float(SIZES[batch].float().mean()) for batch in one]
     assert means != sorted(means)
-
-
-def test_without_shuffling_every_epoch_is_the_same() -> None:
-    sampler = BucketSampler(SIZES, 64, 8192, shuffle=False)
-    first, second = epoch(sampler, 0), epoch(sampler, 1)
-    assert scenes(first) == scenes(second)
-    assert [draw.seed for draw in first] == [draw.seed for draw in second]
 
 
 @pytest.mark.parametrize("replicas", [2, 3])
 def test_processes_share_the_batches_evenly(replicas: int) -> None:
-    alone = scenes(epoch(BucketSampler(SIZES, 64, 8192, True, seed=4), 2))
-    shares = [
-        scenes(epoch(BucketSampler(SIZES, 64, 8192, True, 4, rank, replicas), 2)) for rank in range(replicas)
-    ]
+    alone = drawn(2, seed=4)
+    shares = [drawn(2, seed=4, rank=rank, replicas=replicas) for rank in range(replicas)]
     assert {len(share) for share in shares} == {-(-len(alone) // replicas)}
     together = [batch for share in shares for batch in share]
     assert {tuple(batch) for batch in together} == {tuple(batch) for batch in alone}

@@ -36,49 +36,66 @@ def listed(tracks: Tracks, windows: Windows) -> list[dict[int, list[int | None]]
     return scenes
 
 
-def test_complete_people_of_every_window() -> None:
-    """Windows of 2 + 2 steps start at steps 0, 1 and 2; at their second step 4, 5 and 3 people are seen."""
+ALONE = {agent: SEEN[agent] for agent in (1, 2)}
+
+
+@pytest.mark.parametrize(
+    ("seen", "steps", "options", "expected", "counts"),
+    [
+        # windows of 2 + 2 steps start at steps 0, 1 and 2; at their second step 4, 5 and 3 people are seen
+        (
+            SEEN,
+            (2, 2),
+            {},
+            [
+                {1: [0, 1, 2, 3], 2: [0, 1, 2, 3]},
+                {1: [1, 2, 3, 4], 3: [1, 2, 3, 4]},
+                {1: [2, 3, 4, 5], 3: [2, 3, 4, 5]},
+            ],
+            (3, 6, 0, 6),
+        ),
+        (ALONE, (2, 2), {}, [{1: [0, 1, 2, 3], 2: [0, 1, 2, 3]}], (1, 2, 2, 2)),
+        (ALONE, (2, 2), {"min_people": 1}, None, (3, 4, 0, 2)),
+        (ALONE, (2, 2), {"min_people": 3}, [], (0, 0, 4, 2)),
+        # seen at the last two observed steps
+        (
+            SEEN,
+            (2, 2),
+            {"people": "present"},
+            [
+                {1: [0, 1, 2, 3], 2: [0, 1, 2, 3]},
+                {1: [1, 2, 3, 4], 2: [1, 2, 3, None], 3: [1, 2, 3, 4], 5: [1, 2, None, 4]},
+                {1: [2, 3, 4, 5], 2: [2, 3, None, None], 3: [2, 3, 4, 5]},
+            ],
+            (3, 9, 0, 3),
+        ),
+        # back over the whole history
+        (
+            {1: (0, 1, 2, 3, 4, 5), 2: (2, 3), 3: (0, 3, 4), 4: (0, 2, 3, 4)},
+            (4, 1),
+            {"people": "present", "min_people": 1},
+            [
+                {1: [0, 1, 2, 3, 4], 2: [None, None, 2, 3, None], 4: [0, None, 2, 3, 4]},
+                {1: [1, 2, 3, 4, 5], 3: [None, None, 3, 4, None], 4: [None, 2, 3, 4, None]},
+            ],
+            None,
+        ),
+    ],
+)
+def test_people_of_every_window_by_hand(
+    seen: dict, steps: tuple[int, int], options: dict, expected: list | None, counts: tuple | None
+) -> None:
+    tracks = recording(seen)
+    windows = cut_windows(tracks, *steps, **options)
+    assert expected is None or listed(tracks, windows) == expected
+    assert counts is None or windows.counts == WindowCounts(*counts)
+
+
+def test_windows_know_where_tracks_end() -> None:
     tracks = recording(SEEN)
     windows = cut_windows(tracks, 2, 2)
-    assert listed(tracks, windows) == [
-        {1: [0, 1, 2, 3], 2: [0, 1, 2, 3]},
-        {1: [1, 2, 3, 4], 3: [1, 2, 3, 4]},
-        {1: [2, 3, 4, 5], 3: [2, 3, 4, 5]},
-    ]
-    assert windows.counts == WindowCounts(windows=3, people=6, dropped_lone=0, dropped_partial=6)
     assert (tracks.agent[windows.end] == [1, 2, 1, 3, 1, 3]).all()
     assert (tracks.frame[windows.end] == [100, 30, 100, 100, 100, 100]).all()
-
-
-def test_who_is_alone_is_dropped_and_counted() -> None:
-    tracks = recording({agent: SEEN[agent] for agent in (1, 2)})
-    windows = cut_windows(tracks, 2, 2)
-    assert listed(tracks, windows) == [{1: [0, 1, 2, 3], 2: [0, 1, 2, 3]}]
-    assert windows.counts == WindowCounts(windows=1, people=2, dropped_lone=2, dropped_partial=2)
-    stored = cut_windows(tracks, 2, 2, min_people=1).counts
-    assert stored == WindowCounts(windows=3, people=4, dropped_lone=0, dropped_partial=2)
-    none = cut_windows(tracks, 2, 2, min_people=3).counts
-    assert none == WindowCounts(windows=0, people=0, dropped_lone=4, dropped_partial=2)
-
-
-def test_present_keeps_who_is_seen_at_the_last_two_observed_steps() -> None:
-    tracks = recording(SEEN)
-    windows = cut_windows(tracks, 2, 2, "present")
-    assert listed(tracks, windows) == [
-        {1: [0, 1, 2, 3], 2: [0, 1, 2, 3]},
-        {1: [1, 2, 3, 4], 2: [1, 2, 3, None], 3: [1, 2, 3, 4], 5: [1, 2, None, 4]},
-        {1: [2, 3, 4, 5], 2: [2, 3, None, None], 3: [2, 3, 4, 5]},
-    ]
-    assert windows.counts == WindowCounts(windows=3, people=9, dropped_lone=0, dropped_partial=3)
-
-
-def test_present_looks_back_over_the_whole_history() -> None:
-    tracks = recording({1: (0, 1, 2, 3, 4, 5), 2: (2, 3), 3: (0, 3, 4), 4: (0, 2, 3, 4)})
-    windows = cut_windows(tracks, 4, 1, "present", min_people=1)
-    assert listed(tracks, windows) == [
-        {1: [0, 1, 2, 3, 4], 2: [None, None, 2, 3, None], 4: [0, None, 2, 3, 4]},
-        {1: [1, 2, 3, 4, 5], 3: [None, None, 3, 4, None], 4: [None, 2, 3, 4, None]},
-    ]
 
 
 def random_recording(seed: int) -> Tracks:
@@ -109,7 +126,7 @@ def by_social_gans_loop(tracks: Tracks, obs_len: int, pred_len: int) -> list[lis
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("people", ["complete", "present"])
-def test_random_recordings_agree_with_the_loop_and_no_person_is_lost(seed: int, people: KeptPeople) -> None:
+def test_random_recordings_agree_with_the_loop(seed: int, people: KeptPeople) -> None:
     tracks = random_recording(seed)
     windows = cut_windows(tracks, 4, 3, people)
     result = [
@@ -144,25 +161,26 @@ def scenes_of(*tracks: Tracks, people: KeptPeople = "complete", min_people: int 
     )
 
 
-def test_a_window_longer_than_the_recording_names_the_lengths_and_the_way_out() -> None:
-    short = recording({1: (0, 1, 2), 2: (0, 1, 2)}, "short")
-    with pytest.raises(UserError, match=r"2 \+ 2 = 4 steps.*'short' \(2 people, 3 steps\).*--data\.pred_len"):
-        scenes_of(short)
-    with pytest.raises(UserError, match=r"'short' \(2 people, 3 steps\), 'tiny' \(1 people, 2 steps\)"):
-        scenes_of(short, recording({1: (0, 1)}, "tiny"))
+SHORT, TINY = recording({1: (0, 1, 2), 2: (0, 1, 2)}, "short"), recording({1: (0, 1)}, "tiny")
+LONE, PASSING = recording({7: (0, 1, 2, 3, 4)}, "alone"), recording({1: (0, 1, 2), 2: (1, 2, 3)}, "passing")
 
 
-def test_one_person_only_is_refused_with_the_option_that_keeps_them() -> None:
-    alone = recording({7: (0, 1, 2, 3, 4)}, "alone")
-    with pytest.raises(UserError, match=r"has 2 people.*'alone' \(1 people, 5 steps\).*--data\.min_people 1"):
-        scenes_of(alone)
-    assert scenes_of(alone, min_people=1).sizes.tolist() == [1, 1]
-    passing = recording({1: (0, 1, 2), 2: (1, 2, 3)}, "passing")
-    with pytest.raises(UserError, match=r"--data\.keep_people present keeps partly seen people"):
-        scenes_of(passing, min_people=1)
+@pytest.mark.parametrize(
+    ("tracks", "people", "words"),
+    [
+        ([SHORT], 2, r"2 \+ 2 = 4 steps.*'short' \(2 people, 3 steps\).*--data\.pred_len"),
+        ([SHORT, TINY], 2, r"'short' \(2 people, 3 steps\), 'tiny' \(1 people, 2 steps\)"),
+        ([LONE], 2, r"has 2 people.*'alone' \(1 people, 5 steps\).*--data\.min_people 1"),
+        ([PASSING], 1, r"--data\.keep_people present keeps partly seen people"),
+    ],
+)
+def test_no_window_is_refused_with_the_way_out(tracks: list[Tracks], people: int, words: str) -> None:
+    with pytest.raises(UserError, match=words):
+        scenes_of(*tracks, min_people=people)
+    assert scenes_of(LONE, min_people=1).sizes.tolist() == [1, 1]
 
 
-def test_recordings_without_a_window_are_no_error_beside_one_with() -> None:
+def test_recordings_without_a_window_may_stand_beside_others() -> None:
     scenes = scenes_of(recording(SEEN, "a"), recording({1: (0, 1)}, "b"), recording(SEEN, "a"))
     assert [name for name, _ in scenes.counts] == ["a", "b", "a"]
     assert [counts.windows for _, counts in scenes.counts] == [3, 0, 3]

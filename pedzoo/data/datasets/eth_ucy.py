@@ -83,11 +83,7 @@ class EthUcy(Dataset):
         )
 
     def recordings(self, split: Split) -> list[Recording]:
-        """Return the recordings of a split, positions rounded to 4 decimals as in Social GAN."""
-        return [self._recording(file) for file in self.files(split)]
-
-    def files(self, split: Split) -> list[Path]:
-        """Return the files of a split's recordings.
+        """Return the recordings of a split, positions rounded to 4 decimals as in Social GAN.
 
         Raises:
             UserError: The test recordings of the fold that leaves none out.
@@ -99,7 +95,7 @@ class EthUcy(Dataset):
             )
         # by name: the folds share recordings
         files = [self._folder / file for scene in self.scenes for file in self.lists[scene][split]]
-        return list({file.name: file for file in files}.values())
+        return [self._recording(file) for file in {file.name: file for file in files}.values()]
 
     def _below(self, scene: str) -> dict[Split, list[str]]:
         paths_by_split: dict[Split, list[str]] = {}

@@ -57,12 +57,16 @@ def download(folder: Path) -> list[PublishedFile]:
     """
     files = files_of("eth_ucy")
     bring(files, folder, "eth_ucy")
+    used = dict.fromkeys(file.places[0][:2] for file in files)
+    sources = "\n".join(f"- https://github.com/{repository} at {commit}" for repository, commit in used)
+    page = Template(Path(__file__).with_suffix(".md").read_text(encoding="utf-8"))
     try:
         for scene in FRAMES:
             write_ros(floor_plan(scene, folder), folder / "maps" / f"{scene}.yaml")
         sums = "".join(f"{file.sha256}  {file.path}\n" for file in files)
         write_atomically(folder / "SHA256SUMS", sums.encode())
-        write_atomically(folder / "README.md", _readme(files).encode())
+        readme = page.substitute(terms=TERMS, citation=CITATION, sources=sources)
+        write_atomically(folder / "README.md", readme.encode())
         write_atomically(folder / "splits.json", (json.dumps(splits(), indent=1) + "\n").encode())
     except OSError as error:
         raise UserError(f"cannot write into {str(folder)!r}: {error.strerror}") from error
@@ -74,7 +78,9 @@ def splits() -> dict[str, Any]:
 
     The scene's other recordings, zara03 and uni_examples, stay in the training set.
     """
-    plans = plan_of_recording()
+    plans = {
+        name: None if name in WITHOUT_PLAN else scene for scene, names in FRAMES.items() for name in names
+    }
     folds = {}
     for scene in SCENES:
         tested = EthUcy.FOLDS[scene]
@@ -92,20 +98,6 @@ def splits() -> dict[str, Any]:
     }
 
 
-def _readme(files: list[PublishedFile]) -> str:
-    used = dict.fromkeys(file.places[0][:2] for file in files)
-    sources = "\n".join(f"- https://github.com/{repository} at {commit}" for repository, commit in used)
-    text = Path(__file__).with_suffix(".md").read_text(encoding="utf-8")
-    return Template(text).substitute(terms=TERMS, citation=CITATION, sources=sources)
-
-
-def plan_of_recording() -> dict[str, str | None]:
-    """Return the floor plan of every recording, None where it has none."""
-    return {
-        name: None if name in WITHOUT_PLAN else scene for scene, names in FRAMES.items() for name in names
-    }
-
-
 def floor_plan(scene: str, folder: Path) -> OccupancyGrid:
     """Return the floor plan of a scene of `FRAMES`; people fix its extent, not its cells.
 
@@ -114,11 +106,9 @@ def floor_plan(scene: str, folder: Path) -> OccupancyGrid:
     """
     solid, thin = _masks(scene, folder / "maps" / "source")
     people = np.concatenate([np.loadtxt(folder / "raw" / f"{name}.txt")[:, 2:] for name in FRAMES[scene]])
-    low, high = np.floor(people.min(0) - _MARGIN), np.ceil(people.max(0) + _MARGIN)
+    low, high = (np.floor(people.min(0) - _MARGIN).tolist(), np.ceil(people.max(0) + _MARGIN).tolist())
     homography = np.loadtxt(folder / "homography" / f"{scene}_H.txt")
-    plan = seen_from_above(
-        solid, thin, homography, (float(low[0]), float(low[1])), (float(high[0]), float(high[1])), name=scene
-    )
+    plan = seen_from_above(solid, thin, homography, (low[0], low[1]), (high[0], high[1]), name=scene)
     if plan.digest != DIGESTS[scene]:
         raise UserError(
             f"the floor plan of {scene} came out with digest {plan.digest}, expected {DIGESTS[scene]}: "

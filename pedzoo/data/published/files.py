@@ -32,11 +32,8 @@ class PublishedFile:
 
     def urls(self) -> list[str]:
         """Return the addresses of all mirrors in the order in which they are tried."""
-        return [
-            host.format(repository=repository, commit=commit, path=path)
-            for repository, commit, path in self.places
-            for host in HOSTS
-        ]
+        places = [dict(zip(("repository", "commit", "path"), place, strict=True)) for place in self.places]
+        return [host.format(**place) for place in places for host in HOSTS]
 
 
 def published() -> list[str]:
@@ -50,15 +47,11 @@ def files_of(name: str) -> list[PublishedFile]:
 
     listed = yaml.safe_load((_FOLDER / f"{name}.yaml").read_text(encoding="utf-8"))
     repositories = {key: place.split("@") for key, place in listed["repositories"].items()}
-    return [
-        PublishedFile(
-            path,
-            entry["sha256"],
-            entry["size"],
-            tuple((*repositories[key], place) for key, place in entry["places"].items()),
-        )
-        for path, entry in listed["files"].items()
-    ]
+    files = []
+    for path, entry in listed["files"].items():
+        places = tuple((*repositories[key], place) for key, place in entry["places"].items())
+        files.append(PublishedFile(path, entry["sha256"], entry["size"], places))
+    return files
 
 
 def bring(files: list[PublishedFile], folder: Path, name: str) -> None:
