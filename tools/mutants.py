@@ -78,10 +78,7 @@ EQUIVALENT = {
     "metrics/statistics.py": ("(at,))[:, -1]",),
     "train/rl/rewards.py": ('["pref_speed"][..., -1]',),
     "models/blocks/variety.py": ("zeros_like(z[", "self.best_k >= 1", "self.best_k > 0"),
-    "maps/planning/corners.py": ("< _SMALL",),
-    "maps/planning/fields.py": ("< 1**16",),
-    "maps/planning/online.py": ("self.graph( -1)", "np.where(corner < -1"),
-    "maps/planning/waypoint_table.py": ("index_select( -1",),
+    "maps/planning/graph.py": ("< _KEPT",),
     "models/blocks/people/pooling.py": (
         "_CPU_FLOATS = ",
         "needs_input_grad[ 1] or",

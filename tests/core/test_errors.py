@@ -14,7 +14,7 @@ import pytest
 
 from pedzoo.core import errors
 from pedzoo.core.errors import UserError
-from pedzoo.maps.planning.sight import Sight
+from pedzoo.maps.planning.graph import Sight
 
 BARE = """
 import json, sys
@@ -134,6 +134,6 @@ def test_lines_of_sight_without_numba_are_those_with_it(monkeypatch: pytest.Monk
     cells = np.argwhere(is_open)[:, ::-1].astype(np.int32)
     origin, target = cells[rng.integers(0, len(cells), (2, 3000))]
     compiled = sight.clear(origin, target)
-    monkeypatch.setattr("pedzoo.maps.planning.sight.installed", lambda module: False)
+    monkeypatch.setattr("pedzoo.maps.planning.graph.installed", lambda module: False)
     assert (sight.clear(origin, target) == compiled).all()
     assert 0.02 < compiled.mean() < 0.9

@@ -17,7 +17,6 @@ from pedzoo.core.batch import PERSON, ROBOT, agents_of, companions_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import blended, limit_speed
 from pedzoo.core.types import GOAL_RADIUS, TOP_SPEED_RATIO
-from pedzoo.maps.planning.planner import Planner
 from pedzoo.maps.plans import rectangles, room, wall
 from pedzoo.policies.controller.arguments import number_of
 from pedzoo.policies.controller.controller import Controller
@@ -54,9 +53,6 @@ def test_it_walks_as_the_policy_does_in_the_environment(name: str, deterministic
     controller = pedzoo.controller(
         name, env.bank.grids[0], pref_speed=dict(enumerate(speeds.tolist())), **options
     )
-    # the environment's fields of waypoints: paths of the online planner are a little shorter
-    online_goals = controller._online_goals
-    controller._online_goals = online_goals._replace(planner=Planner(online_goals.planner.bank))  # type: ignore[arg-type]
     goals, result = dict(enumerate(state.goal_point[0])), {}
     for moment in range(state.past.shape[2]):
         result = controller.step(dict(enumerate(state.past[0, :, moment])), goals)

@@ -1,35 +1,110 @@
-"""The open cells of a floor plan as a graph, and shortest paths on it."""
+"""The open cells of a floor plan: lines of sight between them, their corners, and shortest paths."""
 
+import contextlib
+import hashlib
+import io
 from functools import cached_property
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt, label, map_coordinates
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
 
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, installed
+from pedzoo.core.paths import cache_home, write_atomically
+from pedzoo.maps.constants import ON_LINE
 from pedzoo.maps.grid import OccupancyGrid, Unknown
-from pedzoo.maps.planning.sight import Sight
 
-STEPS = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
-"""The eight neighbours of a cell: rows and columns away."""
+_DIAGONAL = 2**0.5
 
+_AT_ONCE = 250_000
+"""Lines of sight that are followed together: bounds the memory that it takes."""
+
+_KEPT, _FORM = 1000, 1
+"""Corners from which on lines of sight between them are kept on disk, and the version of such files."""
+
+HOP = 1e-9
+"""Metres that each bend adds: rounding must not choose between paths that are equally long."""
 
 _SAME = 0.05
 """Metres: who is moved by less is not moved."""
 
 POCKET = 0.5
-"""Square metres: smaller parts of the open cells are left out."""
+"""Square metres: smaller parts of the open cells are left out, unless nothing is larger.
+
+Scanned maps have many, between pieces of furniture. No path leads out of them, and the planner must not
+send a person who is pushed near one into it.
+"""
+
+
+class Sight:
+    """Which open cells see one another.
+
+    They do if the line between their centres stays where walkers may be: in squares between four open cells,
+    or on edges between two. Each step to a neighbour is such a line, so that the shortest lines of sight
+    between two cells bend only at corners of the open cells; and as distances to walls are read bilinearly
+    between centres, every point of a line keeps the clearance that the open cells have.
+
+    Attributes:
+        leap: How many columns on are certain to be clear in every direction, at every square and then at
+            every cell, int16; 0 where the line is blocked.
+    """
+
+    def __init__(self, is_open: NDArray[np.bool_]) -> None:
+        """Take which cells are open (H, W)."""
+        square = np.zeros_like(is_open)
+        square[:-1, :-1] = is_open[:-1, :-1] & is_open[1:, :-1] & is_open[:-1, 1:] & is_open[1:, 1:]
+        # of squares and cells the distance to the nearest one that is not free, outside the map included
+        room, free = (
+            np.asarray(distance_transform_edt(np.pad(part, 1)))[1:-1, 1:-1] for part in (square, is_open)
+        )
+        # Squares are entered anywhere and left diagonally; along an axis only cells' centres matter.
+        squares = np.maximum((room - _DIAGONAL) / _DIAGONAL, 1) * square
+        cells = np.maximum(np.ceil(free) - 1, 1) * is_open
+        self._width = is_open.shape[1]
+        self._cells = is_open.size
+        self.leap = np.concatenate((squares.ravel(), cells.ravel())).astype(np.int16)
+
+    def clear(self, origin: NDArray[np.int32], target: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """Return which lines (M,) are clear, from and to columns and rows of open cells (M, 2)."""
+        if not installed("numba"):
+            return self._clear_in_numpy(origin.astype(np.int64), target.astype(np.int64))
+        from pedzoo.maps.planning.planner_numba import clear_lines
+
+        seen = np.empty(len(origin), dtype=bool)
+        ends = (np.ascontiguousarray(end, dtype=np.int32) for end in (origin, target))
+        clear_lines(self.leap, self._width, self._cells, *ends, seen)
+        return seen
+
+    def _clear_in_numpy(self, origin: NDArray[np.int64], target: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """See `clear_lines`: all lines at once, a leap of each after the other."""
+        reach = target - origin
+        steep = np.abs(reach[:, 1]) > np.abs(reach[:, 0])
+        along, across = np.where(steep[:, None], reach[:, ::-1], reach).T
+        steps = np.abs(along)
+        slope = across / np.maximum(steps, 1)
+        forward, sideways = np.where(steep, self._width, 1), np.where(steep, 1, self._width)
+        base = origin[:, 1] * self._width + origin[:, 0] + np.where(across == 0, self._cells, 0)
+        base -= np.where(along < 0, forward, 0)
+        forward = np.where(along < 0, -forward, forward)
+        column = np.zeros_like(steps)
+        left = steps.nonzero()[0]
+        while len(left):
+            ends = slope[left] * column[left], slope[left] * (column[left] + 1)
+            low = np.floor(np.minimum(*ends) + ON_LINE).astype(np.int64)
+            high = np.maximum(np.ceil(np.maximum(*ends) - ON_LINE).astype(np.int64) - 1, low)
+            at, side = base[left] + column[left] * forward[left], sideways[left]
+            room = np.minimum(self.leap[at + low * side], self.leap[at + high * side])
+            column[left] += room
+            left = left[(room > 0) & (column[left] < steps[left])]
+        return column >= steps
 
 
 class OpenGraph:
     """The N cells of a floor plan that are open to walkers: their centres keep a clearance from walls.
-
-    Neighbours, diagonal ones too, are joined by edges of their distance in metres, as in iGibson; but a
-    diagonal step must not cut a corner: both cells beside it must be open.
 
     Attributes:
         grid: The floor plan.
@@ -41,6 +116,7 @@ class OpenGraph:
         place: Column and row of every open cell (N, 2) int32.
         xy: Their centres in the map's frame (N, 2) float64, metres.
         index: Number of the open cell at every cell (H * W,) int32, -1 where it is not open.
+        component: Which open cells have paths to one another (N,): equal numbers.
         sight: Lines of sight between open cells.
     """
 
@@ -50,8 +126,12 @@ class OpenGraph:
         self.clearance = clearance
         self.distance = grid.signed_distance(unknown)
         self.shape = self.distance.shape
-        self.open = _without_pockets(self.distance >= clearance - 1e-6, grid.resolution)
+        # connected through their sides, as a diagonal step must not cut a corner; part 0 is everything else
+        parts = np.asarray(cast("Any", label(self.distance >= clearance - 1e-6))[0])
+        area = np.bincount(parts.ravel())[1:] * grid.resolution**2
+        self.open = np.append(False, area >= min(POCKET, area.max(initial=0)))[parts]
         self.cells = np.flatnonzero(self.open)
+        self.component = parts.ravel()[self.cells] - 1
         self.index = np.full(self.distance.size, -1, dtype=np.int32)
         self.index[self.cells] = np.arange(len(self.cells), dtype=np.int32)
         row, column = np.divmod(self.cells, self.shape[1])
@@ -62,38 +142,6 @@ class OpenGraph:
 
     def __len__(self) -> int:
         return len(self.cells)
-
-    @cached_property
-    def neighbours(self) -> NDArray[np.int32]:
-        """Numbers of the neighbours (N, 8) in the order of `STEPS`; N where no step leads."""
-        padded = np.pad(self.open, 1)
-        number = np.full(padded.shape, len(self), dtype=np.int32)
-        number[1:-1, 1:-1][self.open] = np.arange(len(self), dtype=np.int32)
-        width = padded.shape[1]
-        here = np.flatnonzero(padded)
-        flat, numbers = padded.ravel(), number.ravel()
-        result = np.empty((len(self), len(STEPS)), dtype=np.int32)
-        for k, (down, right) in enumerate(STEPS):
-            beside = flat[here + down * width] & flat[here + right]
-            result[:, k] = np.where(
-                beside | (down * right == 0), numbers[here + down * width + right], len(self)
-            )
-        return result
-
-    @cached_property
-    def matrix(self) -> csr_array:
-        """The graph (N, N): entry (i, j) is the metres of the step from i to j."""
-        real = self.neighbours < len(self)
-        lengths = np.array([np.hypot(*step) for step in STEPS]) * self.grid.resolution
-        ends = np.concatenate(([0], real.sum(1).cumsum()))
-        data = np.broadcast_to(lengths, real.shape)[real]
-        # the order of STEPS is that of the cells' numbers: the columns of each row are sorted
-        return csr_array((data, self.neighbours[real], ends), shape=(len(self), len(self)))
-
-    @cached_property
-    def component(self) -> NDArray[np.int32]:
-        """Which open cells have paths to one another (N,): equal numbers."""
-        return np.asarray(connected_components(self.matrix, directed=False)[1])
 
     @cached_property
     def nearest(self) -> NDArray[np.int32]:
@@ -175,17 +223,152 @@ class OpenGraph:
         )
 
 
-def _without_pockets(cells: NDArray[np.bool_], resolution: float) -> NDArray[np.bool_]:
-    """Leave out parts of less than `POCKET` square metres, unless nothing is larger.
+class CornerGraph:
+    """The K corners of the open cells, joined where they see one another: a visibility graph.
 
-    Scanned maps have many, between pieces of furniture. No path leads out of them, and the planner must not
-    send a person who is pushed near one into it.
+    A shortest path between two points bends only at corners of obstacles. So a search of these few cells
+    finds any-angle paths that are never longer than the best 8-connected one. Edges that no shortest path
+    takes (it would not bend around the corner at their end) are left out (taut edges: Oh and Leong, SoCS
+    2017). Of equally long paths the one with fewer bends is taken.
+
+    Attributes:
+        graph: The open cells.
+        cells: Numbers of the corners among them (K,): the cell diagonally beside a corner is not open, the
+            two between are.
+        place: Their columns and rows (K, 2) int32.
+        bends: Whether paths may bend around them as they fall, and as they rise (2, K).
     """
-    # connected through their sides, as the graph is; part 0 is everything else
-    parts = np.asarray(cast("Any", label(cells))[0])
-    area = np.bincount(parts.ravel())[1:] * resolution**2
-    large = np.concatenate(([False], area >= min(POCKET, area.max(initial=0))))
-    return np.take(large, parts)
+
+    def __init__(self, graph: OpenGraph) -> None:
+        """Find the corners; their lines of sight are followed at the first search."""
+        self.graph = graph
+        around = np.pad(graph.open, 1, constant_values=True)
+        height, width = graph.shape
+
+        def shifted(down: int, right: int) -> NDArray[np.bool_]:
+            return around[1 + down : 1 + down + height, 1 + right : 1 + right + width]
+
+        rising, falling = (
+            graph.open
+            & np.logical_or.reduce(
+                [~shifted(a, b) & shifted(a, 0) & shifted(0, b) for a, b in ((1, slope), (-1, -slope))]
+            )
+            for slope in (1, -1)
+        )
+        self.cells = graph.index[np.flatnonzero(rising | falling)]
+        # obstacles lie along the rising (or falling) diagonal: paths bend around them only if they
+        # leave falling (or rising), or straight along an axis
+        self.bends = np.stack((rising.ravel(), falling.ravel()))[:, graph.cells[self.cells]]
+        self.place = graph.place[self.cells]
+
+    @cached_property
+    def matrix(self) -> csr_array:
+        """The graph (K, K): entry (i, j) is the metres from corner i to j, and `HOP`."""
+        one, other = self._edges()
+        length = np.linalg.norm(self.place[one] - self.place[other], axis=1) * self.graph.grid.resolution
+        both = np.concatenate((one, other)), np.concatenate((other, one))
+        count = len(self.cells)
+        return coo_array((np.tile(length + HOP, 2), both), shape=(count, count)).tocsr()
+
+    def _edges(self) -> NDArray[np.int64]:
+        """Return the pairs of corners (2, E) that see each other; many are kept in the user's cache."""
+        count = len(self.cells)
+        if count < _KEPT:
+            return self.seen_from(self.cells, only_edges=True)
+        content = repr((_FORM, self.graph.shape)).encode() + np.packbits(self.graph.open).tobytes()
+        file = cache_home() / "planner" / f"{hashlib.sha256(content).hexdigest()[:32]}.npy"
+        with contextlib.suppress(OSError, ValueError, EOFError):
+            edges = np.load(file, allow_pickle=False)
+            if edges.dtype == np.int64 and edges.shape[:-1] == (2,) and (edges // count == 0).all():
+                return edges
+        edges, encoded = self.seen_from(self.cells, only_edges=True), io.BytesIO()
+        np.save(encoded, edges, allow_pickle=False)
+        with contextlib.suppress(OSError):  # a folder that cannot be written, or a full disk
+            write_atomically(file, encoded.getvalue())
+        return edges
+
+    def _turns(self, place: NDArray[np.int32], bends: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return which lines (S, K) from columns and rows (S, 2) to the corners fall or rise as ``bends``."""
+        slope = np.prod(place[:, None] - self.place, axis=2)
+        return (bends[0] & (slope <= 0)) | (bends[1] & (slope >= 0))
+
+    def seen_from(self, cells: NDArray[np.int32], only_edges: bool = False) -> NDArray[np.int64]:
+        """Return which open cell (S,) sees which corner that a path may bend around (2, E).
+
+        With ``only_edges`` the cells are the corners; pairs are those that paths bend around at both ends,
+        each in one order.
+        """
+        chunks = [np.empty((2, 0), dtype=np.int64)]
+        rows = max(1, _AT_ONCE // max(len(self.cells), 1))
+        for first in range(0, len(cells), rows):
+            some = cells[first : first + rows]
+            place = self.graph.place[some]
+            pairs = self._turns(place, self.bends)
+            if only_edges:
+                pairs &= self._turns(place, self.bends[:, first : first + rows, None])
+                pairs = np.triu(pairs, first + 1)
+            one, other = np.nonzero(pairs & (some[:, None] != self.cells))
+            seen = self.graph.sight.clear(place[one], self.place[other])
+            chunks.append(np.stack((one[seen] + first, other[seen])))
+        return np.concatenate(chunks, axis=1)
+
+    def search(self, cell: int, place: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+        """Return the metres from all corners (K,) to a goal, and the next corner on the way there (K,).
+
+        The goal is in an open cell, at column and row ``place`` (2,). The next corner is -1 for the goal
+        itself; where no path leads to it the metres are infinite.
+        """
+        seen, edges, count = self.seen_from(np.array([cell], dtype=np.int32))[1], self.matrix, len(self.cells)
+        there = np.hypot(*(self.place[seen] - place).T) * self.graph.grid.resolution
+        joined = csr_array(
+            (
+                np.concatenate((edges.data, there + HOP)),
+                np.concatenate((edges.indices, seen.astype(edges.indices.dtype))),
+                np.append(edges.indptr, edges.indptr[-1] + len(seen)).astype(edges.indptr.dtype),
+            ),
+            shape=(count + 1, count + 1),
+        )
+        far, before = dijkstra(joined, indices=count, return_predecessors=True)
+        return far[:-1], np.where(before == count, -1, before)[:-1].astype(np.int32)
+
+    def first(self, place: NDArray[np.int32], far: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Return the corner (P,) where shortest paths from open cells bend first, -1 where none leads on.
+
+        Args:
+            place: Columns and rows of the cells (P, 2).
+            far: Metres from all corners to the goal of each (P, K).
+        """
+        away = (place[:, None] - self.place).astype(np.float64)
+        total = np.sqrt((away**2).sum(2)) * self.graph.grid.resolution + far
+        total[~self._turns(place, self.bends) | ~away.any(2)] = np.inf
+        found, left = np.full(len(place), -1), np.arange(len(place))
+        # the best corner in sight is nearly always among the few that are least far
+        for tried in (4, 32, total.shape[1]):
+            if not len(left) or not (tried := min(tried, total.shape[1])):
+                break
+            some = np.sort(np.argpartition(total[left], tried - 1)[:, :tried])
+            metres = np.take_along_axis(total[left], some, 1)
+            seen = self.graph.sight.clear(place[left].repeat(tried, 0), self.place[some.ravel()])
+            metres[~seen.reshape(metres.shape)] = np.inf
+            best = metres.argmin(1)[:, None]
+            hit = np.isfinite(np.take_along_axis(metres, best, 1)[:, 0])
+            found[left[hit]] = np.take_along_axis(some, best, 1)[hit, 0]
+            left = left[~hit]
+        return found
+
+    def path(self, start: int, goal: int, place: NDArray[np.float64]) -> NDArray[np.int32]:
+        """Return the open cells (W,) that a shortest path bends at, in their order; empty for a straight one.
+
+        Start and goal are numbers of open cells of one component; the goal is at column and row ``place``.
+        """
+        begin, end = self.graph.place[[start]], self.graph.place[[goal]]
+        if self.graph.sight.clear(begin, end)[0]:
+            return self.cells[:0]
+        far, onward = self.search(goal, place)
+        chain = [int(self.first(begin, far[None])[0])]
+        while (corner := int(onward[chain[-1]])) >= 0:
+            chain.append(corner)
+        return self.cells[chain]
 
 
 def format_point(point: NDArray[np.float64]) -> str:

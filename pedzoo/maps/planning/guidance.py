@@ -1,5 +1,7 @@
 """The planner's answer: people's paths, and the guidance along them."""
 
+from __future__ import annotations
+
 import math
 from typing import NamedTuple
 
@@ -7,25 +9,11 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.types import BODY_RADIUS
-from pedzoo.maps.planning.planar import ScenePose
-from pedzoo.maps.planning.waypoint_table import WaypointLookup
+from pedzoo.maps.constants import EPSILON, SPACING
 from pedzoo.maps.walls import LocalWalls
 
-EPSILON = 1e-6
-"""Metres: an agent so near to a point is on it."""
-
-
-class NextWaypoints(NamedTuple):
-    """Where people's paths lead, in the scene's frame, metres."""
-
-    waypoint: Tensor
-    """The farthest point of the path in sight (P, 2); where none leads to the goal, the person's position."""
-    next_waypoint: Tensor
-    """The waypoint after that (P, 2): the same where the path ends."""
-    goal_point: Tensor
-    """The goal (P, 2)."""
-    distance: Tensor
-    """Length of the path to the goal (P,): ``inf`` where none leads to it, 0 for people without a goal."""
+_PARTS = 3
+"""How many parts of the path beyond the waypoint are tried: all of it, a half and a quarter."""
 
 
 class Guidance(NamedTuple):
@@ -36,46 +24,113 @@ class Guidance(NamedTuple):
     desired_velocity: Tensor
     """``pref_speed`` towards the next waypoint (P, 2)."""
     waypoint: Tensor
-    """As in `NextWaypoints` (P, 2)."""
+    """The farthest point of the path in sight (P, 2); where none leads to the goal, the person's position."""
     goal_point: Tensor
-    """As in `NextWaypoints` (P, 2)."""
+    """The goal (P, 2)."""
     distance: Tensor
-    """As in `NextWaypoints` (P,)."""
+    """Length of the path to the goal (P,): ``inf`` where none leads to it, 0 for people without a goal."""
 
 
-def segments(home: Tensor, waypoints: WaypointLookup) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the lengths (P,) of the next two segments of people's paths, and where it goes then (2, P)."""
-    way, second = waypoints.waypoint - home, waypoints.after - waypoints.waypoint
-    length, second_length = torch.hypot(*way), torch.hypot(*second)
-    # beyond the goal the path goes on as it came
-    beyond = torch.where(
-        second_length < EPSILON,
-        way / length.clamp_min(EPSILON),
-        second / second_length.clamp_min(EPSILON),
-    )
-    return length, second_length, beyond
+class Waypoints(NamedTuple):
+    """Where the paths of people (*E) lead, in the map's frame; x and y are rows."""
+
+    home: Tensor
+    """Where they are (2, *E)."""
+    waypoint: Tensor
+    """The next waypoint (2, *E)."""
+    after: Tensor
+    """The one after it (2, *E)."""
+    goal: Tensor
+    """The goal (2, *E)."""
+    onward: Tensor
+    """Metres of the path from the next waypoint to the goal (*E), ``inf`` where none leads there."""
+    last: Tensor
+    """Whether the waypoint after the next is the goal (*E) bool."""
 
 
-def heading(
-    points: Tensor, waypoint: Tensor, frame: ScenePose, length: Tensor, beyond: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Return where agents walk (..., 2), unit vectors, and how far it is to their waypoints (...,)."""
+class ScenePose(NamedTuple):
+    """How the scenes of P people lie on their floor plans: `pedzoo.core.geometry` for vectors (2, P).
+
+    On a CPU vectors with x and y as rows are several times faster than (P, 2) where they are turned.
+    """
+
+    cosine: Tensor
+    """Of the scene's rotation (P,)."""
+    sine: Tensor
+    """The same (P,)."""
+    mirror: Tensor
+    """Plus or minus one (P,)."""
+    shift: Tensor
+    """Metres (2, P)."""
+
+    @classmethod
+    def of(cls, pose: Tensor) -> ScenePose:
+        """Return the poses as vectors, of scene poses (P, 4)."""
+        angle, mirror, x, y = pose.float().unbind(1)
+        return cls(angle.cos(), angle.sin(), mirror, torch.stack((x, y)))
+
+    def per_scene(self) -> ScenePose:
+        """Return the poses of B scenes for all of their agents (B, A)."""
+        return ScenePose(*(value.unsqueeze(-1) for value in self))
+
+    def to_map(self, points: Tensor) -> Tensor:
+        """Move scene positions (*E, 2) to where they are on the map (2, *E)."""
+        x, y = points.movedim(-1, 0) - self.shift
+        return torch.stack((self.cosine * x + self.sine * y, (self.cosine * y - self.sine * x) * self.mirror))
+
+    def to_scene(self, points: Tensor) -> Tensor:
+        """Move positions on the map (2, ..., P) into the scene (..., P, 2)."""
+        return self._turn(points, self.shift[0], self.shift[1])
+
+    def turn_to_scene(self, vectors: Tensor) -> Tensor:
+        """Turn directions on the map (2, ..., P) into the scene (..., P, 2)."""
+        return self._turn(vectors, 0.0, 0.0)
+
+    def _turn(self, vectors: Tensor, right: Tensor | float, up: Tensor | float) -> Tensor:
+        x, y = vectors[0], vectors[1] * self.mirror
+        x, y = self.cosine * x - self.sine * y + right, self.sine * x + self.cosine * y + up
+        return torch.view_as_real(torch.complex(x, y))  # ten times faster than `torch.stack` on a CPU
+
+
+def guidance_along(
+    points: Tensor,
+    paths: Waypoints,
+    frame: ScenePose,
+    pref_speed: Tensor,
+    seconds: float,
+    walls: LocalWalls | None,
+    fastest: float,
+) -> Guidance:
+    """Return the carrots and desired velocities of agents (B, A) on their paths: see `Planner.guidance`."""
+    home, waypoint = paths.home, paths.waypoint
+    with torch.no_grad():
+        way, second = waypoint - home, paths.after - waypoint
+        length, second_length = torch.hypot(*way), torch.hypot(*second)
+        # beyond the goal the path goes on as it came
+        beyond = torch.where(
+            second_length < EPSILON,
+            way / length.clamp_min(EPSILON),
+            second / second_length.clamp_min(EPSILON),
+        )
+        ahead = pref_speed * seconds
+        # a second segment that does not end at the goal is as far as the carrot goes
+        rest = (ahead - length).clamp_min(0)
+        rest = torch.where(paths.last, rest, rest.minimum(second_length))
+        if walls is not None:
+            rest = _seen_beyond(walls, home, waypoint, beyond, rest, fastest * seconds)
+        places = torch.stack((waypoint, paths.goal, waypoint + beyond * rest), dim=1)
+        waypoint, point, carrot = frame.to_scene(places)
+        straight = (length >= ahead).unsqueeze(-1)
     way = waypoint - points
     distance = way.norm(dim=-1)
     unit = way / distance.clamp_min(EPSILON)[..., None]
     # on the waypoint the path goes on along the second segment
-    there = length < EPSILON
-    return torch.where(there[..., None], frame.turn_to_scene(beyond), unit), distance
+    unit = torch.where((length < EPSILON)[..., None], frame.turn_to_scene(beyond), unit)
+    goal = torch.where(straight, points + unit * ahead.unsqueeze(-1), carrot)
+    return Guidance(goal, unit * pref_speed.unsqueeze(-1), waypoint, point, distance + paths.onward)
 
 
-_SPACING = 0.3
-"""Metres between the points looked at: with the clearance around each, no wall fits between two of them."""
-
-_PARTS = 3
-"""How many parts of the path beyond the waypoint are tried: all of it, a half and a quarter."""
-
-
-def seen_beyond(
+def _seen_beyond(
     walls: LocalWalls, home: Tensor, waypoint: Tensor, beyond: Tensor, rest: Tensor, farthest: float
 ) -> Tensor:
     """Return how far beyond the waypoint agents see their carrot (*E): ``rest``, a half, a quarter, or not.
@@ -85,14 +140,26 @@ def seen_beyond(
     ``beyond`` (2, *E) is where the path goes from the waypoint. No line is longer than ``farthest``, metres.
     """
     end = waypoint + beyond * rest
-    spacing = _SPACING / torch.hypot(*(end - home)).clamp_min(_SPACING)
+    spacing = SPACING / torch.hypot(*(end - home)).clamp_min(SPACING)
     begin, corner, end = walls.cells(torch.stack((home, waypoint, end), dim=1)).unbind(1)
     # made on the device: a list of numbers would be copied there at every step
     parts = 0.5 ** torch.arange(_PARTS, device=rest.device).view(-1, *[1] * rest.dim())
-    number = torch.arange(1, math.ceil(farthest / _SPACING) + 1, device=rest.device)
+    number = torch.arange(1, math.ceil(farthest / SPACING) + 1, device=rest.device)
     share = (number.view(-1, *[1] * rest.dim()) * spacing).clamp_max(1)
     to = corner.unsqueeze(1) + parts * (end - corner).unsqueeze(1) - begin.unsqueeze(1)
     points = begin[:, None, None] + share.unsqueeze(0).unsqueeze(1) * to.unsqueeze(2)
     least = walls.least_at(points.flatten(1, 2)).unflatten(0, (_PARTS, -1)).amin(1)
-    seen = least >= BODY_RADIUS
-    return rest * (parts * seen).amax(0)
+    return rest * (parts * (least >= BODY_RADIUS)).amax(0)
+
+
+def differentiable(made: Guidance, points: Tensor, pref_speed: Tensor, seconds: float) -> Guidance:
+    """Return the guidance of compiled loops as a function of points and speeds; waypoints are constants."""
+    way = made.waypoint - points
+    length = way.square().sum(-1, keepdim=True).clamp_min(EPSILON**2).sqrt()
+    there = length.detach() <= EPSILON
+    speed, ahead = pref_speed.unsqueeze(-1), pref_speed.unsqueeze(-1) * seconds
+    beyond = made.desired_velocity / speed.detach()
+    unit = torch.where(there, beyond, way / length)
+    carrot = torch.where(length.detach() >= ahead.detach(), points + unit * ahead, made.goal)
+    distance = made.distance + (length - length.detach())[..., 0]
+    return Guidance(carrot, unit * speed, made.waypoint, made.goal_point, distance)

@@ -1,6 +1,14 @@
-"""The global planner: paths through floor plans to people's goals, looked up for all people at once."""
+"""The planner: shortest paths through floor plans to goals, for all agents at once.
 
-from collections.abc import Sequence
+A path bends only at corners of obstacles (`CornerGraph`). A goal costs one search of the corners. The way of
+an agent costs a comparison of all corners, of which only the most promising are looked at. Another way of
+planning is another class with `Planner`'s public methods.
+"""
+
+from __future__ import annotations
+
+import copy
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -9,35 +17,148 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError, installed
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.planning.compiled_guidance import guidance_compiled
-from pedzoo.maps.planning.corners import CornerGraph
-from pedzoo.maps.planning.fields import Fields, build_fields
-from pedzoo.maps.planning.graph import OpenGraph, as_points, format_point
-from pedzoo.maps.planning.guidance import Guidance, NextWaypoints, heading, seen_beyond, segments
-from pedzoo.maps.planning.planar import ScenePose
-from pedzoo.maps.planning.waypoint_table import Goal, WaypointLookup, WaypointTable
+from pedzoo.maps.planning.graph import CornerGraph, OpenGraph, as_points, format_point
+from pedzoo.maps.planning.guidance import Guidance, ScenePose, Waypoints, differentiable, guidance_along
+
+_AT_ONCE = 1_000_000
+"""Distances between agents and corners that are compared together: bounds the memory that it takes."""
+
+NO_PATH, STRAIGHT = -2, -1
+"""Stand for the corner where a path bends first: none leads to the goal, and it is in sight."""
+
+
+class Goal(NamedTuple):
+    """A goal: row of its map, place in the map's frame in metres, and its open cell; -1 without a map."""
+
+    row: int
+    point: tuple[float, float]
+    cell: int
+
+
+class Ways(NamedTuple):
+    """What look-ups read: arrays, or tensors on a device.
+
+    Maps are rows 1 to R, goals rows 1 to G; row 0 is "none" of both. Open cells and corners of all maps are
+    numbered one map after another.
+    """
+
+    to_cell: Any
+    """Affine from a map's frame in metres to cells by rows (6), last column and last row (2), and the squared
+    distance in metres beyond which people go to the nearest open cell first: (9, R + 1) float32."""
+    begin: Any
+    """Columns, first cell, first open cell, cells, first corner, and corners of each map (6, R + 1)."""
+    metre: Any
+    """Metres of a cell (R + 1,)."""
+    nearest: Any
+    """The open cell of its map that is nearest to every cell, int32."""
+    x: Any
+    """Centres of open cells (N,) float32, metres."""
+    y: Any
+    """The same."""
+    place: Any
+    """Columns and rows of open cells (2, N) int32."""
+    leap: Any
+    """Tables of all maps' `Sight`, int16: map r's begins at twice its first cell."""
+    corner: Any
+    """Open cells that are corners (K + 1,); the last one is none."""
+    bend_x: Any
+    """Columns of the corners (K,)."""
+    bend_y: Any
+    """Their rows."""
+    bends: Any
+    """`CornerGraph.bends` (2, K)."""
+    goal: Any
+    """Row of its map, its open cell, what is added to a corner for its place in ``far`` and, on accelerators,
+    to an open cell for that in ``first`` (4, G + 1)."""
+    end: Any
+    """Places of goals (2, G + 1) float32, metres."""
+    far: Any
+    """Metres from corners to goals, infinite where no path leads there."""
+    onward: Any
+    """The next corner on the way there, int32, -1 for the goal itself."""
+    first: Any
+    """Where paths from open cells bend first, int32; only on accelerators."""
+
+    def cell(self, home: Tensor, row: Tensor) -> Tensor:
+        """Return the open cells of positions (2, P) on maps ``row`` (P,), -1 for none."""
+        width, first, opens = self.begin[:3].index_select(1, row + 1)
+        a, b, c, d, e, f, last_column, last_row, _ = self.to_cell.index_select(1, row + 1)
+        x, y = home
+        # half cells belong to the smaller one, as in OpenGraph.locate
+        column = (a * x + b * y + (c - 0.5)).ceil().clamp_min(0).minimum(last_column).long()
+        line = (d * x + e * y + (f - 0.5)).ceil().clamp_min(0).minimum(last_row).long()
+        return self.nearest.index_select(0, line * width + column + first) + opens
+
+    def lookup(self, home: Tensor, goal: Tensor, cell: Tensor, first: Tensor) -> Waypoints:
+        """Return where the paths of people at ``home`` (2, P) in open cells (P,) lead to goals (P,).
+
+        ``first`` is the corner where each path bends first (P,) long, `STRAIGHT` or `NO_PATH`.
+        """
+        number, _, offset, _ = self.goal.index_select(1, goal + 1)
+        bends = first >= 0
+        entry = torch.where(bends, offset + first, 0)
+        second = torch.where(bends, self.onward.index_select(0, entry).long(), -1)
+        onward = torch.where(bends, self.far.index_select(0, entry), 0.0)
+        places = self.corner[torch.stack((first.clamp_min(0), second.clamp_min(0)))]
+        xy = torch.stack((self.x, self.y))
+        end, is_last, near = self.end.index_select(1, goal + 1), second < 0, xy.index_select(1, cell)
+        waypoint, after = xy[:, places].unbind(1)
+        waypoint, after = torch.where(bends, waypoint, end), torch.where(is_last, end, after)
+
+        reach = self.to_cell[8].index_select(0, number)
+        away = ((home - near).square().sum(0) > reach) & (number > 0)
+        onward = torch.where(away, onward + torch.hypot(*(waypoint - near)), onward)
+        is_last, after = torch.where(away, ~bends, is_last), torch.where(away, waypoint, after)
+        waypoint = torch.where(away, near, waypoint)
+        # without a goal or a path to it people stay
+        none = goal < 0
+        stay = none | (first == NO_PATH)
+        onward = torch.where(first == NO_PATH, torch.inf, onward).float()
+        waypoint, after = torch.where(stay, home, waypoint), torch.where(stay, home, after)
+        return Waypoints(home, waypoint, after, torch.where(none, home, end), onward, is_last | stay)
+
+
+class Memory(NamedTuple):
+    """What compiled loops remember: answers that are asked for again, and lengths that bound others."""
+
+    key: NDArray[np.int64]
+    """Numbers of a goal and an open cell (M,)."""
+    corner: NDArray[np.int32]
+    """The first corner on the way from there (M,)."""
+    tile: NDArray[np.int64]
+    """Numbers of a goal and a square of 16 cells (T,)."""
+    cell: NDArray[np.int64]
+    """The open cell there that was asked for last (T,)."""
+    length: NDArray[np.float64]
+    """Metres of the way from it (T,)."""
+    bend: NDArray[np.int64]
+    """The first corner on that (T,)."""
+
+    @classmethod
+    def empty(cls) -> Memory:
+        """Return the memory of a planner that was not asked yet."""
+        key, tile = np.full(1 << 16, -1), np.full(1 << 12, -1)
+        return cls(key, np.zeros(len(key), np.int32), tile, tile.copy(), np.zeros(len(tile)), tile.copy())
 
 
 class Planner:
     """Paths to goals on the floor plans of a bank.
 
-    Goals are registered once (`add_goals`). At first use every goal gets a field of next waypoints over its
-    whole floor plan, so that the path from any place is two look-ups. People outside open cells (pushed
-    towards a wall, or outside the map) take the path of the nearest open cell. They go to that cell's centre
-    first when it is farther away than the clearance.
+    Goals are registered once (`add_goals`). People outside open cells (pushed towards a wall, or outside the
+    map) take the path of the nearest open cell. They go to that cell's centre first when it is farther away
+    than the clearance. Memory grows with goals times corners. Devices other than the CPU also get the first
+    corner of every cell before the first step, because nothing is read back there.
 
     Attributes:
         bank: The floor plans.
         clearance: Metres that paths keep from walls, at the centres of the cells they lead through.
         snap: Metres that a goal may be moved to the nearest open cell.
         cell: Metres to which finer cells are joined for the search.
-        share: Side of squares, metres, in which all goals have the paths to one of them.
+        origin: Of the maps' frame in the caller's (2,), metres: messages name places in the caller's.
         compiled: Whether compiled loops are used on the CPU.
     """
 
     compiled = True
-    origin: ArrayLike = 0.0
-    """Of the maps' frame in the caller's (2,), metres: messages name places in the caller's."""
 
     def __init__(
         self,
@@ -45,33 +166,37 @@ class Planner:
         clearance: float = 0.25,
         snap: float = 0.5,
         cell: float = 0.0,
-        share: float = 0.0,
+        origin: ArrayLike = 0.0,
     ) -> None:
         """Take the floor plans; nothing is computed before the first goal.
-
-        Fields of hundreds of goals take minutes on 0.05 m cells. ``cell`` and ``share`` make them coarser:
-        people still walk to the goal itself once it is in sight.
 
         Raises:
             UserError: A length is negative.
         """
-        if not min(clearance, snap, cell, share) >= 0:
+        if not min(clearance, snap, cell) >= 0:
             raise UserError(
-                f"planner clearance {clearance}, snap {snap}, cell {cell}, share {share} must be metres, at "
-                "least 0"
+                f"planner clearance {clearance}, snap {snap}, cell {cell} must be metres, at least 0"
             )
-        self.bank = bank
-        self.clearance = clearance
-        self.snap, self.cell, self.share = snap, cell, share
-        self._graphs: dict[int, OpenGraph] = {}
+        self.bank, self.clearance, self.snap, self.cell, self.origin = bank, clearance, snap, cell, origin
         self._corners: dict[int, CornerGraph] = {}
+        self._rows: set[int] = set()  # maps that look-ups know
+        self._maps: Ways | None = None
+        self._forget_goals()
+
+    def _forget_goals(self) -> None:
         self._ids: dict[tuple[int, float, float], int] = {}
         self._goals: list[Goal] = []
-        self._rows: set[int] = set()  # maps that the table has
-        self._with_fields = 0  # goals that it has
-        self._table: WaypointTable | None = None
-        # for each device the table on the CPU and its copy
-        self._copies: dict[torch.device, tuple[WaypointTable, WaypointTable]] = {}
+        self._searched: list[tuple[NDArray[np.float64], NDArray[np.int32]]] = []
+        self._ways: Ways | None = None
+        self._memory = Memory.empty()
+        # for each device the arrays and their copy there
+        self._copies: dict[torch.device, tuple[Ways, Ways]] = {}
+
+    def without_goals(self) -> Planner:
+        """Return a planner of the same floor plans without goals."""
+        result = copy.copy(self)
+        result._forget_goals()
+        return result
 
     @property
     def goals(self) -> int:
@@ -80,16 +205,13 @@ class Planner:
 
     def graph(self, row: int) -> OpenGraph:
         """Return the open cells of the bank's map ``row``."""
-        if row not in self._graphs:
-            self._graphs[row] = OpenGraph(
-                self.bank.grids[row].coarser(self.cell), self.bank.unknown, self.clearance
-            )
-        return self._graphs[row]
+        return self.corners(row).graph
 
     def corners(self, row: int) -> CornerGraph:
-        """Return the graph that `path` searches on the bank's map ``row``."""
+        """Return the corners of the bank's map ``row``."""
         if row not in self._corners:
-            self._corners[row] = CornerGraph(self.graph(row))
+            grid = self.bank.grids[row].coarser(self.cell)
+            self._corners[row] = CornerGraph(OpenGraph(grid, self.bank.unknown, self.clearance))
         return self._corners[row]
 
     def add_goals(self, row: int, points: ArrayLike | Tensor) -> Tensor:
@@ -102,10 +224,10 @@ class Planner:
             UserError: A goal is not finite, in or too near a wall, or outside the map.
         """
         places = as_points(points)
-        ids = []
         cells = [-1] * len(places)
         if row >= 0 and len(places):
             cells, places = self.graph(row).settle(places, self.snap, "goal", self.origin)
+        ids = []
         for (x, y), cell in zip(places.tolist(), cells, strict=True):
             key = (row, x, y)
             if key not in self._ids:
@@ -114,51 +236,135 @@ class Planner:
             ids.append(self._ids[key])
         return torch.tensor(ids, dtype=torch.long)
 
-    def prepare(self) -> WaypointTable:
-        """Build the fields of all goals that have none yet, and return them; look-ups do so, too.
+    def prepare(self) -> Ways:
+        """Search the ways to all goals that have none yet, and return all; look-ups do so, too."""
+        from tqdm import tqdm
 
-        Add all known goals before the first look-up: building them together is faster, and each build
-        copies the table.
+        if self._ways is not None and len(self._searched) == len(self._goals):
+            return self._ways
+        rows = {goal.row for goal in self._goals} - {-1}
+        if self._maps is None or not rows <= self._rows:
+            self._rows = self._rows | rows
+            self._maps, self._memory = self._of_maps(), Memory.empty()
+        fresh = self._goals[len(self._searched) :]
+        for goal in tqdm(fresh, "ways to goals", delay=2.0, leave=False, disable=None):
+            if goal.row < 0:
+                self._searched.append((np.empty(0), np.empty(0, np.int32)))
+                continue
+            corners = self.corners(goal.row)
+            place = corners.graph.to_place(np.array([goal.point]))[0]
+            self._searched.append(corners.search(goal.cell, place))
+        number = np.array([goal.row + 1 for goal in self._goals], dtype=np.int64)
+        cells = np.array([max(goal.cell, 0) for goal in self._goals], dtype=np.int64)
+        begin = self._maps.begin[:, number]
+        first = np.cumsum([1, *(len(far) for far, _ in self._searched)])[:-1]  # entry 0 is of no corner
+        goals = np.stack((number, cells + begin[2], first - begin[4], np.zeros_like(cells)))
+        ends = np.array([(0.0, 0.0), *(goal.point for goal in self._goals)], dtype=np.float32)
+        onward = [
+            np.where(corner < 0, -1, corner + start).astype(np.int32)
+            for (_, corner), start in zip(self._searched, begin[4], strict=True)
+        ]
+        ways = self._maps._replace(
+            goal=np.concatenate((np.zeros((4, 1), np.int64), goals), axis=1),
+            end=ends.T,
+            far=np.concatenate([[np.inf], *(far for far, _ in self._searched)]),
+            onward=np.concatenate([np.full(1, -1, np.int32), *onward]),
+        )
+        # compiled loops are compiled again for arrays with gaps
+        self._ways = Ways(*(np.ascontiguousarray(part) for part in ways))
+        return self._ways
+
+    def _of_maps(self) -> Ways:
+        """Return what look-ups read of the maps that have goals; others are like no map, a single cell."""
+        nowhere, cells, opens, count = (np.zeros(9), (1, 0, 0, 1, 0, 0), 1.0), 1, 1, 0
+        sizes = (((1,), "i4"), ((1, 2), "f8"), ((1, 2), "i4"), ((2,), "i2"), ((0,), "i8"), ((0, 2), "?"))
+        columns, arrays = [nowhere], [tuple(np.zeros(size, kind) for size, kind in sizes)]
+        for row in range(len(self.bank.grids)):
+            if row not in self._rows:
+                columns.append(nowhere)
+                continue
+            graph, own = self.graph(row), self.corners(row)
+            reach = max(self.clearance, 1.5 * graph.grid.resolution) ** 2
+            to_cell = [*graph.grid.map_to_cell().ravel(), graph.shape[1] - 1, graph.shape[0] - 1, reach]
+            begin = graph.shape[1], cells, opens, graph.open.size, count, len(own.cells)
+            columns.append((np.array(to_cell), begin, graph.grid.resolution))
+            at = own.cells.astype(np.int64) + opens
+            arrays.append((graph.nearest, graph.xy, graph.place, graph.sight.leap, at, own.bends.T))
+            cells, opens, count = cells + graph.open.size, opens + len(graph), count + len(own.cells)
+        to_cell, begin, metre = (np.stack(part, axis=-1) for part in zip(*columns, strict=True))
+        nearest, xy, place, leap, corner, bends = (np.concatenate(part) for part in zip(*arrays, strict=True))
+        (x, y), (bend_x, bend_y) = xy.T.astype(np.float32), place[corner].T.astype(np.float64)
+        none = np.zeros(1, np.int64)
+        return Ways(
+            to_cell=to_cell.astype(np.float32),
+            begin=begin,
+            metre=metre,
+            nearest=nearest,
+            x=x,
+            y=y,
+            place=place.T,
+            leap=leap,
+            corner=np.append(corner, none),
+            bend_x=bend_x,
+            bend_y=bend_y,
+            bends=bends.T,
+            goal=none,
+            end=none,
+            far=none,
+            onward=none,
+            first=np.zeros(1, np.int32),
+        )
+
+    def _first(self, cells: NDArray[np.int64], goals: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the corners where paths from open cells (P,) to goals (P,) on their maps bend first."""
+        ways, found = self.prepare(), np.full(len(cells), NO_PATH)
+        if self.compiled and installed("numba"):
+            from pedzoo.maps.planning.planner_numba import first_corners
+
+            first_corners(ways, self._memory, cells, goals, found)
+            return found
+        number, end, offset, _ = ways.goal[:, goals + 1]
+        for row in sorted(self._rows):
+            corners, (opens, start) = self.corners(row), ways.begin[[2, 4], row + 1]
+            mine = np.flatnonzero(number == row + 1)
+            place = corners.graph.place
+            seen = corners.graph.sight.clear(place[cells[mine] - opens], place[end[mine] - opens])
+            found[mine[seen]] = STRAIGHT
+            own = start + np.arange(len(corners.cells))
+            per = max(1, _AT_ONCE // max(len(own), 1))
+            for some in np.split(mine[~seen], range(per, np.sum(~seen), per)):
+                first = corners.first(place[cells[some] - opens], ways.far[offset[some, None] + own])
+                found[some] = np.where(first < 0, NO_PATH, first + start)
+        return found
+
+    def _on(self, device: torch.device) -> Ways:
+        """Return all ways on a device, on an accelerator with the first corners of all cells."""
+        ways = self.prepare()
+        if device in self._copies and self._copies[device][0] is ways:
+            return self._copies[device][1]
+        everything = ways
+        if device.type != "cpu":
+            firsts, goal, used = [ways.first], ways.goal.copy(), 1
+            for number, row in enumerate(goal.row for goal in self._goals):
+                if row >= 0:
+                    opens, count = int(ways.begin[2, row + 1]), len(self.graph(row))
+                    firsts.append(self._first(opens + np.arange(count), np.full(count, number)))
+                    goal[3, number + 1] = used - opens
+                    used += count
+            everything = ways._replace(first=np.concatenate(firsts).astype(np.int32), goal=goal)
+        self._copies[device] = ways, Ways(*(torch.from_numpy(part).to(device) for part in everything))
+        return self._copies[device][1]
+
+    def map_rows(self, map_id: Tensor) -> Tensor:
+        """Return the rows (N,) long of floor plans ``map_id`` (N,) in the bank; -1 stays -1.
+
+        Raises:
+            UserError: One is not in the bank.
         """
-        table, done = self._table, self._with_fields
-        if table is not None and done == len(self._goals):
-            return table
-        fresh = self._goals[done:]
-        rows = {goal.row for goal in fresh}
-        if table is None or not rows <= self._rows:
-            self._rows |= rows
-            maps = [self.graph(r) if r in self._rows else None for r in range(len(self.bank.grids))]
-            table = (
-                table.with_maps(maps, self.clearance) if table else WaypointTable.build(maps, self.clearance)
-            )
-        if fresh:
-            table = table.with_goals(fresh, *self._build(fresh))
-        self._table, self._with_fields = table, len(self._goals)
-        return table
+        return self.bank.to(map_id.device).index(map_id)
 
-    def _build(self, goals: Sequence[Goal]) -> tuple[list[Fields], list[int]]:
-        """Return fields, and which of them each goal has; all of a map are built together."""
-        fields = [Fields(torch.zeros(1, 0, dtype=torch.int32), torch.zeros(1, 0))]
-        which = [0] * len(goals)
-        for row in {goal.row for goal in goals} - {-1}:
-            mine = [i for i, goal in enumerate(goals) if goal.row == row]
-            graph = self.graph(row)
-            points = np.array([goals[i].point for i in mine])
-            cells = np.array([goals[i].cell for i in mine])
-            first, of = np.arange(len(mine)), np.arange(len(mine))
-            if self.share:
-                squares = np.column_stack((points // self.share, graph.component[cells]))
-                _, first, of = np.unique(squares, axis=0, return_index=True, return_inverse=True)
-            built = build_fields(graph, cells[first], graph.to_place(points[first]))
-            for i, field in zip(mine, of.ravel().tolist(), strict=True):
-                which[i] = len(fields) + field
-            fields += [Fields(built.waypoint[k : k + 1], built.length[k : k + 1]) for k in range(len(first))]
-        return fields, which
-
-    def next_waypoints(self, points: Tensor, goal_id: Tensor, map_id: Tensor, pose: Tensor) -> NextWaypoints:
-        """Return people's next waypoints and how far their goals are.
-
-        Waypoints are constants to autograd; the distance is differentiable with respect to ``points``.
+    def next_waypoints(self, points: Tensor, goal_id: Tensor, map_id: Tensor, pose: Tensor) -> Guidance:
+        """Return the guidance (P, ...) of people of whom each is in a scene of their own, at 1 m/s.
 
         Args:
             points: Scene positions (P, 2), metres.
@@ -170,49 +376,34 @@ class Planner:
             UserError: A goal is of another map than the person.
         """
         row = self.map_rows(map_id)
-        self._on(points.device).check(goal_id, row)
-        self._visit(points, goal_id, pose)
-        frame = ScenePose.of(pose)
-        _, waypoints = self._find(points, goal_id, row, frame)
-        with torch.no_grad():
-            places = torch.stack((waypoints.waypoint, waypoints.after, waypoints.goal), dim=1)
-            waypoint, after, goal = frame.to_scene(places)
-        distance = (waypoint - points).norm(dim=1) + waypoints.onward
-        return NextWaypoints(waypoint, after, goal, distance)
-
-    def map_rows(self, map_id: Tensor) -> Tensor:
-        """Return the rows (N,) long of floor plans ``map_id`` (N,) in the bank; -1 stays -1.
-
-        Raises:
-            UserError: One is not in the bank.
-        """
-        return self.bank.to(map_id.device).index(map_id)
-
-    def _on(self, device: torch.device) -> WaypointTable:
-        """Return the table of all goals, on a device."""
-        table = self.prepare()
-        if table.waypoint.device == device:
-            return table
-        if self._copies.get(device, (None,))[0] is not table:
-            self._copies[device] = table, table.to(device)
-        return self._copies[device][1]
+        of_map = torch.tensor([-1, *(goal.row for goal in self._goals)]).to(row.device)[goal_id + 1]
+        wrong = (of_map != row) & (goal_id >= 0)
+        if wrong.any():
+            i = int(wrong.nonzero()[0, 0])
+            raise UserError(
+                f"goal {int(goal_id[i])} was added for row {int(of_map[i])} of the bank, but person {i} "
+                f"is on row {int(row[i])} (-1: no map)"
+            )
+        people = points.unsqueeze(1), goal_id.unsqueeze(1), row, pose, torch.ones_like(points[:, :1])
+        return Guidance(*(part.squeeze(1) for part in self.guidance(*people, 1.0, 1.0)))
 
     @torch.no_grad()
-    def _find(
-        self, points: Tensor, goal: Tensor, row: Tensor, frame: ScenePose
-    ) -> tuple[Tensor, WaypointLookup]:
-        """Return agents' positions on the map (2, *E) and where they go, for points (*E, 2)."""
+    def _paths(self, points: Tensor, goal: Tensor, row: Tensor, frame: ScenePose) -> Waypoints:
+        """Return where agents at points (*E, 2) with goals (*E) on maps ``row`` (*E) go, (2, *E)."""
         home = frame.to_map(points.detach().float())
-        waypoints = self._on(points.device).lookup(home.flatten(1), goal.flatten(), row.flatten())
-        waypoints = WaypointLookup(*(part.view(*part.shape[:-1], *goal.shape) for part in waypoints))
-        none = goal < 0
-        stay = none | waypoints.onward.isinf()
-        return home, waypoints._replace(
-            waypoint=torch.where(stay, home, waypoints.waypoint),
-            after=torch.where(stay, home, waypoints.after),
-            goal=torch.where(none, home, waypoints.goal),
-            last=waypoints.last | stay,
-        )
+        there, goals, rows = home.flatten(1), goal.flatten(), row.flatten()
+        ways = self._on(points.device)
+        cell = ways.cell(there, rows)
+        number, _, _, offset = ways.goal.index_select(1, goals + 1)
+        walks = (number > 0) & (number == rows + 1)
+        first = torch.where((number > 0) & ~walks, NO_PATH, STRAIGHT)
+        if points.device.type == "cpu":
+            first[walks] = torch.from_numpy(self._first(cell[walks].numpy(), goals[walks].numpy()))
+        else:
+            known = ways.first.index_select(0, torch.where(walks, offset + cell, 0)).long()
+            first = torch.where(walks, known, first)
+        paths = ways.lookup(there, goals, cell, first)
+        return Waypoints(*(part.view(*part.shape[:-1], *goal.shape) for part in paths))
 
     def guidance(
         self,
@@ -231,8 +422,9 @@ class Planner:
         beyond the next waypoint is moved back until the line to it keeps a body's radius from walls. A half
         of what is beyond is kept, a quarter, or nothing. Agents without a goal, or a path to it, stay.
 
-        Nothing is read back to the host. On the CPU compiled loops answer. Carrots, velocities and distances
-        are differentiable with respect to points and speeds; waypoints are constants.
+        On accelerators nothing is read back to the host. On the CPU compiled loops answer. Carrots,
+        velocities and distances are differentiable with respect to points and speeds; waypoints are
+        constants.
 
         Args:
             points: Scene positions (B, A, 2), metres.
@@ -243,35 +435,27 @@ class Planner:
             look_ahead_seconds: How far ahead the carrot is.
             fastest: No ``pref_speed`` is above it, m/s.
         """
-        self._visit(points, goal_id, pose)
-        if self.compiled and points.device.type == "cpu" and installed("numba"):
-            table = self._on(points.device)
-            return guidance_compiled(
-                self.bank, table, points, goal_id, row, pose, pref_speed, look_ahead_seconds
-            )
-        frame = ScenePose.of(pose).per_scene()
-        home, waypoints = self._find(points, goal_id, row.unsqueeze(1).expand(goal_id.shape), frame)
-        with torch.no_grad():
-            ahead = pref_speed * look_ahead_seconds
-            length, second_length, beyond = segments(home, waypoints)
-            # a second segment that does not end at the goal is as far as the carrot goes
-            rest = (ahead - length).clamp_min(0)
-            rest = torch.where(waypoints.last, rest, rest.minimum(second_length))
-            if self.bank.grids:
-                walls = self.bank.to(row.device).walls_on_map(row).per_scene()
-                farthest = fastest * look_ahead_seconds
-                rest = seen_beyond(walls, home, waypoints.waypoint, beyond, rest, farthest)
-            places = torch.stack(
-                (waypoints.waypoint, waypoints.goal, waypoints.waypoint + beyond * rest), dim=1
-            )
-            waypoint, point, carrot = frame.to_scene(places)
-            straight = (length >= ahead).unsqueeze(-1)
-        unit, distance = heading(points, waypoint, frame, length, beyond)
-        goal = torch.where(straight, points + unit * ahead.unsqueeze(-1), carrot)
-        return Guidance(goal, unit * pref_speed.unsqueeze(-1), waypoint, point, distance + waypoints.onward)
+        if not (self.compiled and points.device.type == "cpu" and installed("numba")):
+            frame = ScenePose.of(pose).per_scene()
+            paths = self._paths(points, goal_id, row.unsqueeze(1).expand(goal_id.shape), frame)
+            walls = self.bank.to(row.device).walls_on_map(row).per_scene() if self.bank.grids else None
+            return guidance_along(points, paths, frame, pref_speed, look_ahead_seconds, walls, fastest)
+        from pedzoo.maps.planning.planner_numba import guide
 
-    def _visit(self, points: Tensor, goal_id: Tensor, pose: Tensor) -> None:
-        """Take note of where agents with goals ask for their ways: fields have all cells already."""
+        given = (points.float(), goal_id, row, pose.float(), pref_speed.float())
+        carrot, desired, waypoint, goal = (torch.empty(*goal_id.shape, 2) for _ in range(4))
+        made = Guidance(carrot, desired, waypoint, goal, torch.empty(goal_id.shape))
+        guide(
+            *(part.detach().contiguous().numpy() for part in given),
+            look_ahead_seconds,
+            self.prepare(),
+            self._memory,
+            self.bank.walls.map_arrays,
+            Guidance(*(part.numpy() for part in made)),
+        )
+        if torch.is_grad_enabled() and (points.requires_grad or pref_speed.requires_grad):
+            return differentiable(made, points, pref_speed, look_ahead_seconds)
+        return made
 
     def path(self, start: ArrayLike | Tensor, goal: ArrayLike | Tensor, row: int) -> NDArray[np.float64]:
         """Return the waypoints (W, 2) of a shortest path in the map's frame: the goal is the last.
@@ -293,5 +477,5 @@ class Planner:
                 f"{graph.grid.name!r}: they are in rooms without a door between "
                 f"that leaves clearance {self.clearance} m"
             )
-        bends = self.corners(row).way(first, last, *graph.to_place(moved))
+        bends = self.corners(row).path(first, last, graph.to_place(moved)[1])
         return np.concatenate((graph.xy[bends], moved[1:]))

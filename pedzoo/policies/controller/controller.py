@@ -22,7 +22,7 @@ from pedzoo.core.types import AHEAD_SECONDS, OBS_LEN, STEP_SECONDS, TOP_SPEED_RA
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.planning.guidance import Guidance
-from pedzoo.maps.planning.online import OnlinePlanner
+from pedzoo.maps.planning.planner import Planner
 from pedzoo.maps.plans import load_plan
 from pedzoo.policies.controller.arguments import (
     PREF_SPEED,
@@ -129,7 +129,10 @@ class Controller:
         bank = MapBank([] if grid is None else [grid], unknown)
         self.policy, self.dt = policy, clock.dt
         self.pref_speed, self.deterministic = pref_speed, deterministic
-        self._online_goals = OnlineGoals(OnlinePlanner(bank, clearance, origin), origin, set())
+        planner = Planner(bank, clearance, origin=origin)
+        if bank.grids:  # at the first step they would come too late
+            _ = planner.corners(0).matrix, bank.walls
+        self._online_goals = OnlineGoals(planner, origin, set())
         self._warned = False
         # with one call per decision there is nothing to blend
         blends = policy.decision_dt > 1.5 * clock.dt

@@ -19,7 +19,7 @@ from pedzoo.core.geometry import heading_of, identity_pose, passes_goal
 from pedzoo.core.types import AHEAD_SECONDS, BODY_RADIUS
 from pedzoo.maps.planning.graph import format_point
 from pedzoo.maps.planning.guidance import Guidance
-from pedzoo.maps.planning.online import OnlinePlanner
+from pedzoo.maps.planning.planner import Planner
 from pedzoo.policies.controller.arguments import (
     JUMP,
     OTHER_RADIUS,
@@ -225,7 +225,7 @@ class OnlineGoals(NamedTuple):
         said: Goals that the planner has moved and that were warned of.
     """
 
-    planner: OnlinePlanner
+    planner: Planner
     origin: NDArray[np.float64]
     said: set[tuple[float, ...]]
 
@@ -273,7 +273,7 @@ class OnlineGoals(NamedTuple):
         people = people._replace(goal_since=people.goal_since.masked_fill(fresh, now))
         planner, added = self.planner, fresh
         if planner.goals > max(_KEPT, 4 * len(fresh)):
-            # the table of a goal is as large as the floor plan, and new goals keep coming
+            # each keeps the distances of all corners, and new goals keep coming
             planner, added = planner.without_goals(), has_goal
         online_goals, goal_id = self._replace(planner=planner), goal_id.clone()
         goal_id[added] = online_goals._added(people, asked, added)

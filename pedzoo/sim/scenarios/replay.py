@@ -35,8 +35,8 @@ from pedzoo.sim.state import TRACE_PER_STEP, State
 
 Simulated = Literal["all", "one", "around"]
 
-CELL, SHARE = 0.1, 0.2
-"""Metres: cells on which ways are planned, and squares in which exits share them; see `Planner`."""
+CELL = 0.1
+"""Metres: cells on which ways are planned."""
 
 _AT_ONCE = 64
 """Scenes: as many of the recorded crowd as are walked together."""
@@ -135,7 +135,7 @@ class Replay(Scenario):
         # steps of 0.4 s from 0 on; a track with a hole goes on as another person's
         tracks = [scene.tracks.resampled(STEP_SECONDS) for scene in recorded]
         bank = MapBank([scene.grid for scene in recorded if scene.grid is not None], self.unknown)
-        planner = Planner(bank, clearance, cell=CELL, share=SHARE)
+        planner = Planner(bank, clearance, cell=CELL)
         map_id = torch.tensor([scene.grid.map_id if scene.grid else -1 for scene in recorded])
         settings = {"share": self.share, "speed": self.speed_of, "stops": self.stops}
         people, xy = people_of(tracks, bank.index(map_id).tolist(), planner, **settings)

@@ -15,7 +15,7 @@ from pedzoo.maps.planning.planner import Planner
 from pedzoo.models.base import Forecaster
 from pedzoo.policies.walker import Walker
 from pedzoo.sim.make import CLEARANCE
-from pedzoo.sim.scenarios.replay import CELL, SHARE
+from pedzoo.sim.scenarios.replay import CELL
 from pedzoo.train.closed_loop.courses import Course, CourseSampler
 from pedzoo.train.closed_loop.loop_losses import LoopLosses
 from pedzoo.train.closed_loop.segments import unrolled
@@ -122,7 +122,7 @@ class CrowdModule(ForecastModule):
         data: Any = getattr(self.trainer, "datamodule", None)
         if stage != "fit" or data is None:
             return
-        planner = self._planner = Planner(data.bank, CLEARANCE, cell=CELL, share=SHARE)
+        planner = self._planner = Planner(data.bank, CLEARANCE, cell=CELL)
         crowds = [RecordedCrowd.of(tracks, map_id, planner) for tracks, map_id in data.crowds("train")]
         self._crowds = [crowd for crowd in crowds if int(crowd.walks.sum()) >= _FEWEST]
         self._shares = torch.tensor([float(crowd.walks.sum()) ** 0.5 for crowd in self._crowds])
