@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 from weakref import WeakValueDictionary
@@ -66,23 +66,19 @@ class Atlas:
 
         scale = 2 / (whole - 1)  # grid_sample with align_corners: -1 and 1 are the outermost pixels' centres
 
-        def tensor(values: NDArray[np.float64]) -> Tensor:
-            return torch.as_tensor(values, dtype=torch.float32, device=nowhere.device)
-
-        return cls(
-            image=atlas,
-            linear=tensor(affines[:, :, :2] * scale[:, None]),
-            shift=tensor((affines[:, :, 2] + first) * scale - 1),
-            low=tensor(first * scale - 1),
-            high=tensor((first + sizes - 1) * scale - 1),
+        parts = (
+            affines[:, :, :2] * scale[:, None],
+            (affines[:, :, 2] + first) * scale - 1,
+            first * scale - 1,
+            (first + sizes - 1) * scale - 1,
         )
+        return cls(atlas, *(torch.from_numpy(part).to(atlas.device, torch.float32) for part in parts))
 
     def to(self, device: torch.device | str) -> Atlas:
         """Return the atlas on a device: itself where it is there already."""
         if self.image.device == torch.device(device):
             return self
-        parts = (self.image, self.linear, self.shift, self.low, self.high)
-        return Atlas(*(part.to(device) for part in parts))
+        return Atlas(*(getattr(self, part.name).to(device) for part in fields(self)))
 
     def sample(self, points: Tensor, row: Tensor, pose: Tensor) -> Tensor:
         """Return the images' values (N, ..., C) at scene positions, bilinear between pixel centres.
@@ -303,17 +299,10 @@ _ALIVE: WeakValueDictionary[tuple[Any, ...], MapBank] = WeakValueDictionary()
 """The banks of this process by their content, one of equal ones."""
 
 
-def _restored(
-    content: tuple[Any, ...],
-    grids: Sequence[OccupancyGrid],
-    ids: dict[str, int],
-    unknown: Unknown,
-    max_distance: float,
-) -> MapBank:
+def _restored(content: tuple[Any, ...], grids: Any, ids: dict[str, int], *settings: Any) -> MapBank:
     """Return the bank of this process with such content, made where there is none."""
-    bank = _ALIVE.get(content)
-    if bank is None:
-        bank = MapBank(grids, unknown, max_distance)
+    if (bank := _ALIVE.get(content)) is None:
+        bank = MapBank(grids, *settings)
         bank._ids = ids  # a floor plan may have two names
     return bank
 

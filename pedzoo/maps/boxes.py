@@ -82,13 +82,15 @@ class NearestBoxes(NamedTuple):
 
 def nearest_boxes(walls: NDArray[np.bool_]) -> NearestBoxes:
     """Return the boxes of walls and free space, and which can be the nearest of the other kind where."""
-    parts, choices, sets = [], np.zeros([2 * size for size in walls.shape], dtype=np.int64), []
-    mixed_places, signs, least = [], [], np.empty(choices.shape, dtype=np.float32)
-    count = 0
+    choices = np.zeros([2 * size for size in walls.shape], dtype=np.int64)
+    least, count = np.empty(choices.shape, dtype=np.float32), 0
+    parts, sets, mixed_places, signs = [], [], [], []
     for sign, side in ((1, walls), (-1, ~walls)):
         box = merge_cells(side)
         label, gap = _nearest_box(box, side.shape)
-        corners = (label[:-1, :-1], label[:-1, 1:], label[1:, :-1], label[1:, 1:])
+        corners, gaps = (
+            [each[:-1, :-1], each[:-1, 1:], each[1:, :-1], each[1:, 1:]] for each in (label, gap)
+        )
         mine = np.repeat(np.repeat(~side, 2, axis=0), 2, axis=1)
         mixed = mine & np.any([corner != corners[0] for corner in corners[1:]], axis=0)
         choices[mine] = corners[0][mine] + count
@@ -101,7 +103,10 @@ def nearest_boxes(walls: NDArray[np.bool_]) -> NearestBoxes:
             sets.append(_unbeaten(near, box, row, column) + count)
         parts.append(box if len(box) else np.full((1, 4), FAR))
         signs.append(np.full(len(parts[-1]), float(sign)))
-        least[mine] = _least(gap, sign)[mine]
+        # distances are least at a corner; inside walls a place is at most half a quarter's diagonal deeper
+        deeper = np.float32(math.sqrt(0.125))
+        bound = np.min(gaps, axis=0) if sign > 0 else -np.max(gaps, axis=0) - deeper
+        least[mine] = bound[mine]
         count += len(parts[-1])
     row, column = (np.concatenate(axis) for axis in zip(*mixed_places, strict=True))
     choices[row, column] = count + np.arange(len(row))
@@ -130,16 +135,6 @@ def _nearest_box(
     y = (row - np.arange(size[0], dtype=np.int32)[:, None]).astype(np.float32)
     x = (column - np.arange(size[1], dtype=np.int32)).astype(np.float32)
     return label[row, column], np.hypot(x, y, out=x) / 2  # a box's nearest point is a corner of a quarter
-
-
-def _least(gap: NDArray[np.float32], sign: int) -> NDArray[np.float32]:
-    """Return the least signed distance in each quarter of those at its corners.
-
-    Distances to boxes are least at a corner. Depths inside walls are not: a place is at
-    most half a quarter's diagonal deeper than its deepest corner.
-    """
-    corners = np.stack((gap[:-1, :-1], gap[:-1, 1:], gap[1:, :-1], gap[1:, 1:]))
-    return corners.min(0) if sign > 0 else -corners.max(0) - np.float32(math.sqrt(0.125))
 
 
 def _unbeaten(

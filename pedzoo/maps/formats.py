@@ -353,7 +353,11 @@ def seen_from_above(
         for right in _SAMPLES:
             x = low[0] + (np.arange(columns)[None] + right) * resolution
             y = high[1] - (np.arange(rows)[:, None] + down) * resolution
-            row, column, inside = _pixels(to_pixel, x, y, solid.shape)
+            u, v, scale = (row[0] * x + row[1] * y + row[2] for row in to_pixel)
+            with np.errstate(divide="ignore", invalid="ignore"):  # on the horizon
+                column, row = np.round(u / scale), np.round(v / scale)
+            inside = (row >= 0) & (row < solid.shape[0]) & (column >= 0) & (column < solid.shape[1])
+            row, column = (np.where(inside, place, 0).astype(np.int64) for place in (row, column))
             votes += inside & solid[row, column]
             walls |= inside & thin[row, column]
             seen |= inside
@@ -371,17 +375,3 @@ def _adjugate(homography: NDArray[np.float64], name: str) -> NDArray[np.float64]
     if not np.isfinite(inverse).all() or not (first * inverse[:, 0]).sum():
         raise UserError(f"map {name!r}: the homography {homography.tolist()} cannot be inverted")
     return inverse
-
-
-def _pixels(
-    to_pixel: NDArray[np.float64], x: NDArray[np.floating], y: NDArray[np.floating], size: tuple[int, ...]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
-    """Return row and column of the pixels nearest to ground points, and which of them are in the image.
-
-    Points outside of it get pixel (0, 0).
-    """
-    u, v, scale = (row[0] * x + row[1] * y + row[2] for row in to_pixel)
-    with np.errstate(divide="ignore", invalid="ignore"):  # on the horizon
-        column, row = np.round(u / scale), np.round(v / scale)
-    inside = (row >= 0) & (row < size[0]) & (column >= 0) & (column < size[1])
-    return np.where(inside, row, 0).astype(np.int64), np.where(inside, column, 0).astype(np.int64), inside

@@ -139,7 +139,7 @@ class Segments(NamedTuple):
         return Segments(*(part[..., :most, :] for part in self))
 
 
-NOWHERE = np.array([[0.0, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 1, 1]])
+NOWHERE = np.array([[0.0, 0, 1, 0, 1, -1, 0, -1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1]])
 """Stands for no segment; it could be one, so that sums with it stay finite."""
 
 _NUMBER = (1 << 31) - 1
@@ -225,14 +225,14 @@ class SegmentTable:
 
     @classmethod
     def build(cls, maps: Sequence[Floats], reach: float, most: int | None) -> SegmentTable:
-        """Return the table of the segments (S, 13) of each map; see `edges` and `Walls.segments`."""
+        """Return the table of the segments (S, 18) of each map; see `edges` and `Walls.segments`."""
         from pedzoo.maps.walls_numba import bucket_lists
 
-        segments = _seen_from_themselves(np.concatenate([*maps, NOWHERE]))
+        segments = np.concatenate([*maps, NOWHERE]).T.copy()
         lists, counts, lows, sizes, before = [np.zeros(0, np.int32)], [np.zeros(0, np.int64)], [], [], 0
         for own in maps:
-            low = own[:, :2].min(0, initial=math.inf) - reach if len(own) else np.zeros(2)
-            high = own[:, :2].max(0, initial=-math.inf) + reach if len(own) else np.zeros(2)
+            low = own[:, :2].min(0) - reach if len(own) else np.zeros(2)
+            high = own[:, :2].max(0) + reach if len(own) else np.zeros(2)
             size = np.ceil((high - low) / BUCKET).astype(np.int64)
             mine = segments[:, before : before + len(own)]
             numbers, count = bucket_lists(mine, low, size, reach, -1 if most is None else most)
@@ -311,27 +311,17 @@ class SegmentTable:
 
 
 def edges(polygon: Floats) -> Floats:
-    """Return the segments (V, 13) of an outline (V, 2) as `SegmentTable.build` takes them.
-
-    Of each: start, end and unit direction; directions of the segments before and after. Then whether the
-    corners at start and end are convex, and the length of the segment before.
-    """
+    """Return the segments (V, 18) of an outline (V, 2), with the columns of `SegmentTable.segments`."""
     end = np.roll(polygon, -1, axis=0)
     length = np.linalg.norm(end - polygon, axis=1)
     direction = (end - polygon) / length[:, None]
-    before, after = np.roll(direction, 1, axis=0), np.roll(direction, -1, axis=0)
-    convex = before[:, 0] * direction[:, 1] - before[:, 1] * direction[:, 0] >= 0
-    return np.column_stack(
-        (polygon, end, direction, before, after, convex, np.roll(convex, -1), np.roll(length, 1))
-    )
-
-
-def _seen_from_themselves(segments: Floats) -> Floats:
-    """Return segments (S, 13) of `edges` in the form of the table (18, S)."""
-    start, end, direction, before, after = (segments[:, at : at + 2] for at in range(0, 10, 2))
     left = np.column_stack((-direction[:, 1], direction[:, 0]))
-    legs = [(way * axis).sum(1) for way in (before, after) for axis in (direction, left)]
-    back_x, back_y, ahead_x, ahead_y = legs
-    length = np.linalg.norm(end - start, axis=1)
-    columns = (start, direction, length, -back_x, -back_y, -ahead_x, ahead_y, segments[:, 10:12])
-    return np.column_stack((*columns, end, before, after, segments[:, 12])).T.copy()
+    before, after = np.roll(direction, 1, axis=0), np.roll(direction, -1, axis=0)
+    back_x, back_y, ahead_x, ahead_y = (
+        (way * axis).sum(1) for way in (before, after) for axis in (direction, left)
+    )
+    convex = before[:, 0] * direction[:, 1] - before[:, 1] * direction[:, 0] >= 0
+    legs, corners = (-back_x, -back_y, -ahead_x, ahead_y), (convex, np.roll(convex, -1))
+    return np.column_stack(
+        (polygon, direction, length, *legs, *corners, end, before, after, np.roll(length, 1))
+    )

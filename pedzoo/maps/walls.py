@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -342,24 +342,6 @@ class LocalWalls:
         return torch.zeros_like(last), last
 
 
-class StrideLimits(NamedTuple):
-    """Limits of a stride of agents (B, A). Places p with n p >= c are free, with n = 0 where no wall is near.
-
-    Attributes:
-        length: How long it may be (B, A), metres: near a wall a straight line must not cut a corner.
-        bound: c of the nearest wall (B, A), metres.
-        normal: Its n (2, B, A), away from the wall.
-        blocked_bound: c of the wall that the last stride ran into (B, A), metres.
-        blocked_normal: Its n (2, B, A).
-    """
-
-    length: Tensor
-    bound: Tensor
-    normal: Tensor
-    blocked_bound: Tensor
-    blocked_normal: Tensor
-
-
 @dataclass(frozen=True)
 class Keeping:
     """What agents keep from walls.
@@ -378,26 +360,37 @@ class Keeping:
 
 
 class WallsAhead:
-    """The walls around agents that go from one place to the next. No gradient flows through them.
+    """The walls around agents (B, A) that go in strides from one place to the next.
 
-    Attributes:
-        limits: Of the next stride.
+    No gradient flows through the walls themselves.
     """
-
-    limits: StrideLimits
 
     def __init__(self, walls: LocalWalls, place: Tensor, keeping: Keeping) -> None:
         """Look at the places where agents begin (2, B, A), metres."""
         self._walls, self._keeping = walls, keeping
-        self._wall = walls.half_planes(place, keeping.within)
-        self._allowed = self._wall[0].minimum(keeping.reach)
-        self._wall[1].add_(self._allowed)
-        self._no_wall = self._wall.new_zeros(4, 1, 1)
+        # half-planes of the nearest wall and of that which the last stride ran into: see `half_planes`
+        self._nearest = walls.half_planes(place, keeping.within)
+        self._allowed = self._nearest[0].minimum(keeping.reach)
+        self._nearest[1].add_(self._allowed)
+        self._no_wall = self._nearest.new_zeros(4, 1, 1)
         self._no_wall[1] = -NO_WALL
-        self._limit(self._no_wall.expand_as(self._wall))
+        self._blocking = self._no_wall.expand_as(self._nearest)
+
+    def target(self, place: Tensor, step: Tensor, length: Tensor) -> Tensor:
+        """Return where agents at a place get by steps (2, B, A) of some lengths (B, A), metres.
+
+        Near a wall a step is shortened, because a straight line must not cut a corner. Then it is projected
+        on what the nearest wall leaves, and on what the wall leaves that the last stride ran into.
+        """
+        most = self._allowed.clamp_min(self._keeping.creep)
+        place = torch.addcmul(place, step, (most / length).clamp_max(1))
+        for wall in (self._nearest, self._blocking):
+            bound, normal = wall[1], wall[2:]
+            place = torch.addcmul(place, (bound - (place * normal).sum(0)).relu(), normal)
+        return place
 
     def arrive(self, place: Tensor) -> Tensor:
-        """Limit the next stride of agents whose stride ended at a place (2, B, A).
+        """Look around where a stride ends (2, B, A).
 
         Returns:
             1 for agents that may be there, 0 for those that are too near to a wall and go back (B, A).
@@ -408,11 +401,6 @@ class WallsAhead:
         stuck = gap < allowed - keeping.rounding
         self._allowed = gap.clamp(allowed, keeping.reach)
         wall[1].add_(self._allowed)
-        blocked = torch.where(stuck, wall, self._no_wall)
-        self._wall = torch.where(stuck, self._wall, wall)
-        self._limit(blocked)
+        self._blocking = torch.where(stuck, wall, self._no_wall)
+        self._nearest = torch.where(stuck, self._nearest, wall)
         return (~stuck).to(place.dtype)
-
-    def _limit(self, blocked: Tensor) -> None:
-        length = self._allowed.clamp_min(self._keeping.creep)
-        self.limits = StrideLimits(length, self._wall[1], self._wall[2:], blocked[1], blocked[2:])

@@ -105,17 +105,9 @@ def integrate(
     ahead = WallsAhead(walls, here, keeping)
     for tick_wanted, tick_length in zip(wanted.unbind(1), length.unbind(), strict=True):
         for _ in range(strides):
-            limits = ahead.limits
-            target = torch.addcmul(here, tick_wanted, (limits.length / tick_length).clamp_max(1))
-            target = _kept_off(target, limits.bound, limits.normal)
-            target = _kept_off(target, limits.blocked_bound, limits.blocked_normal)
+            target = ahead.target(here, tick_wanted, tick_length)
             here = torch.lerp(here, target, ahead.arrive(target))
             places.append(here)
     ends = torch.stack(places, dim=1)
     middle = 0.5 * (ends[:, :-1] + ends[:, 1:])
     return torch.stack((middle, ends[:, 1:]), dim=2).flatten(1, 2)
-
-
-def _kept_off(place: Tensor, bound: Tensor, normal: Tensor) -> Tensor:
-    """Return places (2, B, A) moved straight out of walls: see `StrideLimits`."""
-    return torch.addcmul(place, (bound - (place * normal).sum(0)).relu(), normal)

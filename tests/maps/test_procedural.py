@@ -31,15 +31,10 @@ SEEDS = range(30)
 EVERY_KIND = pytest.mark.parametrize("kind", KINDS)
 
 DIGESTS = {
-    "apartment": {
-        0: "a63138d75e59d692",
-        1: "23460fff0e122549",
-        7: "92fd2eb1156a3d96",
-        29: "5a29fe2c347d98a3",
-    },
-    "office": {0: "1b2f362d936332bd", 1: "d324f7cb732a97d1", 7: "571e6c5424d047db", 29: "2b2b84a5f48aedff"},
+    "apartment": "a63138d75e59d692 23460fff0e122549 92fd2eb1156a3d96 5a29fe2c347d98a3".split(),
+    "office": "1b2f362d936332bd d324f7cb732a97d1 571e6c5424d047db 2b2b84a5f48aedff".split(),
 }
-"""The first 16 digits for some seeds: plans of old seeds must never change."""
+"""The first 16 digits for seeds 0, 1, 7 and 29: plans of old seeds must never change."""
 
 
 @cache
@@ -162,16 +157,10 @@ def test_walls_are_as_thick_as_they_say(kind: str) -> None:
 def test_seeds_differ_and_one_seed_is_one_plan_in_every_process(kind: str) -> None:
     digests = [plan.grid.digest for plan in plans(kind)]
     assert len(set(digests)) == len(digests)
-    assert {seed: digests[seed][:16] for seed in DIGESTS[kind]} == DIGESTS[kind]
+    assert [digests[seed][:16] for seed in (0, 1, 7, 29)] == DIGESTS[kind]
     code = f"from pedzoo.maps.procedural.plan import generate\nprint(generate({kind!r}, 5).grid.digest)"
-    other = subprocess.run(
-        [sys.executable, "-c", code],
-        env={**os.environ, "PYTHONHASHSEED": "7"},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert other.stdout.strip() == digests[5]
+    other = subprocess.check_output([sys.executable, "-c", code], env=os.environ | {"PYTHONHASHSEED": "7"})
+    assert other.decode().strip() == digests[5]
 
 
 @EVERY_KIND
@@ -194,20 +183,13 @@ def test_a_grid_that_is_too_fine_for_a_plan_is_refused() -> None:
         generate("apartment", 105, resolution=0.01)
 
 
-@pytest.mark.parametrize(
-    ("kind", "size"),
-    [
-        ("apartment", (7, 7)),
-        ("apartment", (16, 7.5)),
-        ("apartment", (16, 16)),
-        ("office", (12, 12)),
-        ("office", (12, 30)),
-        ("office", (33, 17)),
-        ("office", (45, 41)),
-    ],
-)
-def test_sizes_and_narrow_and_wide_doors(kind: str, size: tuple[float, float]) -> None:
-    for width in (0.7, 1.5):
+SIZES = {"apartment": [(7, 7), (16, 7.5), (16, 16)], "office": [(12, 12), (12, 30), (33, 17), (45, 41)]}
+
+
+@EVERY_KIND
+@pytest.mark.parametrize("width", [0.7, 1.5])
+def test_sizes_and_narrow_and_wide_doors(kind: str, width: float) -> None:
+    for size in SIZES[kind]:
         plan = generate(kind, 1, size=size, doors=(width, width))
         assert plan.size == pytest.approx(size)
         assert {round(door.width, 6) for door in plan.doors} == {width}

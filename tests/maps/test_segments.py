@@ -40,7 +40,7 @@ def test_a_block_runs_counter_clockwise_along_its_cells_edges() -> None:
     assert canonical(block) == [(1, 1), (4, 1), (4, 3), (1, 3)]
 
 
-def test_a_hole_runs_clockwise_and_walls_at_the_border_are_closed_there() -> None:
+def test_a_hole_runs_clockwise_and_border_walls_are_closed() -> None:
     outer, inner = sorted(outlines(draw("####", "#..#", "####")), key=signed_area)[::-1]
     assert canonical(outer) == [(0, 0), (4, 0), (4, 3), (0, 3)]
     assert canonical(inner) == [(1, 1), (1, 2), (3, 2), (3, 1)]
@@ -56,7 +56,7 @@ def test_no_walls_no_outlines() -> None:
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
-def test_exact_outlines_enclose_the_walls_area_without_straight_corners(share: float) -> None:
+def test_exact_outlines_enclose_the_area_of_walls(share: float) -> None:
     occupied = np.random.default_rng(1).random((30, 40)) < share
     polygons = outlines(occupied, tolerance=0)
     assert sum(map(signed_area, polygons)) == occupied.sum()
@@ -123,7 +123,7 @@ def distances(near: Segments) -> Tensor:
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_the_nearest_segments_are_those_of_brute_force_in_every_pose(dtype: torch.dtype) -> None:
+def test_nearest_segments_are_those_of_brute_force(dtype: torch.dtype) -> None:
     grids = [random_grid(0), random_grid(1, "other")]
     bank = MapBank(grids)
     walls = WallSegments(bank, most=6)
@@ -188,7 +188,7 @@ def test_only_so_many_and_only_in_reach() -> None:
     assert torch.equal(walls.near(*at, 5.0).along, everything.nearest(3).along)
 
 
-def test_a_look_up_that_reaches_farther_finds_the_same_within_a_reach() -> None:
+def test_a_farther_look_up_finds_the_same_within_a_reach() -> None:
     grid = random_grid()
     at = torch.tensor([[6.0, 3.0]]), torch.tensor([grid.map_id]), identity_pose(1)
     bank = MapBank([grid])

@@ -280,24 +280,23 @@ def test_compiled_half_planes_are_those_of_torch():
     assert torch.allclose(inside[near], gap[near], atol=1e-5)
 
 
-def test_an_agent_that_runs_into_a_wall_gets_the_limit_of_both() -> None:
-    bank = MapBank([rectangles(wall((0, 1), (4, 1), 0.2), 0.05)])
-    walls = bank.walls_on_map(torch.tensor([0])).per_scene()
-    reach = 0.14
-    place = torch.tensor([[[2.0]], [[0.7]]])  # the wall begins 0.2 m above
-    ahead = WallsAhead(walls, place, Keeping(torch.full((1, 1), reach), torch.full((1, 1), 0.29), 1e-4, 0.02))
-    first = ahead.limits
-    assert torch.allclose(first.normal[:, 0, 0], torch.tensor([0.0, -1.0]), atol=1e-6)
-    assert torch.allclose(first.bound, torch.tensor([[-0.9 + reach]]), atol=1e-5)  # y may be 0.76
-    assert float(first.blocked_bound.max()) < -1e3  # it has run into no wall
-    before = [part.clone() for part in (first.bound, first.normal)]
+def test_an_agent_that_runs_into_a_wall_goes_back_and_slides() -> None:
+    bank = MapBank([rectangles(wall((0, 1), (4, 1), 0.2), 0.05)])  # it begins at y = 0.9
+    walls, reach = bank.walls_on_map(torch.tensor([0])).per_scene(), 0.14
+    keeping = Keeping(torch.full((1, 1), reach), torch.full((1, 1), 0.29), 1e-4, 0.02)
 
-    goes_back = ahead.arrive(place + torch.tensor([0.0, 0.1]).view(2, 1, 1))
-    assert float(goes_back) == 0
-    second = ahead.limits
-    assert torch.allclose(second.length, torch.tensor([[reach]]))
-    assert torch.allclose(second.blocked_bound, first.bound, atol=1e-5)
-    assert torch.equal(second.bound, first.bound)
-    assert ahead.arrive(place + torch.tensor([0.0, 0.05]).view(2, 1, 1)) == 1
-    # autograd keeps limits that are over
-    assert all(torch.equal(part, old) for part, old in zip((first.bound, first.normal), before, strict=True))
+    def at(x: float, y: float) -> Tensor:
+        return torch.tensor([[[x]], [[y]]])
+
+    ahead, up = WallsAhead(walls, at(2.0, 0.7), keeping), at(0.0, 0.1)
+    first = ahead.target(at(2.0, 0.7), up, torch.tensor([[0.1]]))
+    torch.testing.assert_close(first, at(2.0, 0.9 - reach), atol=1e-5, rtol=0)
+    assert float(ahead.arrive(at(2.0, 0.8))) == 0  # too near
+    # a long step is shortened to the reach, and both walls leave the line along them
+    slanted = ahead.target(at(2.0, 0.7), at(0.3, 0.4), torch.tensor([[0.5]]))
+    torch.testing.assert_close(slanted, at(2.0 + 0.6 * reach, 0.9 - reach), atol=1e-5, rtol=0)
+    assert float(ahead.arrive(at(2.0, 0.75))) == 1
+    # inside the wall an agent creeps out
+    inside = WallsAhead(walls, at(2.0, 0.91), keeping)
+    out = inside.target(at(2.0, 0.91), at(0.0, -0.1), torch.tensor([[0.1]]))
+    torch.testing.assert_close(out, at(2.0, 0.91 - 0.02), atol=1e-5, rtol=0)

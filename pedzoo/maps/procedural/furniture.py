@@ -5,10 +5,18 @@ from typing import Literal, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, label
 
 from pedzoo.maps.procedural.shapes import Door, PortableRandom, Rect, Room, units
 
 Place = Literal["corner", "wall", "middle"]
+
+
+class Piece(NamedTuple):
+    """A piece of furniture."""
+
+    name: str
+    rect: Rect
 
 
 class Kind(NamedTuple):
@@ -34,34 +42,25 @@ class Kind(NamedTuple):
     front: tuple[float, float, float] | None = None
     chairs: bool = False
 
-    def draw(self, dice: PortableRandom) -> list[tuple[str, Rect]]:
-        """Return the rectangles of one piece, x along the wall and y away from it, and their names."""
+    def draw(self, dice: PortableRandom) -> list[Piece]:
+        """Return one piece and what stands around it, x along the wall and y away from it."""
         length, depth = units(dice.uniform(*self.along)), units(dice.uniform(*self.deep))
-        pieces = [(self.name, Rect(0, 0, length, depth))]
+        pieces = [Piece(self.name, Rect(0, 0, length, depth))]
         if self.front:
             wide, deep, gap = (units(value) for value in self.front)
             begin = (length - wide) // 2
-            pieces.append(("front", Rect(begin, depth + gap, begin + wide, depth + gap + deep)))
-        if self.chairs:
-            pieces += _chairs(length, depth)
-        return pieces
+            pieces.append(Piece("front", Rect(begin, depth + gap, begin + wide, depth + gap + deep)))
+        return pieces + _chairs(length, depth, 14) * self.chairs
 
 
-def desks(count: int) -> list[tuple[str, Rect]]:
-    """Return ``count`` desks side by side and as many behind them, with their chairs."""
-    length, depth = count * units(1.4), units(1.6)
-    return [("desks", Rect(0, 0, length, depth)), *_chairs(length, depth, units(1.4))]
-
-
-def _chairs(length: int, depth: int, spacing: int = 14) -> list[tuple[str, Rect]]:
-    # chairs of 0.45 m, a third of them under the table
+def _chairs(length: int, depth: int, spacing: int) -> list[Piece]:
+    """Return chairs of 0.45 m along both sides of a table, a third of them under it."""
     seat, under = units(0.45), units(0.15)
     count = max(length // spacing, 1)
     first = (length - count * spacing + spacing - seat) // 2
-    rows = ((under - seat, 0), (depth, depth + seat - under))
     return [
-        ("chair", Rect(first + k * spacing, low, first + k * spacing + seat, high))
-        for low, high in rows
+        Piece("chair", Rect(first + k * spacing, low, first + k * spacing + seat, high))
+        for low, high in ((under - seat, 0), (depth, depth + seat - under))
         for k in range(count)
     ]
 
@@ -141,13 +140,6 @@ _TRIES = 12
 _BEYOND = units(0.5)  # what a room knows of the space behind its doors
 
 
-class Piece(NamedTuple):
-    """A piece of furniture."""
-
-    name: str
-    rect: Rect
-
-
 class RoomFloor:
     """The free space of a room, on which furniture is put piece by piece.
 
@@ -167,20 +159,20 @@ class RoomFloor:
             solid = np.ones((around.height * fine, around.width * fine), dtype=np.uint8)
             for rect in (*room.parts, *(door.ahead(_BEYOND) for door in doors)):
                 solid[self._slices(rect, fine)] = 0
-            self._open.append(_eroded(solid, fine * units(clearance)))
+            away = distance_transform_edt(1 - np.pad(solid, 1, constant_values=1))
+            # squares of distances between centres are whole numbers; see `_outside`
+            squares = 4 * np.rint(np.asarray(away)[1:-1, 1:-1] ** 2)
+            self._open.append((squares >= (2 * fine * units(clearance) + 1) ** 2).astype(np.uint8))
 
     def connected(self) -> bool:
         """Whether the open space is one piece, its doors included."""
-        return all(_is_one(part) for part in self._open)
+        return all(map(_is_one, self._open))
 
     def put(self, pieces: Sequence[Piece]) -> bool:
         """Put pieces down together and return true, or leave them where they are not possible."""
+        taken = [*self._keep, *(piece.rect for piece in self.pieces)]
         for _, rect in pieces:
-            if not any(part.holds(rect) for part in self.room.parts):
-                return False
-            if any(rect.overlaps(other) for other in self._keep):
-                return False
-            if any(rect.overlaps(piece.rect) for piece in self.pieces):
+            if not any(part.holds(rect) for part in self.room.parts) or any(map(rect.overlaps, taken)):
                 return False
         after = [part.copy() for part in self._open]
         for part, (fine, clearance) in zip(after, _LAYERS, strict=True):
@@ -190,7 +182,7 @@ class RoomFloor:
                 part[self._slices(rect.grown(cells, cells), fine)] &= _outside(
                     rect.width * fine, rect.height * fine, cells * fine
                 )
-        if not all(_is_one(part) for part in after):
+        if not all(map(_is_one, after)):
             return False
         self._open = after
         self.pieces += pieces
@@ -254,7 +246,7 @@ def _places(dice: PortableRandom, room: Room, kind: Kind) -> Iterator[list[Piece
             yield group
 
 
-def _moved(pieces: Sequence[tuple[str, Rect]], part: Rect, side: int, at: int, off: int) -> list[Piece]:
+def _moved(pieces: Sequence[Piece], part: Rect, side: int, at: int, off: int) -> list[Piece]:
     """Return pieces drawn along a wall as they lie at the bottom, top, left or right wall of a part."""
     placed = []
     for name, (a0, d0, a1, d1) in pieces:
@@ -281,8 +273,10 @@ def _clusters(dice: PortableRandom, box: Rect) -> list[list[Piece]]:
         most = across * rows * count
         first = (length - across * (block + gap) + gap) // 2
         begin = (depth - rows * (deep + aisle) + aisle) // 2
+        # as many desks side by side as behind them
+        desks = [Piece("desks", Rect(0, 0, block, deep)), *_chairs(block, deep, units(1.4))]
         best = [
-            _moved(desks(count), box, side, first + i * (block + gap), begin + k * (deep + aisle))
+            _moved(desks, box, side, first + i * (block + gap), begin + k * (deep + aisle))
             for k in range(rows)
             for i in range(across)
         ]
@@ -292,27 +286,14 @@ def _clusters(dice: PortableRandom, box: Rect) -> list[list[Piece]]:
 def _outside(width: int, height: int, clearance: int) -> NDArray[np.uint8]:
     """Return which cells around a rectangle keep the clearance: those of it grown by that much."""
     # between centres of cells; the nearest wall begins half a cell before its centre
-    x, y = (_beyond(length, clearance) for length in (width, height))
+    x, y = (
+        np.maximum(np.maximum(-at, at - (length - 1)), 0)
+        for length in (width, height)
+        for at in [np.arange(-clearance, length + clearance)]
+    )
     return (4 * (x**2 + y[:, None] ** 2) >= (2 * clearance + 1) ** 2).astype(np.uint8)
 
 
-def _beyond(length: int, clearance: int) -> NDArray[np.int64]:
-    """Return how far each cell is from a stretch of ``length``, from ``clearance`` before it to behind it."""
-    at = np.arange(-clearance, length + clearance)
-    return np.maximum(np.maximum(-at, at - (length - 1)), 0)
-
-
-def _eroded(solid: NDArray[np.uint8], clearance: int) -> NDArray[np.uint8]:
-    """Return the cells whose centre keeps the clearance from all solid cells."""
-    from scipy.ndimage import distance_transform_edt
-
-    away = np.asarray(distance_transform_edt(1 - np.pad(solid, 1, constant_values=1)))[1:-1, 1:-1]
-    # squares of distances between centres are whole numbers
-    return (4 * np.rint(away**2) >= (2 * clearance + 1) ** 2).astype(np.uint8)
-
-
 def _is_one(part: NDArray[np.uint8]) -> bool:
-    from scipy.ndimage import label
-
     # connected through their sides, as the planner's cells are
     return cast("tuple[NDArray[np.int32], int]", label(part))[1] == 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
 from typing import NamedTuple, TypeVar
 from zlib import crc32
 
@@ -259,14 +259,13 @@ def draw_doors(dice: PortableRandom, rooms: Sequence[Room], widths: tuple[int, i
 
 def _walls(rooms: Sequence[Room]) -> list[_Wall]:
     """Return the stretches that two rooms have between them."""
-    result = []
-    for (i, one), (j, other) in combinations(enumerate(rooms), 2):
-        for a in one.parts:
-            for b in other.parts:
-                for axis in (0, 1):
-                    if wall := _between(a, b, axis):
-                        result.append(_Wall((i, j), wall, axis))
-    return result
+    return [
+        _Wall((i, j), wall, axis)
+        for (i, one), (j, other) in combinations(enumerate(rooms), 2)
+        for a, b in product(one.parts, other.parts)
+        for axis in (0, 1)
+        if (wall := _between(a, b, axis))
+    ]
 
 
 def _between(a: Rect, b: Rect, axis: int) -> Rect | None:
@@ -290,10 +289,5 @@ def _door(dice: PortableRandom, rooms: Sequence[Room], wall: _Wall, widths: tupl
     room = wall.length - 2 * JAMB - width
     close = min(room, dice.integer(0, units(0.3)))
     at = JAMB + dice.choice((close, room - close, dice.integer(0, room), dice.integer(0, room)))
-    if wall.axis == 0:
-        x0 = wall.stretch.x0 + at
-        opening = wall.stretch._replace(x0=x0, x1=x0 + width)
-    else:
-        y0 = wall.stretch.y0 + at
-        opening = wall.stretch._replace(y0=y0, y1=y0 + width)
-    return Door(wall.rooms, opening, wall.axis)
+    begin, (low, high) = wall.stretch[wall.axis] + at, ("x0", "x1") if wall.axis == 0 else ("y0", "y1")
+    return Door(wall.rooms, wall.stretch._replace(**{low: begin, high: begin + width}), wall.axis)
