@@ -322,13 +322,12 @@ class TextFormat:
             return table[:, self.columns] if len(table) else table
         with path.open(encoding=self.encoding) as file:  # texts beside numbers, none with a separator inside
             rows = (line for line in islice(file, self.skip, None) if line.strip())
-            even = all(len(line) <= LONGEST_LINE and self._width(line) == self.width for line in rows)
+            even = all(
+                len(line) <= LONGEST_LINE and len(line.split(self.delimiter)) == self.width for line in rows
+            )
         if even and (table := self._loaded(path, self.columns)) is not None:
             return table
         return np.fromiter(self._one_by_one(path), dtype=np.dtype((float, len(self.columns))))
-
-    def _width(self, line: str) -> int:
-        return len(line.split(self.delimiter))
 
     def _loaded(self, path: Path, columns: tuple[int, ...] | None) -> np.ndarray | None:
         """Return columns as numpy reads them, all for None; None where it cannot."""
@@ -339,8 +338,9 @@ class TextFormat:
             with path.open(encoding=self.encoding) as file, warnings.catch_warnings(action="ignore"):
                 lines = islice(file, self.skip, None)
                 texts = (line.replace(",", ".") for line in lines) if self.decimal else lines
-                form = {"delimiter": self.delimiter, "usecols": columns}
-                return np.loadtxt(texts, ndmin=2, comments=None, quotechar='"', **form)
+                return np.loadtxt(
+                    texts, ndmin=2, comments=None, quotechar='"', delimiter=self.delimiter, usecols=columns
+                )
         except UnicodeDecodeError:
             raise
         except ValueError:

@@ -276,7 +276,7 @@ def test_social_gans_folders_give_the_same_windows(shared: Path, tmp_path: Path)
 # -- loaders
 
 
-def test_training_repeats_with_the_seed_and_differs_between_epochs() -> None:
+def test_training_repeats_with_the_seed_not_between_epochs() -> None:
     def histories(seed: int, epoch: int) -> list[Tensor]:
         data = TrajectoryDataModule(
             goal="random_future", loading=Loading(seed=seed, rotate=True, mirror=True)

@@ -266,7 +266,7 @@ def test_what_a_file_says_of_its_time(tmp_path: Path) -> None:
         assert seconds(path) == (expected and pytest.approx(expected)), header + form
 
 
-def test_options_stand_above_what_a_file_says_and_times_are_not_scaled_by_mistake(
+def test_options_stand_above_what_a_file_says(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, table = tmp_path / "walks.txt", crowd()

@@ -134,7 +134,7 @@ def test_walks_of_environments_are_the_same_1_km_away(name: str, scenario: str, 
     assert (walked(name, scenario, (1000.25, -700.0), tmp_path) - near).abs().max() < 5e-3
 
 
-def test_floor_plans_that_a_caller_puts_into_a_bank_are_not_moved() -> None:
+def test_floor_plans_in_a_bank_are_not_moved() -> None:
     grid = OccupancyGrid(np.zeros((4, 4), np.uint8), 1.0, (1000.0, 0.0, 0.0))
     assert MapBank([grid]).grids[0].origin == (1000.0, 0.0, 0.0)
     assert grid.at_home().origin == (-2.0, -2.0, 0.0) and grid.home.tolist() == [1002.0, 2.0]

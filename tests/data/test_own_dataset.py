@@ -51,7 +51,7 @@ def malls(tmp_path: Path) -> str:
     return f"{file}:Malls"
 
 
-def test_a_class_in_a_file_says_its_folds_and_terms_and_is_not_run_for_it(malls: str) -> None:
+def test_a_class_in_a_file_says_its_folds_without_being_run(malls: str) -> None:
     first, south, halls = (find_fold(name) for name in (malls, f"{malls}:south", f"{malls}:halls"))
     assert first and south and halls
     assert first.name == "north" and south.tested == ["hall_south"] and halls.whole and not south.whole

@@ -190,7 +190,7 @@ def augmented_pair(
 
 
 @pytest.mark.parametrize("fold", ["zara1", "eth"])
-def test_augmented_and_plain_batches_sample_the_same_map_at_the_same_people(shared: Path, fold: str) -> None:
+def test_augmented_people_see_the_same_walls(shared: Path, fold: str) -> None:
     (recording,) = EthUcy(fold, str(shared / "data")).recordings("test")
     assert recording.plan is not None
     bank = MapBank([read_ros(recording.plan)])
@@ -208,7 +208,7 @@ def test_augmented_and_plain_batches_sample_the_same_map_at_the_same_people(shar
     assert bank.signed_distance(scenes.xy[None], scenes.map_id[:1], plain["scene_pose"][:1]).min() < 0
 
 
-def test_augmentation_keeps_distances_and_turns_everything_together() -> None:
+def test_augmentation_turns_everything_together() -> None:
     plain, turned = augmented_pair(scene_set())
     for name in ("history", "future"):
         here, there = (
@@ -252,7 +252,7 @@ def test_poses_are_drawn_evenly_and_only_as_asked() -> None:
     assert torch.equal(augmentation(centres, False, False), torch.tensor([0.0, 1, 0, 0]).expand(4000, 4))
 
 
-def test_only_training_batches_are_augmented_and_a_recording_may_have_no_map(shared: Path) -> None:
+def test_only_training_batches_are_augmented(shared: Path) -> None:
     data = TrajectoryDataModule("zara1", str(shared / "data"), loading=Loading(rotate=True, mirror=True))
     data.setup("fit")
     ids = data.sets["train"].map_id

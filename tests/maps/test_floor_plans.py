@@ -195,7 +195,7 @@ def test_igibson_maps_have_their_own_frame(tmp_path: Path) -> None:
     assert read_plan(path, resolution=0.05).resolution == 0.05
 
 
-def test_igibson_floor_image_forbids_and_resizing_leaves_only_whole_cells(tmp_path: Path) -> None:
+def test_igibson_floor_image_forbids_cells(tmp_path: Path) -> None:
     path = igibson(tmp_path)
     floor = np.full((60, 60), 255, dtype=np.uint8)
     floor[34, 34] = 0  # bilinear resizing samples the four pixels at a cell's centre
