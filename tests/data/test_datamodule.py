@@ -244,8 +244,8 @@ def test_the_true_clock_reaches_the_batches(shared: Path) -> None:
         agents = [batch["agents"] for batch in data.test_dataloader()]
         speed = torch.cat([one["velocity"][one["mask"]].norm(dim=-1) for one in agents])
         speeds[clock] = float(speed[speed > 0.3].median())
-    assert speeds["benchmark"] == pytest.approx(2.5, abs=0.1)
-    assert speeds["true"] == pytest.approx(1.5, abs=0.06)
+    assert 2.2 < speeds["benchmark"] < 2.8
+    assert 1.3 < speeds["true"] < 1.7
 
 
 def test_social_gans_folders_give_the_same_windows(shared: Path, tmp_path: Path) -> None:

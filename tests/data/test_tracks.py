@@ -172,6 +172,19 @@ def test_who_is_never_seen_for_a_step_is_left_out() -> None:
     assert set(Tracks.from_table("a", np.concatenate(rows)).resampled(0.1).agent.tolist()) == {1}
 
 
+def test_the_true_clock_gives_biwi_eth_human_speeds(shared: Path) -> None:
+    speeds = {}
+    for clock in ("benchmark", "true"):
+        (recording,) = EthUcy("eth", str(shared / "data"), clock).recordings("test")
+        tracks = recording.tracks
+        assert np.array_equal(np.lexsort((tracks.frame, tracks.agent)), np.arange(len(tracks)))
+        together = (np.diff(tracks.agent) == 0) & (np.diff(tracks.frame) == np.diff(tracks.frame[:2]))
+        speed = np.linalg.norm(np.diff(tracks.xy, axis=0)[together], axis=1) / 0.4
+        speeds[clock] = np.median(speed[speed > 0.3])
+    assert speeds["benchmark"] == pytest.approx(2.5, abs=0.1)
+    assert speeds["true"] == pytest.approx(1.5, abs=0.06)
+
+
 @pytest.mark.parametrize("fold", ["hotel", "zara1"])
 def test_the_true_clock_leaves_the_others_as_they_are(shared: Path, fold: str) -> None:
     (plain,) = EthUcy(fold, str(shared / "data"), "benchmark").recordings("test")

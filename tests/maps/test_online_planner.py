@@ -175,7 +175,7 @@ def test_memory_grows_with_people_and_not_with_goals_times_cells() -> None:
     online, rng = Planner(bank), np.random.default_rng(2)
     graph, main = online.graph(0), rooms_of(online)
     places, ends = (graph.xy[rng.choice(main, 400)] for _ in range(2))
-    _ = online.corners(0).matrix
+    _ = online.corners(0).matrix, bank.walls
     tracemalloc.start()
     ids = online.add_goals(0, ends)
     for _ in range(20):
