@@ -84,10 +84,10 @@ class Tracks:
                 raise UserError(f"recording {name!r}, {place(row)} ({values}): {why}")
 
         hint = "a value is not finite; leave out the rows of people who are not seen"
-        refuse(~np.isfinite(table).all(1), hint)
+        refuse(~np.all(np.isfinite(table), axis=1), hint)
         whole = np.round(table[:, :2])
         hint = "frame and agent must be whole numbers (of times in seconds: round(time / dt))"
-        refuse(((whole != table[:, :2]) | (np.abs(whole) > 2**53)).any(1), hint)
+        refuse(np.any((whole != table[:, :2]) | (np.abs(whole) > 2**53), axis=1), hint)
         order = np.lexsort((whole[:, 0], whole[:, 1]))
         frame, agent = whole[order].astype(np.int64).T
         twice = np.append(False, (np.diff(agent) == 0) & (np.diff(frame) == 0))

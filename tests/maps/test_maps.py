@@ -130,7 +130,7 @@ def test_modes_are_those_of_nav2(tmp_path: Path, mode: str, channels: int) -> No
         if channels == 4:
             pixels[::2, :, 3] = 255
         shown = pixels[:, :, 0] if channels == 1 else pixels[:, :, [2, 1, 0, 3][:channels]]  # OpenCV has BGR
-        limits = {"free_thresh": free, "occupied_thresh": occupied}
+        limits: dict = {"free_thresh": free, "occupied_thresh": occupied}
         grid = read_ros(write(tmp_path, pixels=shown, mode=mode, negate=negate, **limits))
         expected = [[nav2(one, mode.lower(), bool(negate), free, occupied) for one in row] for row in pixels]
         assert np.array_equal(grid.cells, np.flipud(expected))

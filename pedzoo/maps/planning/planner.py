@@ -332,7 +332,7 @@ class Planner:
             found[mine[seen]] = STRAIGHT
             own = start + np.arange(len(corners.cells))
             per = max(1, _AT_ONCE // max(len(own), 1))
-            for some in np.split(mine[~seen], range(per, np.sum(~seen), per)):
+            for some in np.split(mine[~seen], range(per, int(np.sum(~seen)), per)):
                 first = corners.first(place[cells[some] - opens], ways.far[offset[some, None] + own])
                 found[some] = np.where(first < 0, NO_PATH, first + start)
         return found
@@ -445,13 +445,14 @@ class Planner:
         given = (points.float(), goal_id, row, pose.float(), pref_speed.float())
         carrot, desired, waypoint, goal = (torch.empty(*goal_id.shape, 2) for _ in range(4))
         made = Guidance(carrot, desired, waypoint, goal, torch.empty(goal_id.shape))
+        written: list[Any] = [part.numpy() for part in made]
         guide(
             *(part.detach().contiguous().numpy() for part in given),
             look_ahead_seconds,
             self.prepare(),
             self._memory,
             self.bank.walls.map_arrays,
-            Guidance(*(part.numpy() for part in made)),
+            Guidance(*written),
         )
         if torch.is_grad_enabled() and (points.requires_grad or pref_speed.requires_grad):
             return differentiable(made, points, pref_speed, look_ahead_seconds)
