@@ -266,9 +266,7 @@ def test_what_a_file_says_of_its_time(tmp_path: Path) -> None:
         assert seconds(path) == (expected and pytest.approx(expected)), header + form
 
 
-def test_options_stand_above_what_a_file_says(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_options_stand_above_what_a_file_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, table = tmp_path / "walks.txt", crowd()
     path.write_text(PEDPY + lines("{a} {f} {x} {y}", table))
     half = OwnFiles([str(path)], 0.04, "0,0,1").recordings("test")[0].tracks
