@@ -52,7 +52,7 @@ MODULES: dict[str, tuple[str, str]] = {
     "orca": ("pedzoo/policies/rule_based/*orca*.py", "tests/policies/test_orca.py"),
     "pooling": (
         "pedzoo/models/blocks/people/pooling.py pedzoo/models/blocks/people/approach.py",
-        "tests/models/test_blocks.py tests/models/test_loop_blocks.py tests/models/test_social_walker.py",
+        "tests/models/test_blocks.py tests/models/test_models.py tests/models/test_social_walker.py",
     ),
     "score": (
         "pedzoo/eval/scoring/*.py pedzoo/metrics/realism/*.py",

@@ -179,7 +179,7 @@ def test_what_else_lies_in_the_cache_is_no_model(model: Forecaster, site: Site, 
         obtain("sgan_goal.mal")
 
 
-def test_damaged_weights_are_fetched_anew_and_two_places_told_apart(model: Forecaster, site: Site) -> None:
+def test_damaged_weights_are_fetched_anew_places_told_apart(model: Forecaster, site: Site) -> None:
     write_model(model, Path("mine"))
     serve(site, Path("mine"), "a")
     stored = obtain(f"{site.url}/a/{NAME}")
