@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from pedzoo.train.metrics_file import rows_of
+from pedzoo.train.run import rows_of
 
 ROOT = Path(__file__).parents[1]
 

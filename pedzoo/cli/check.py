@@ -21,7 +21,7 @@ from pedzoo.models.zoo.store import ROBOTS as ROBOT_WEIGHTS
 from pedzoo.models.zoo.store import find, is_file, no_model, of_robots
 from pedzoo.policies.crowd_names import members, parts
 
-ROBOT_MODULES = "pedzoo.train.robots."
+ROBOT_MODULES = "pedzoo.train.ppo.robots."
 """Where the classes are that train robots."""
 
 TRAININGS = ("fit", "validate", "test")

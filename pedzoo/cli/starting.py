@@ -21,9 +21,14 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.forms import refuse_code
 from pedzoo.core.registry import absolute_name, import_path, names_code
 from pedzoo.models.zoo.loading import read_checkpoint
-from pedzoo.train.fine_tuning import architecture_options, config_beside, options_of, options_to_continue
 from pedzoo.train.run import RunFolder
-from pedzoo.train.run_settings import resumable_settings, reusable_settings
+from pedzoo.train.settings import (
+    architecture_options,
+    config_beside,
+    options_of,
+    resumable_settings,
+    reusable_settings,
+)
 
 Command = Literal["fit", "validate", "test"]
 
@@ -65,7 +70,8 @@ def expand(command: Command, argv: list[str]) -> ExpandedCommand:
         run = RunFolder.resume(folder)
         config = run.path / "config.yaml"
         beside = None if configured and Path(configured).resolve() == config.resolve() else config
-        return ExpandedCommand([*options_to_continue(run), *argv], run, beside, names_typed(argv))
+        options = ["--config", str(config), "--ckpt_path", str(run.last)]
+        return ExpandedCommand([*options, *argv], run, beside, names_typed(argv))
     if weights := named.get("--weights"):
         if configured:
             options = _without_code(architecture_options(weights, configured), argv, weights)

@@ -39,13 +39,10 @@ from pedzoo.core.spec import setting_groups, with_settings
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.data.recordings import find_fold
 from pedzoo.models.zoo.loading import architecture_of, read_checkpoint
-from pedzoo.train.fine_tuning import start_from
-from pedzoo.train.metrics_file import rows_of
-from pedzoo.train.modules.module import ForecastModule, check_state, read_progress
-from pedzoo.train.run import RunFolder, Wandb, finish_wandb, run_name
-from pedzoo.train.run_settings import DATA, check_unchanged, tell_changes
-from pedzoo.train.slurm import run_again
-from pedzoo.train.validation.rollout_validation import ClosedLoopValidation
+from pedzoo.train.module import ForecastModule, check_state, read_progress
+from pedzoo.train.run import RunFolder, Wandb, finish_wandb, rows_of, run_again, run_name
+from pedzoo.train.settings import DATA, check_unchanged, start_from, tell_changes
+from pedzoo.train.validation import ClosedLoopValidation
 
 _EXPECTED = (
     "LeafSpec.* is deprecated",  # Lightning 2.6 beside torch 2.13
@@ -98,7 +95,7 @@ class TrainingCLI(LightningCLI):
         self.robots = command == "fit" and trained_class(typed).startswith(ROBOT_MODULES)
         self.kinds: list[type] = [ForecastModule, TrajectoryDataModule]
         if self.robots:
-            from pedzoo.train.robots.ppo import RobotPPO
+            from pedzoo.train.ppo.robots import RobotPPO
 
             self.kinds = [RobotPPO]
         self.start = expand(command, typed)
@@ -226,7 +223,7 @@ class TrainingCLI(LightningCLI):
             return
         model = cast("ForecastModule", self.model)
         if file:
-            model.check(read_progress(file) if self.command == "fit" else read_checkpoint(file))
+            model.on_load_checkpoint(read_progress(file) if self.command == "fit" else read_checkpoint(file))
         elif self.command == "fit" and (weights := self.config["weights"]):
             start_from(model, weights)
             print(f"starts from: {weights}")

@@ -17,7 +17,7 @@ from pedzoo.core.bodies import UNICYCLE
 from pedzoo.core.errors import UserError
 from pedzoo.eval.rollout import rollout
 from pedzoo.sim.env import PedestrianEnv
-from pedzoo.train.rl.rewards import Reward
+from pedzoo.train.ppo.people import Reward
 
 ROBOT = '''
     """A unicycle that turns to its short-term goal, and drives there as fast as it looks that way."""

@@ -10,10 +10,10 @@ from lightning.pytorch.callbacks import Callback
 
 from pedzoo.data.datamodule import ImitationWindows, Loading, TrajectoryDataModule
 from pedzoo.models.architectures.sgan import SGAN
-from pedzoo.train.closed_loop.courses import Course
 from pedzoo.train.closed_loop.imitation import Imitation
 from pedzoo.train.closed_loop.in_the_loop import LoopModule
 from pedzoo.train.closed_loop.loop_losses import LoopLosses
+from pedzoo.train.closed_loop.segments import Course
 
 MEETING = "hallway:people=2,jitter=0"
 

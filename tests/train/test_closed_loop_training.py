@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import csv
 import json
 import math
 import os
@@ -19,6 +18,7 @@ import lightning as L
 import pytest
 import torch
 from helpers.lightning_marks import LIGHTNING_MARKS
+from helpers.training import last, quiet_trainer
 from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from torch import Tensor, nn
 
@@ -27,10 +27,11 @@ from pedzoo.core.errors import UserError
 from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.eval.comparison import row
 from pedzoo.eval.rollout import rollout
+from pedzoo.metrics.closed_loop import ClosedLoopScore
 from pedzoo.models.architectures.sgan import SGAN
-from pedzoo.train.modules.plain import PlainModule
-from pedzoo.train.validation.rollout_validation import METRICS, ClosedLoopValidation
-from pedzoo.train.validation.validation_scenario import ValidationScenario, share
+from pedzoo.train.module import PlainModule
+from pedzoo.train.run import rows_of
+from pedzoo.train.validation import METRICS, ClosedLoopValidation, share
 from pedzoo.viz.video import read_video
 
 ROOT = Path(__file__).parents[2]
@@ -49,8 +50,7 @@ pytestmark = [
 
 def measured(run: Path, name: str = SUCCESS) -> list[dict[str, str]]:
     """Return the rows of a run's CSV that have a value of ``name``."""
-    with (run / "metrics.csv").open() as file:
-        return [row for row in csv.DictReader(file) if row.get(name)]
+    return [row for row in rows_of(run / "metrics.csv") if name in row]
 
 
 def history(run: Path) -> Iterator[dict[str, Any]]:
@@ -118,14 +118,14 @@ def test_values_are_those_of_pedzoo_rollout(physics: str, scenarios: tuple[str, 
     options = [f"--rollout.physics={physics}", f"--rollout.scenarios={','.join(scenarios)}"]
     assert main([*FIT, *QUICK, "--trainer.max_epochs=2", "--model.lr=0.05", *options]) == 0
     run = Path("runs/sgan_goal/embedded-seed0")
-    last = str(run / "checkpoints" / "last.ckpt")
-    assert main(["validate", "--ckpt_path", last, "--json", "validate.json"]) == 0
+    weights = str(last(run))
+    assert main(["validate", "--ckpt_path", weights, "--json", "validate.json"]) == 0
     rows = json.loads(Path("validate.json").read_text())["rows"]
     assert "case" not in rows[0] and rows[0]["metrics"]["ade"] > 0
     for name, again in zip(scenarios, rows[1:], strict=True):
         first, second = measured(run, f"rollout/{name}/success")
-        walked, env = rollout(last, name, physics, 2)
-        wanted = row(last, walked)["metrics"]
+        walked, env = rollout(weights, name, physics, 2)
+        wanted = row(weights, walked)["metrics"]
         env.physics.close()
         for metric in METRICS:
             key = f"rollout/{name}/{metric}"
@@ -151,11 +151,8 @@ def make_module() -> PlainModule:
 
 
 def make_trainer(*callbacks: Callback, **options: Any) -> L.Trainer:
-    limits = {"limit_train_batches": 2, "limit_val_batches": 1, "max_epochs": 2, "log_every_n_steps": 1}
-    quiet = {"enable_progress_bar": False, "enable_model_summary": False, "logger": False}
-    saving = any(isinstance(callback, ModelCheckpoint) for callback in callbacks)
-    options = {"accelerator": "cpu", "enable_checkpointing": saving} | limits | quiet | options
-    return L.Trainer(callbacks=list(callbacks), **options)
+    limits = {"limit_train_batches": 2, "limit_val_batches": 1, "max_epochs": 2}
+    return quiet_trainer(*callbacks, **limits | options)
 
 
 def make_data() -> TrajectoryDataModule:
@@ -246,14 +243,13 @@ def test_epochs_without_a_rollout_log_nothing() -> None:
 
 def test_fast_dev_run_walks_one_episode(monkeypatch: pytest.MonkeyPatch) -> None:
     walked: list[int] = []
-    walk = ValidationScenario.walk
+    update = ClosedLoopScore.update
 
-    def counted(self: ValidationScenario, walker: Any, deterministic: bool) -> Any:
-        result = walk(self, walker, deterministic)
-        walked.append(len(cast("Any", result).rollout.failed))
-        return result
+    def counted(self: ClosedLoopScore, rollout: Any) -> None:
+        walked.append(len(rollout.failed))
+        update(self, rollout)
 
-    monkeypatch.setattr(ValidationScenario, "walk", counted)
+    monkeypatch.setattr(ClosedLoopScore, "update", counted)
     assert main([*FIT, "--trainer.fast_dev_run", "true"]) == 0
     assert walked == [1] and not Path("runs").exists()
 
@@ -265,20 +261,17 @@ def test_environments_are_made_once_and_closed_whatever_happens() -> None:
 
     class End(Callback):
         def on_validation_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-            backends.add(cast("Any", callback._validation_scenarios[0]._env).physics)
+            backends.add(callback._envs["door"].physics)
             for copied in (copy.deepcopy(callback), pickle.loads(pickle.dumps(callback))):
-                assert copied.names == callback.names and not copied._validation_scenarios
+                assert copied.names == callback.names and not copied._envs
             if trainer.current_epoch == 1:
                 raise KeyError("something went wrong")
 
     with pytest.raises(KeyError, match="something went wrong"):
         make_trainer(callback, End(), num_sanity_val_steps=0).fit(make_module(), make_data())
-    make_trainer(callback, End(), max_epochs=1).fit(make_module(), make_data())  # it can be used again
-    assert (
-        len(backends) == 2
-        and all(one._scenes._closed for one in backends)
-        and not callback._validation_scenarios
-    )
+    again = make_trainer(callback, End(), max_epochs=1, num_sanity_val_steps=0)  # it can be used again
+    again.fit(make_module(), make_data())
+    assert len(backends) == 2 and all(one._scenes._closed for one in backends) and not callback._envs
 
 
 @pytest.mark.parametrize(
@@ -351,8 +344,7 @@ def test_two_processes_train_and_walk_like_one(elsewhere: Path) -> None:
     assert {path.name for path in (run / "checkpoints").iterdir()} == {"best.ckpt", "last.ckpt"}
 
     alone = ["--trainer.devices", "1", "--trainer.strategy", "auto", "--trainer.callbacks", "null"]
-    last = str(run / "checkpoints" / "last.ckpt")
-    assert main(["validate", "--ckpt_path", last, "--json", "one.json", *alone]) == 0
+    assert main(["validate", "--ckpt_path", str(last(run)), "--json", "one.json", *alone]) == 0
     forecast, walk = (row["metrics"] for row in json.loads(Path("one.json").read_text())["rows"])
     (both,) = measured(run)
     for prefix, metrics in (("val", forecast), ("rollout/door", walk)):

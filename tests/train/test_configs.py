@@ -15,7 +15,7 @@ from pedzoo.core.spec import grouped
 from pedzoo.metrics.realism.two_sample import TREES
 from pedzoo.models.zoo.loading import load
 from pedzoo.sim.make import make_scenario
-from pedzoo.train.fine_tuning import architecture_options
+from pedzoo.train.settings import architecture_options
 
 
 @pytest.mark.parametrize("name", config_names())

@@ -21,10 +21,9 @@ from pedzoo.models.architectures.social_walker import SocialWalker
 from pedzoo.policies.walker import Walker
 from pedzoo.train.crowds.comparison import MANNER_DIM, coarse, compared, parted, summaries
 from pedzoo.train.crowds.crowd_walk import CrowdWalk, recorded, walked_on
-from pedzoo.train.crowds.discriminator import CrowdDiscriminator, legible
 from pedzoo.train.crowds.excerpts import Excerpts, RecordedCrowd, excerpts
-from pedzoo.train.crowds.realism_loss import CrowdLikeness, largest
-from pedzoo.train.crowds.validation import whole_replays
+from pedzoo.train.crowds.module import whole_replays
+from pedzoo.train.crowds.realism_loss import CrowdDiscriminator, CrowdLikeness, largest, legible
 
 EARLY, LATE, SHORT = 0, 1, 2
 PLANNER = Planner(MapBank())

@@ -15,7 +15,6 @@ from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.plans import rectangles, room, wall
 from pedzoo.sim.make import make_env
-from pedzoo.train.closed_loop.courses import Course, CourseSampler
 from pedzoo.train.closed_loop.loop_losses import (
     LoopLosses,
     least_gaps,
@@ -23,7 +22,7 @@ from pedzoo.train.closed_loop.loop_losses import (
     wall_distances,
     wrong_side,
 )
-from pedzoo.train.closed_loop.segments import Segment, unrolled
+from pedzoo.train.closed_loop.segments import Course, CourseSampler, Segment, unrolled
 
 TURN = torch.tensor([[0.6, 0.8], [-0.8, 0.6]])
 HALL = room((-8.0, -8.0), (8.0, 8.0), 0.1)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, cast
 
-import lightning as L
 import numpy as np
 import pytest
 import torch
+from helpers.training import quiet_trainer
 from scipy.stats import wasserstein_distance
 from tensordict import TensorDict
 from torch import Tensor
@@ -30,10 +30,17 @@ from pedzoo.models.blocks.people.crowd import Crowd
 from pedzoo.policies.walker import Walker
 from pedzoo.sim.make import make_env
 from pedzoo.sim.scenarios.replay import Replay
-from pedzoo.train.closed_loop.distribution_distances import SPREADS, features, tail
-from pedzoo.train.closed_loop.imitation import Imitation, repeated
-from pedzoo.train.closed_loop.unroll import Unrolled, recorded, unroll
-from pedzoo.train.modules.plain import PlainModule
+from pedzoo.train.closed_loop.imitation import (
+    SPREADS,
+    Imitation,
+    Unrolled,
+    features,
+    recorded,
+    repeated,
+    tail,
+    unroll,
+)
+from pedzoo.train.module import PlainModule
 
 FAST, SLOW, STANDS, LEAVES, TURNS = 1, 2, 3, 4, 5
 
@@ -488,16 +495,7 @@ def test_a_lightning_module_gets_both_batches(tmp_path: Path) -> None:
         goal="destination", loading=Loading(batch_size=8), imitated=ImitationWindows(4, 4)
     )
     module = _Losses(plain_sgan(residual="bent_line"))
-    trainer = L.Trainer(
-        max_steps=2,
-        accelerator="cpu",
-        logger=False,
-        enable_checkpointing=False,
-        enable_progress_bar=False,
-        enable_model_summary=False,
-        limit_val_batches=0,
-        default_root_dir=tmp_path,
-    )
+    trainer = quiet_trainer(max_steps=2, limit_val_batches=0, default_root_dir=tmp_path)
     trainer.fit(module, data)
     assert module.seen == [{"forecast", "unrolled"}] * 2
     # an epoch is over when all windows of both kinds were seen

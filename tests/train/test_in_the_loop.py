@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 import inspect
 import json
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, cast
 
@@ -17,6 +15,7 @@ import torch
 import yaml
 from helpers.lightning_marks import LIGHTNING_MARKS
 from helpers.loop_training import MEETING, module, small, train
+from helpers.training import assert_same_end, last
 from lightning.pytorch.callbacks import Callback
 from torch import Tensor, nn
 
@@ -27,11 +26,11 @@ from pedzoo.core.spec import grouped
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.policies.walker import Walker
 from pedzoo.sim.make import make_env
-from pedzoo.train.closed_loop.courses import Course
 from pedzoo.train.closed_loop.imitation import Imitation
 from pedzoo.train.closed_loop.in_the_loop import LoopModule
 from pedzoo.train.closed_loop.loop_losses import LoopLosses
-from pedzoo.train.closed_loop.segments import Segment, unrolled
+from pedzoo.train.closed_loop.segments import Course, Segment, unrolled
+from pedzoo.train.run import rows_of
 
 CONFIG = "closed_loop/sgan_goal_map"
 COURSES = '[{"scenario": "door:width=0.9", "scenes": 3}, {"scenario": "circle:people=2", "scenes": 2}]'
@@ -158,45 +157,8 @@ def test_a_run_saves_the_dropout_that_it_ran_with(named: bool, monkeypatch: pyte
     assert main(["fit", *config, "--weights", weights, *QUICK, *STILL, "--trainer.max_epochs", "1"]) == 0
     (run,) = Path().glob("runs/*/*")
     saved = yaml.safe_load((run / "config.yaml").read_text())["model"]["init_args"]["generator"]["init_args"]
-    stored = pedzoo.load(str(run / "checkpoints" / "last.ckpt"))
+    stored = pedzoo.load(str(last(run)))
     assert {saved["losses"]["map_dropout"], stored.config["map_dropout"], *ran} == {0.0}
-
-
-def as_earlier(run: Path) -> None:
-    """Rewrite a run as earlier versions did: the generator twice, a dropout without use."""
-    file = run / "checkpoints" / "last.ckpt"
-    checkpoint = torch.load(file, weights_only=True)
-    own = checkpoint["state_dict"]
-    copies = {key.replace("generator.", "walker.model.", 1): own[key] for key in own if "generator." in key}
-    checkpoint["state_dict"] = own | copies
-    checkpoint["pedzoo"]["init"]["map_dropout"] = 0.5
-    torch.save(checkpoint, file)
-    written = run / "config.yaml"
-    settings = yaml.safe_load(written.read_text())
-    generator = settings["model"]["init_args"]["generator"]
-    generator["init_args"]["losses"]["map_dropout"] = 0.5
-    written.write_text(yaml.safe_dump(settings))
-
-
-def test_runs_of_earlier_versions_go_on_as_they_began() -> None:
-    run = fit("sgan_goal_map.zara1", *STILL)
-    whole = fit("sgan_goal_map.zara1", *STILL, epochs=2)
-    as_earlier(run)
-    file = str(run / "checkpoints" / "last.ckpt")
-    assert pedzoo.load(file).config["map_dropout"] == 0.5
-    begun = fit(file, *STILL)
-    assert yaml.safe_load((begun / "config.yaml").read_text())["weights"] == file
-    assert main(["fit", "--resume", str(run), "--trainer.max_epochs", "2", "--model.final_lr", "0.02"]) == 0
-    one, two = (torch.load(r / "checkpoints" / "last.ckpt", weights_only=True) for r in (run, whole))
-    assert one["state_dict"].keys() == two["state_dict"].keys() and one["epoch"] == two["epoch"] == 1
-    settings = yaml.safe_load((run / "config.yaml").read_text())["model"]["init_args"]["generator"]
-    assert settings["init_args"]["losses"]["map_dropout"] == 0 == one["pedzoo"]["init"]["map_dropout"]
-
-
-def leaves(tree: Any) -> Iterator[Any]:
-    """Yield everything in nested dicts and lists."""
-    for value in tree.values() if isinstance(tree, dict) else tree:
-        yield from leaves(value) if isinstance(value, dict | list | tuple) else [value]
 
 
 def test_fit_twice_one_epoch_is_fit_two() -> None:
@@ -205,12 +167,7 @@ def test_fit_twice_one_epoch_is_fit_two() -> None:
     whole = fit("sgan_goal.zara1", *options, epochs=2)
     halves = fit("sgan_goal.zara1", *options, epochs=1)
     assert main(["fit", "--resume", str(halves), "--trainer.max_epochs", "2"]) == 0
-    one, two = (torch.load(run / "checkpoints" / "last.ckpt", weights_only=True) for run in (whole, halves))
-    assert one["epoch"] == two["epoch"] == 1
-    for key in ("state_dict", "optimizer_states"):
-        pairs = list(zip(leaves(one[key]), leaves(two[key]), strict=True))
-        assert len(pairs) > 20
-        assert all(torch.equal(a, b) if isinstance(a, Tensor) else a == b for a, b in pairs)
+    assert assert_same_end(last(whole), last(halves))["epoch"] == 1
 
 
 def test_a_controller_of_your_own_recordings(capsys: pytest.CaptureFixture[str]) -> None:
@@ -250,8 +207,7 @@ def test_any_generator_goes_into_the_loop(weights: str, capsys: pytest.CaptureFi
     assert config["weights"] == weights and config["model"]["init_args"]["lr"] == pytest.approx(7e-4)
     pairs = zip(before.parameters(), after.parameters(), strict=True)
     assert any(not torch.equal(a, b) for a, b in pairs)
-    with (run / "metrics.csv").open() as file:
-        (row,) = (row for row in csv.DictReader(file) if row["rollout/clean"])
+    (row,) = (row for row in rows_of(run / "metrics.csv") if "rollout/clean" in row)
     each = [float(row[f"rollout/{name}/clean"]) for name in ("circle:people=2", "hallway")]
     assert float(row["rollout/clean"]) == pytest.approx(sum(each) / 2)
     next_step = capsys.readouterr().out.partition("next: pedzoo forecast")[2]

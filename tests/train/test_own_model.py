@@ -14,7 +14,7 @@ from torch import nn
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.models.base import Forecaster, for_all_samples, true_displacements
-from pedzoo.train.modules.contract import check_model, is_own
+from pedzoo.train.contract import check_model, is_own
 
 
 class _Line(Forecaster):
@@ -134,7 +134,7 @@ def test_fit_refuses_it_before_the_first_epoch(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("mine.py").write_text(dedent(FILE))
-    plain = "model:\n  class_path: pedzoo.train.modules.plain.PlainModule\n"
+    plain = "model:\n  class_path: pedzoo.train.module.PlainModule\n"
     plain += indent("init_args: {samples: 1, generator: {class_path: mine.py:Mine}}", "  ")
     Path("mine.yaml").write_text(f"{plain}\ndata: {{fold: embedded}}\ntrainer: {{max_epochs: 1}}\n")
     fit = ["fit", "--config", "mine.yaml", "--trainer.enable_progress_bar=false"]

@@ -7,14 +7,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
-import lightning as L
 import pytest
 import torch
 from helpers.lightning_marks import LIGHTNING_MARKS
+from helpers.training import assert_same_end, last, quiet_trainer
 from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.distributions import Normal
 from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.modules import ProbabilisticActor
 
 import pedzoo
 from pedzoo.cli.main import main
@@ -25,13 +26,9 @@ from pedzoo.core.spec import build_ungrouped
 from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.policies.walker import Walker
-from pedzoo.sim.make import make_env, prepare_scenario
-from pedzoo.train.rl.actor import Spread, actor
-from pedzoo.train.rl.critic import Critic
-from pedzoo.train.rl.experience import Gatherer, with_advantages
-from pedzoo.train.rl.objective import advantages, clipped
-from pedzoo.train.rl.ppo import Collection, Optimisation, PPOModule
-from pedzoo.train.rl.rewards import Reward
+from pedzoo.sim.make import make_env
+from pedzoo.train.ppo.people import Collection, Critic, Mean, PPOModule, Reward, lived_through
+from pedzoo.train.ppo.trainer import Gatherer, Objective, Optimisation, actor
 
 CPU = torch.device("cpu")
 
@@ -52,10 +49,21 @@ def small(**more: Any) -> SGAN:
     return model
 
 
+def acting(model: SGAN, std: float = 0.2) -> ProbabilisticActor:
+    """Return TorchRL's actor of a model."""
+    return actor(Mean(Walker(model), nn.Parameter(torch.tensor(std).log())), "agents", "action")
+
+
 def gatherer(model: SGAN, scenario: str = "hallway", scenes: int = 3, steps: int = 5) -> Gatherer:
     """Return scenes in which a model gathers experience."""
-    acting = actor(Walker(model), Spread(0.2))
-    return Gatherer(prepare_scenario(scenario), acting, scenes, steps)
+    return Gatherer(make_env(scenario, scenes), acting(model), steps)
+
+
+def rated(lived: TensorDict, critic: Any, gamma: float, gae_lambda: float) -> Any:
+    """Return decisions with advantages, in the shape that they have."""
+    how = Optimisation(gamma=gamma, gae_lambda=gae_lambda)
+    result = Objective(acting(small()), Critic(gamma), how, CPU).rated(lived_through(lived, Reward(), critic))
+    return result.unflatten(0, lived.shape)
 
 
 @pytest.fixture(scope="module")
@@ -180,8 +188,7 @@ def test_likelihoods_of_updates_are_those_of_collecting() -> None:
     result = gatherer(model).gather(3)
     flat = cast("TensorDict", result.exclude("next").flatten(0, 1))
     action, stored = flat["agents", "action"].clone(), flat["agents", "log_prob"].clone()
-    acting = actor(Walker(model), Spread(0.2))
-    again = acting.get_dist(flat).log_prob(action)
+    again = acting(model).get_dist(flat).log_prob(action)
     torch.testing.assert_close(again, stored)
     assert torch.equal(flat["agents", "action"], action)
     with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
@@ -193,9 +200,8 @@ def test_people_whom_the_policy_does_not_move_have_a_fixed_distribution() -> Non
     model, env = small(), make_env("hallway", 2)
     now = cast("TensorDict", env.reset())
     now["agents", "controlled"][:, 0] = False
-    acting, other = (actor(Walker(model), Spread(std)) for std in (0.2, 0.4))
     given = torch.ones(2, 2, 2)
-    one, two = (policy.get_dist(now.clone()).log_prob(given) for policy in (acting, other))
+    one, two = (acting(model, std).get_dist(now.clone()).log_prob(given) for std in (0.2, 0.4))
     assert torch.equal(one[:, 0], two[:, 0]) and not torch.equal(one[:, 1], two[:, 1])
     assert one[0, 0].item() == pytest.approx(-1 - math.log(2 * math.pi), rel=1e-5)
 
@@ -214,30 +220,18 @@ def test_experience_depends_on_seed_and_weights_alone() -> None:
     assert (gathered(first, 5) == again).all()
     with torch.no_grad():
         model.decoder.output.weight += 0.05
-    moved = gathered(first, 5)
+    moved = gathered(second, 6)
+    assert torch.equal(moved["scene_key"][:, 0], two["scene_key"][:, 0])
+    moved = gathered(second, 5)
     assert torch.equal(moved["scene_key"][:, 0], one["scene_key"][:, 0])
     assert not torch.equal(moved["agents", "action"], one["agents", "action"])
-
-
-def test_processes_share_the_scenes_of_a_seed() -> None:
-    model = small()
-    acting = actor(Walker(model), Spread(0.2))
-    scenario = prepare_scenario("hallway")
-    keys = [
-        Gatherer(scenario, acting, 2, 1, rank=rank, processes=2).gather(0)["scene_key"][:, 0, 0]
-        for rank in range(2)
-    ]
-    both = Gatherer(scenario, acting, 4, 1).gather(0)["scene_key"][:, 0, 0]
-    assert torch.equal(torch.cat(keys), both)
 
 
 def test_advantages_are_those_of_each_agents_own_episode(lived: TensorDict) -> None:
     """An oracle with loops: rewards end when a person leaves or when a new episode begins."""
     gamma, lam = 0.9, 0.8
     critic = trained_critic()
-    result = with_advantages(lived.clone(), Reward(), critic, advantages(gamma, lam, CPU)).unflatten(
-        0, (4, 24)
-    )
+    result = rated(lived.clone(), critic, gamma, lam)
     people, after = agents_of(result), cast("TensorDict", lived["next", "agents"])
     scored = people["scored"]
     assert torch.equal(scored, lived["agents", "controlled"]) and not scored.all()
@@ -259,10 +253,10 @@ def test_advantages_are_those_of_each_agents_own_episode(lived: TensorDict) -> N
                 )
                 ahead = surprise + (0.0 if over else gamma * lam * ahead)
                 expected[b, t, a] = ahead
-    target = torch.where(scored, expected + people["value"][..., 0], 0.0)
-    torch.testing.assert_close(people["value_target"][..., 0], target, rtol=1e-4, atol=1e-4)
+    target, value = (people[key][..., 0][scored] for key in ("value_target", "value"))
+    torch.testing.assert_close(target, expected[scored] + value, rtol=1e-4, atol=1e-4)
     known = expected[scored]
-    normal = torch.where(scored, (expected - known.mean()) / known.std(), 0.0)
+    normal = torch.where(scored, (expected - known.mean()) / known.std(correction=0), 0.0)
     torch.testing.assert_close(people["advantage"][..., 0], normal, rtol=1e-3, atol=1e-3)
 
 
@@ -276,8 +270,7 @@ def test_another_person_in_the_slot_ends_an_episode(lived: TensorDict) -> None:
         data["next", name][:] = False
     data["next", "agents", "reward"][:] = torch.tensor([1.0, 10.0]).view(1, 2, 1, 1)
     data["next", "agents", "id"][0, 0, 0] = 7
-    result: Any = with_advantages(data, Reward(), no_value, advantages(1.0, 1.0, CPU)).unflatten(0, (1, 2))
-    target = result["agents", "value_target"][0, 0, :, 0]
+    target = rated(data, no_value, 1.0, 1.0)["agents", "value_target"][0, 0, :, 0]
     assert target.tolist() == [1.0, 11.0]
 
 
@@ -286,7 +279,7 @@ def test_a_failed_scene_counts_nowhere(lived: TensorDict) -> None:
     data["agents", "controlled"][:] = True
     data["next", "failed"][0, 1] = True
     data["next", "agents", "reward"][0, 1] = torch.nan
-    result: Any = with_advantages(data, Reward(), no_value, advantages(0.9, 0.9, CPU)).unflatten(0, (1, 2))
+    result = rated(data, no_value, 0.9, 0.9)
     assert result["agents", "scored"][0].all(-1).tolist() == [True, False]
     assert result["agents", "advantage"].isfinite().all()
 
@@ -294,16 +287,16 @@ def test_a_failed_scene_counts_nowhere(lived: TensorDict) -> None:
 @pytest.fixture
 def frames(lived: TensorDict) -> tuple[Callable[[TensorDict], tuple[Tensor, list[Tensor]]], TensorDict]:
     """A loss with its gradients, as a function of decisions, and decisions."""
-    model, critic, spread = small(), trained_critic(), Spread(0.2)
-    loss = clipped(actor(Walker(model), spread), critic, 0.2, 0.01, 1.0, CPU)
-    parameters = [*model.parameters(), *critic.parameters(), *spread.parameters()]
+    policy, critic = acting(small()), trained_critic()
+    loss = Objective(policy, critic, Optimisation(entropy=0.01), CPU).loss
+    parameters = [*policy.parameters(), *critic.parameters()]
 
     def terms(decisions: TensorDict) -> tuple[Tensor, list[Tensor]]:
         result = loss(decisions.clone())
         value = torch.stack([result[f"loss_{key}"] for key in ("objective", "critic", "entropy")])
         return value.detach(), list(torch.autograd.grad(value.sum(), parameters, allow_unused=True))
 
-    return terms, with_advantages(lived.clone(), Reward(), critic, advantages(0.9, 0.9, CPU))
+    return terms, rated(lived.clone(), critic, 0.9, 0.9).flatten(0, 1)
 
 
 def test_who_does_not_count_has_no_part_in_loss_and_gradient(frames: Any) -> None:
@@ -330,45 +323,29 @@ def test_loss_is_a_mean_over_those_who_count(frames: Any) -> None:
     assert float(terms(decisions)[0][2]) == pytest.approx(-0.01 * entropy, rel=1e-4)
 
 
-class Slow(Reward):
-    """A reward that has no gradient: 1 for walking slower than 0.8 m/s."""
-
-    def __call__(self, before: TensorDict, after: TensorDict) -> Tensor:
-        """Return it."""
-        return (torch.linalg.vector_norm(agents_of(after)["velocity"], dim=-1) < 0.8).float()
+def slow(before: TensorDict, after: TensorDict) -> Tensor:
+    """Return a reward that has no gradient: 1 for walking slower than 0.8 m/s."""
+    return (torch.linalg.vector_norm(agents_of(after)["velocity"], dim=-1) < 0.8).float()
 
 
-class Broken(Reward):
-    """A reward that is no number."""
-
-    def __call__(self, before: TensorDict, after: TensorDict) -> Tensor:
-        """Return it."""
-        return super().__call__(before, after) * torch.nan
+def broken(before: TensorDict, after: TensorDict) -> Tensor:
+    """Return a reward that is no number."""
+    return Reward()(before, after) * torch.nan
 
 
 def trained(module: PPOModule, iterations: int, **settings: Any) -> dict[str, float]:
     """Train without a validation, and return what was logged last."""
     data = TrajectoryDataModule("embedded", goal="window_end", loading=Loading(batch_size=8))
-    trainer = L.Trainer(
-        max_epochs=1, limit_train_batches=iterations, limit_val_batches=0, logger=False, accelerator="cpu",
-        enable_checkpointing=False, enable_progress_bar=False, enable_model_summary=False, **settings,
-    )  # fmt: skip
+    trainer = quiet_trainer(max_epochs=1, limit_train_batches=iterations, limit_val_batches=0, **settings)
     trainer.fit(module, data)
     return {key: float(value) for key, value in trainer.callback_metrics.items()}
-
-
-def recordings() -> TensorDict:
-    """Return the first batch that `trained` is given."""
-    data = TrajectoryDataModule("embedded", goal="window_end", loading=Loading(batch_size=8))
-    data.setup("fit")
-    return next(iter(data.train_dataloader()))
 
 
 def test_learns_from_a_reward_without_a_gradient() -> None:
     module = PPOModule(
         small(),
         ["hallway"],
-        Slow(),
+        cast("Any", slow),
         Collection(envs=16, steps=8, std=0.3),
         Optimisation(gamma=0.5),
         lr=1e-2,
@@ -383,7 +360,11 @@ def test_learns_from_a_reward_without_a_gradient() -> None:
 
 def test_updates_that_are_no_numbers_are_skipped_and_counted() -> None:
     module = PPOModule(
-        small(), ["hallway"], Broken(), Collection(envs=2, steps=4), Optimisation(passes=2, minibatches=3)
+        small(),
+        ["hallway"],
+        cast("Any", broken),
+        Collection(envs=2, steps=4),
+        Optimisation(passes=2, minibatches=3),
     )
     before = {key: value.clone() for key, value in module.generator.state_dict().items()}
     result = trained(module, 2)
@@ -393,7 +374,9 @@ def test_updates_that_are_no_numbers_are_skipped_and_counted() -> None:
 
 def test_recorded_scenes_are_learnt_beside_the_decisions() -> None:
     """The generator's own loss of the batch that the data give, per scene and weighed."""
-    batch, weights = recordings(), []
+    data, weights = TrajectoryDataModule("embedded", goal="window_end", loading=Loading(batch_size=8)), []
+    data.setup("fit")
+    batch = next(iter(data.train_dataloader()))
     for weight in (0.0, 20.0):
         optimisation = Optimisation(passes=1, minibatches=1, recorded=weight)
         module = PPOModule(small(), ["hallway"], Reward(), Collection(envs=2, steps=2), optimisation)
@@ -430,17 +413,12 @@ def test_command_line_fine_tunes_and_resumes(tmp_path: Path, monkeypatch: pytest
     assert main([*start, "--trainer.max_epochs=1", "--model.final_lr=1", "--runs=parts"]) == 0
     (whole,), (parts,) = (list(Path(name).glob("*/*")) for name in ("whole", "parts"))
     assert main(["fit", "--resume", str(parts), "--trainer.max_epochs=2"]) == 0
-    states = [
-        torch.load(run / "checkpoints" / "last.ckpt", weights_only=False)["state_dict"]
-        for run in (whole, parts)
-    ]
-    assert states[0].keys() == states[1].keys()
-    assert all(torch.equal(states[0][key], states[1][key]) for key in states[0])
-    assert int(states[0]["iteration"]) == 4 and "spread.log" in states[0]
-    assert not any(key.startswith("_") for key in states[0])
+    state = assert_same_end(last(whole), last(parts))["state_dict"]
+    assert int(state["iteration"]) == 4 and "log_std" in state
+    assert not any(key.startswith("_") for key in state)
     logged = (whole / "metrics.csv").read_text()
     assert "rollout/hallway/success" in logged and "train/reward" in logged and "nan" not in logged
-    tuned, origin = pedzoo.load(str(whole / "checkpoints" / "last.ckpt")), pedzoo.load("sgan_goal.eth_ucy")
+    tuned, origin = pedzoo.load(str(last(whole))), pedzoo.load("sgan_goal.eth_ucy")
     assert not torch.equal(next(tuned.parameters()), next(origin.parameters()))
 
 

@@ -7,10 +7,10 @@ import re
 from pathlib import Path
 from typing import Any, cast
 
-import lightning as L
 import pytest
 import torch
 from helpers.lightning_marks import LIGHTNING_MARKS
+from helpers.training import last, quiet_trainer
 from tensordict import TensorDict
 from torch import Tensor, nn
 from torchrl.envs.utils import check_env_specs
@@ -28,10 +28,9 @@ from pedzoo.policies.robots._base import ObservedPeople, Robot, bodies_of
 from pedzoo.policies.robots.attention import Attention, as_action, as_decision, frame_of
 from pedzoo.sim.crowdnav import COLLISION, CROWDNAV, CROWDNAV_PP, SUCCESS, TIMEOUT, cases
 from pedzoo.sim.robots.env import make_robot_env
-from pedzoo.train.robots.crowdnav import CrowdNavEnv, Crowds
-from pedzoo.train.robots.experience import act, walked_once
-from pedzoo.train.robots.ppo import RobotPPO
-from pedzoo.train.robots.teacher import taught, teacher_of
+from pedzoo.train.ppo.crowdnav import CrowdNavEnv, Crowds
+from pedzoo.train.ppo.robots import RobotPPO, act, walked_once
+from pedzoo.train.ppo.teacher import taught, teacher_of
 from tools.kills import difference
 from tools.paper.crowdnav import run
 
@@ -248,10 +247,7 @@ def test_the_teacher_gets_most_robots_through() -> None:
 def trained(updates: int, policy: Attention, people: int = 1, **options: Any) -> RobotPPO:
     settings: dict[str, Any] = {"envs": 64, "steps": 16, "minibatches": 4, "episodes": 50} | options
     module = RobotPPO(policy, [f"crowdnav:people={people},crowds=128"], updates=updates, **settings)
-    trainer = L.Trainer(
-        max_epochs=1, logger=False, enable_checkpointing=False, enable_progress_bar=False,
-        enable_model_summary=False, limit_val_batches=0,
-    )  # fmt: skip
+    trainer = quiet_trainer(max_epochs=1, limit_val_batches=0)
     trainer.fit(module)
     return module
 
@@ -333,12 +329,11 @@ def test_the_command_line_trains_resumes_and_loads(
     for name in ("train/samples_per_s", "train/kl", "val/success", "val/return"):
         assert name in logged
     assert "nan" not in logged
-    state = torch.load(run / "checkpoints" / "last.ckpt", weights_only=True)
+    state, file = torch.load(last(run), weights_only=True), last(run)
     assert int(state["state_dict"]["iteration"]) == 4
-    last = run / "checkpoints" / "last.ckpt"
     width = {"state_dict": state["state_dict"] | {"mean.log_std": torch.zeros(3)}}
     for damage in (width, {"loops": None}, {"optimizer_states": [{}]}, {"pedzoo": 3}, None):
-        torch.save(state | damage, last) if damage else last.write_bytes(last.read_bytes()[:5000])
+        torch.save(state | damage, file) if damage else file.write_bytes(file.read_bytes()[:5000])
         capsys.readouterr()
         assert main(["fit", "--resume", str(run), "--trainer.max_epochs=3", "--model.lr=0.0005"]) == 2
         out, said = capsys.readouterr()
@@ -346,8 +341,8 @@ def test_the_command_line_trains_resumes_and_loads(
         assert (
             damage in ({"pedzoo": 3}, None) or "note: goes on with --model.lr 0.0005, it was 0.001\n" in out
         )
-    torch.save(state, last)
-    policy = load_robot_policy(str(last))
+    torch.save(state, file)
+    policy = load_robot_policy(str(file))
     assert isinstance(policy, Attention) and policy.config["width"] == 16
     assert policy.action(scene(robot)).shape == (6, 1, 2)
     for command in ("forecast", "fit --weights"):

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from torch.utils._pytree import tree_flatten
+from helpers.training import assert_same_end
 
 from pedzoo.cli.main import main
 
@@ -29,7 +29,7 @@ SLURM = {f"SLURM_{name}": value for name, value in JOB.items()}
 STOPS = """
 import os, signal, sys
 from pedzoo.cli.main import main
-from pedzoo.train.modules.gan import GANModule
+from pedzoo.train.gan import GANModule
 
 steps = GANModule.training_step
 
@@ -99,15 +99,6 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return runs / LAST.relative_to("runs")
 
 
-def check_end(whole: Path) -> None:
-    """Check that a run ended as the whole one, to the last bit."""
-    one, two = torch.load(LAST), torch.load(whole)
-    assert one["epoch"] == two["epoch"] == 1
-    for key in ("state_dict", "optimizer_states"):  # of both networks
-        ours, theirs = ([x for x in tree_flatten(end[key])[0] if torch.is_tensor(x)] for end in (one, two))
-        assert len(ours) == len(theirs) > 0 and all(map(torch.equal, ours, theirs))
-
-
 def test_a_training_that_sigterm_ended_is_resumed(whole: Path) -> None:
     ended = stopped(signal.SIGTERM)
     assert ended.returncode == 143, ended.stderr
@@ -115,7 +106,7 @@ def test_a_training_that_sigterm_ended_is_resumed(whole: Path) -> None:
     assert ended.stderr.endswith("pedzoo: ended by SIGTERM\n") and "Traceback" not in ended.stderr
     assert torch.load(LAST)["epoch"] == 0
     assert main(["fit", "--resume", str(RUN)]) == 0
-    check_end(whole)
+    assert assert_same_end(LAST, whole)["epoch"] == 1  # to the last bit, of both networks
 
 
 def test_a_job_that_slurm_runs_again_goes_on(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -140,7 +131,7 @@ def test_a_job_that_slurm_runs_again_goes_on(whole: Path, monkeypatch: pytest.Mo
     assert Path(f"{RUN}-2").is_dir()
     for name in (*SLURM, "SLURM_RESTART_COUNT"):
         monkeypatch.delenv(name)
-    check_end(whole)
+    assert assert_same_end(LAST, whole)["epoch"] == 1  # to the last bit, of both networks
 
 
 def started(words: list[str], until: Callable[[], bool]) -> subprocess.Popen[str]:

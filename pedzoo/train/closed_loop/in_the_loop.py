@@ -17,11 +17,10 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.registry import function_in_file
 from pedzoo.models.base import Forecaster
 from pedzoo.policies.walker import Walker
-from pedzoo.train.closed_loop.courses import Course, CourseSampler
 from pedzoo.train.closed_loop.imitation import Imitation
 from pedzoo.train.closed_loop.loop_losses import LoopLosses, mean_cost
-from pedzoo.train.closed_loop.segments import unrolled
-from pedzoo.train.modules.module import ForecastModule, copied_keys
+from pedzoo.train.closed_loop.segments import Course, CourseSampler
+from pedzoo.train.module import ForecastModule
 
 
 class LoopModule(ForecastModule):
@@ -85,20 +84,6 @@ class LoopModule(ForecastModule):
         """The generator as a policy."""
         return self._walker[0]
 
-    def check(self, checkpoint: dict[str, Any]) -> None:
-        """Check a checkpoint as `ForecastModule.check` does.
-
-        Earlier versions wrote the generator twice. The copies are removed from ``checkpoint``.
-
-        Raises:
-            UserError: As there.
-        """
-        if copies := copied_keys(checkpoint):
-            checkpoint["state_dict"] = {
-                key: value for key, value in checkpoint["state_dict"].items() if key not in copies
-            }
-        super().check(checkpoint)
-
     def configure_optimizers(self) -> OptimizerLRScheduler:
         """Return Adam, of a discriminator too; `set_lr` sets its learning rate at every iteration."""
         return torch.optim.Adam([*self.generator.parameters(), *self.imitation.parameters()], self.lr)
@@ -125,7 +110,7 @@ class LoopModule(ForecastModule):
             terms["forecast"] = self.forecast_weight * loss / people
         imitated = self.imitation(self.walker, batch["unrolled"], self.random())
         terms["imitation"] = imitated.pop("loss")
-        self._log(terms | {f"imitation/{name}": value for name, value in imitated.items()})
+        self.log_means(terms | {f"imitation/{name}": value for name, value in imitated.items()})
         loss = torch.stack(list(terms.values())).sum()
         self.show("loss", loss)
         return loss
@@ -133,12 +118,9 @@ class LoopModule(ForecastModule):
     def _walk(self) -> dict[str, Tensor]:
         """Return the terms of a segment."""
         active = self.courses.at(int(self.iteration), self.current_epoch, self.device)
-        seen = active.begin(self.max_segments)
-        noise = self.walker.noise_of(seen)
-        segment = unrolled(active.env, self.walker, seen, self.steps)
-        active.end(segment.done)
+        segment, noise = active.walk(self.walker, self.steps, self.max_segments)
         for name in ("agent_contact", "wall_contact"):
-            self._log({name: getattr(segment, name).any(0).any(1).float().mean()})
+            self.log_means({name: getattr(segment, name).any(0).any(1).float().mean()})
         terms = self.walking(segment, active.env.bank, noise, self.firmness())
         for name, (function, weight) in self.losses.items():
             cost = function(segment, active.env.bank)
@@ -155,21 +137,16 @@ class LoopModule(ForecastModule):
         done = int(self.iteration) / self.iterations()
         return 1.0 if done >= self.collision_ramp else 0.25 + 0.75 * done / self.collision_ramp
 
-    def _log(self, values: dict[str, Tensor]) -> None:
-        for name, value in values.items():
-            self.log(f"train/{name}", value.detach(), on_step=False, on_epoch=True, batch_size=1)
-
     def on_after_backward(self) -> None:
         """Count the iteration, and skip gradients that are not finite."""
         self.iteration += 1
-        trained = [
-            p for p in (*self.generator.parameters(), *self.imitation.parameters()) if p.grad is not None
-        ]
+        networks = self.generator, self.imitation
+        trained = [p for network in networks for p in network.parameters() if p.grad is not None]
         if not all(bool(cast("Tensor", p.grad).isfinite().all()) for p in trained):
             self.skipped += 1
             for parameter in trained:
                 parameter.grad = None  # which Adam passes over
-        self._log({"skipped": self.skipped.float()})
+        self.log_means({"skipped": self.skipped.float()})
 
     def on_before_optimizer_step(self, optimizer: Optimizer) -> None:
         """Clip the gradients, each network's on its own, and set the learning rate."""

@@ -1,5 +1,6 @@
 """Training a walker on whole recorded crowds, and beside them in scenarios."""
 
+from collections.abc import Sequence
 from typing import Any, cast
 
 import torch
@@ -12,24 +13,29 @@ from pedzoo.core.errors import UserError, at_least_zero
 from pedzoo.core.types import OBS_LEN
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planning.planner import Planner
+from pedzoo.metrics.realism.distances import wasserstein
+from pedzoo.metrics.realism.features import FEATURES, Clips
+from pedzoo.metrics.realism.two_sample import FOLDS, auc, two_sample
 from pedzoo.models.base import Forecaster
 from pedzoo.policies.walker import Walker
 from pedzoo.sim.make import CLEARANCE
 from pedzoo.sim.scenarios.replay import CELL
-from pedzoo.train.closed_loop.courses import Course, CourseSampler
 from pedzoo.train.closed_loop.loop_losses import LoopLosses
-from pedzoo.train.closed_loop.segments import unrolled
-from pedzoo.train.crowds.crowd_walk import walked_on
+from pedzoo.train.closed_loop.segments import Course, CourseSampler
+from pedzoo.train.crowds.comparison import CrowdFeatures, coarse, compared
+from pedzoo.train.crowds.crowd_walk import CrowdWalk, Policy, recorded, walked_on
 from pedzoo.train.crowds.excerpts import RecordedCrowd, excerpts
 from pedzoo.train.crowds.realism_loss import CrowdLikeness
-from pedzoo.train.crowds.validation import whole_replays
-from pedzoo.train.modules.module import ForecastModule
+from pedzoo.train.module import ForecastModule
 
 _PAIRS = 60.0
 """People who walk at once, in all excerpts of an update."""
 
 _FEWEST = 2
 """People that an excerpt needs to be compared."""
+
+_LEAST_SPREAD = 1e-3
+"""Of recorded values, where all are equal."""
 
 
 class CrowdModule(ForecastModule):
@@ -166,8 +172,7 @@ class CrowdModule(ForecastModule):
             first.step()
         self.iteration += 1
         self.show("loss", loss)
-        for name, value in {**terms, "loss": loss}.items():
-            self.log(f"train/{name}", value.detach(), on_step=False, on_epoch=True, batch_size=1)
+        self.log_means({**terms, "loss": loss})
 
     def _among_recorded(self, judges: Any, random: torch.Generator) -> dict[str, Tensor]:
         """Return the terms of excerpts of one recording."""
@@ -201,10 +206,7 @@ class CrowdModule(ForecastModule):
         """Return the terms of a segment."""
         assert self.courses is not None
         active = self.courses.at(int(self.iteration), self.current_epoch, self.device)
-        seen = active.begin(self.max_segments)
-        noise = self.walker.noise_of(seen)
-        segment = unrolled(active.env, self.walker, seen, self.course_steps)
-        active.end(segment.done)
+        segment, noise = active.walk(self.walker, self.course_steps, self.max_segments)
         return self.walking(segment, active.env.bank, noise)
 
     def on_validation_epoch_end(self) -> None:
@@ -218,3 +220,58 @@ class CrowdModule(ForecastModule):
         """Close the environments."""
         if self.courses is not None:
             self.courses.close()
+
+
+@torch.no_grad()
+def whole_replays(
+    policy: Policy,
+    crowds: Sequence[RecordedCrowd],
+    planner: Planner,
+    device: torch.device | str = "cpu",
+) -> dict[str, float]:
+    """Return how unlike the crowds are in which a policy takes all people's places, from begin to end.
+
+    ``realism``, ``auc`` and ``auc_coarse`` as in `pedzoo score`, people of all recordings together, and
+    ``unlike``, their sum. The policy is on ``device``, and walks there.
+    """
+    made: dict[str, list[CrowdFeatures]] = {"auc": [], "auc_coarse": []}
+    true: dict[str, list[CrowdFeatures]] = {"auc": [], "auc_coarse": []}
+    for number, crowd in enumerate(crowds):
+        real = excerpts(crowd, [1 - OBS_LEN], crowd.frames).to(device)
+        walk = walked_on(policy, real, planner, torch.tensor([number], device=device))
+        for into, one in ((made, _rounded(walk)), (true, _rounded(recorded(real)))):
+            into["auc"].append(compared(one, real))
+            into["auc_coarse"].append(compared(coarse(one), real))
+    result = {name: _area(made[name], true[name]) for name in made}
+    distances = [
+        wasserstein(one, other) / other.std().clamp_min(_LEAST_SPREAD)
+        for name in FEATURES
+        for one, other in [[_all(side["auc"], name) for side in (made, true)]]
+    ]
+    result["realism"] = float(torch.stack(distances).mean())
+    return result | {"unlike": result["realism"] + (result["auc"] + result["auc_coarse"]) / 2}
+
+
+def _rounded(walk: CrowdWalk) -> CrowdWalk:
+    """Return the crowd to the millimetre: the decimals of files would distinguish crowds."""
+    return walk._replace(xy=(walk.xy.double() * 1000).round().div(1000).float())
+
+
+def _area(made: list[CrowdFeatures], true: list[CrowdFeatures]) -> float:
+    """Return the area under the classifier's ROC curve; no person is in training and test."""
+    begin = torch.tensor([0, *(one.people for one in made)]).cumsum(0).tolist()
+    people = begin[-1]
+    part = torch.arange(people) * 2654435761 % 2**32 % FOLDS  # of Knuth: neighbours in different parts
+    sides = [
+        Clips(
+            torch.cat([one.clips.flatten(1) for one in side]).cpu(),
+            torch.cat([one.person + first for one, first in zip(side, begin, strict=False)]).cpu(),
+        )
+        for side in (made, true)
+    ]
+    each = torch.ones(1, people)
+    return float(auc(two_sample(sides[0], sides[1], part, part), each, each))
+
+
+def _all(side: list[CrowdFeatures], name: str) -> Tensor:
+    return torch.cat([one.features[name] for one in side])

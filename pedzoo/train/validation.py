@@ -1,24 +1,27 @@
 """Validation in the loop: the weights as they are walk through scenes, and the metrics stand beside ADE."""
 
+import copy
 import math
-from contextlib import closing
+import re
+import tempfile
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
 from typing import Any, cast
 
 import lightning as L
 import torch
 from lightning.pytorch.callbacks import Callback
+from lightning.pytorch.loggers import WandbLogger
+from lightning.pytorch.utilities import rank_zero_only
 from torch import Tensor
 
+from pedzoo.core.adapters import logged_step
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.types import OBS_LEN
-from pedzoo.metrics.closed_loop import ClosedLoopScore
 from pedzoo.models.base import Forecaster
-from pedzoo.policies.walker import Walker
-from pedzoo.sim.make import make_env, make_scenario, physics_class
-from pedzoo.sim.scenario import PreparedScenario, Scenario
-from pedzoo.train.modules.module import ForecastModule
-from pedzoo.train.validation.rollout_media import log_rollout_media
-from pedzoo.train.validation.validation_scenario import ValidationScenario, isolated, share, walking_copy
+from pedzoo.train.contract import is_own
+from pedzoo.train.module import ForecastModule
 
 METRICS = (
     *("success", "episode_success", "clean", "deadlock", "failed"),
@@ -36,6 +39,15 @@ BEST: dict[str, str] = {
 MEANS = ("success", "clean", "stl")
 """Of these the mean over the scenarios is logged too, as ``rollout/METRIC``, to choose checkpoints by."""
 
+USUAL = "door", "compiled"
+"""Scenario and physics of the shipped configs, where all of pedzoo's models with goals can walk."""
+
+FILM = (480, 360)
+"""Width and height of videos, pixels."""
+
+FILM_SECONDS = 20.0
+"""Of an episode, at most."""
+
 
 class ClosedLoopValidation(Callback):
     """Runs rollouts of the current weights after every n-th validation, logs ``rollout/SCENARIO/METRIC``.
@@ -51,6 +63,8 @@ class ClosedLoopValidation(Callback):
     Training is not affected: a copy of the model walks, on the CPU and with its own floor plans, and the
     state of torch's generator is restored. The sanity check runs no episode, ``fast_dev_run`` one per
     process, ``pedzoo validate`` all. ``pedzoo test`` runs none: recordings alone are tested there.
+
+    Simulation is imported for the first walk, or at once where another one than `USUAL` is asked for.
     """
 
     def __init__(
@@ -81,22 +95,23 @@ class ClosedLoopValidation(Callback):
         """
         if min(every, episodes) < 1:
             raise UserError(f"--rollout.every {every} --rollout.episodes {episodes}: expected at least 1")
-        self.physics = physics
-        physics_class(self.physics).check()
         names = scenarios or []
         if twice := next((name for name in names if names.count(name) > 1), None):
             raise UserError(f"--rollout.scenarios: {twice!r} is given twice")
-        self.scenarios: dict[str, Scenario | PreparedScenario] = {name: make_scenario(name) for name in names}
-        self.every, self.episodes, self.seed = every, episodes, seed
+        self.scenarios: dict[str, Any] = {name: name for name in names}
+        if not {*names, physics} <= {*USUAL}:
+            from pedzoo.sim.make import make_scenario, physics_class
+
+            physics_class(physics).check()
+            self.scenarios = {name: make_scenario(name) for name in names}
+        self.every, self.episodes, self.physics, self.seed = every, episodes, physics, seed
         self.deterministic, self.picture, self.video = deterministic, picture, video
         self._validations = 0
-        self._checked: Forecaster | None = None
         self._forget()
 
     def _forget(self) -> None:
-        self._walker: Walker | None = None
-        self._validation_scenarios: list[ValidationScenario] = []
-        self._walked = False
+        self._walker: Any = None
+        self._envs: dict[str, Any] = {}
 
     @property
     def names(self) -> list[str]:
@@ -138,70 +153,80 @@ class ClosedLoopValidation(Callback):
                 f"people walk by the last {OBS_LEN} steps, and --data.obs_len is {observed}: "
                 "train with --rollout.scenarios null"
             )
-        walker = walking_copy(model)
+        if {*self.scenarios, self.physics} <= {*USUAL} and not is_own(model):
+            return
+        from pedzoo.sim.make import make_env
+
+        walker = _walking_copy(model)
         for name, scenario in self.scenarios.items():
             env = make_env(scenario, physics=self.physics, seed=self.seed)
             self.scenarios[name] = env.prepared  # planned once
-            with isolated(self.seed), closing(env.physics):
+            with _isolated(self.seed), closing(env.physics):
                 decided = walker(env.reset())
                 if not bool(decided["agents", "action"].isfinite().all()):
                     kind = type(model).__name__
                     raise UserError(f"{kind} gives no numbers in {name}: train with --rollout.scenarios null")
                 env.step(decided)
-        self._checked = model
 
     def setup(self, trainer: L.Trainer, pl_module: L.LightningModule, stage: str) -> None:
-        """Copy the model and make the environments, once."""
+        """Check the model."""
+        self.close()
         if not self.scenarios or stage == "test":
             return
         if not isinstance(pl_module, ForecastModule):
             raise UserError(
                 f"{type(pl_module).__name__} has no forecaster to walk: expected a ForecastModule"
             )
-        if self._checked is not pl_module.generator:
-            self.check(pl_module.generator, getattr(trainer, "datamodule", None))
-        self.close()
-        self._walker = walking_copy(pl_module.generator)
-        episodes = trainer.world_size if cast("Any", trainer).fast_dev_run else self.episodes
-        first, episodes = share(episodes, trainer.global_rank, trainer.world_size)
-        for name, scenario in self.scenarios.items():
-            self._validation_scenarios.append(
-                ValidationScenario(name, scenario, self.physics, self.seed, first, episodes)
-            )
+        self.check(pl_module.generator, getattr(trainer, "datamodule", None))
 
     def on_validation_epoch_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-        """Walk, and log."""
-        if self._walker is None or trainer.sanity_checking:
+        """Walk, and log; model and environments are made for the first walk."""
+        if not self.scenarios or trainer.sanity_checking:
             return
         number = self._validations
         self._validations += 1
-        if self._walked and number % self.every:
+        if self._walker is not None and number % self.every:
             return
-        self._walked = True
         assert isinstance(pl_module, ForecastModule)
-        with isolated(self.seed):
+        with _isolated(self.seed):
+            self._walker = self._walker or _walking_copy(pl_module.generator)
             self._walker.model.load_state_dict(pl_module.generator.state_dict())
             means = dict.fromkeys(MEANS, torch.tensor(0.0))
-            for scenario in self._validation_scenarios:
-                result = self._measure(scenario, self._walker, trainer, pl_module.device)
+            for name in self.scenarios:
+                result = self._measure(name, trainer, pl_module.device)
                 values = {key: result.get(key, torch.tensor(math.nan)) for key in METRICS}
                 for key, value in values.items():
-                    shown = key == "success"
-                    pl_module.log(f"rollout/{scenario.name}/{key}", value, prog_bar=shown, sync_dist=True)
+                    pl_module.log(f"rollout/{name}/{key}", value, prog_bar=key == "success", sync_dist=True)
                 for key in means:
-                    means[key] = means[key] + values[key].float().cpu() / len(self._validation_scenarios)
+                    means[key] = means[key] + values[key].float().cpu() / len(self.scenarios)
             for key, value in means.items():
                 pl_module.log(f"rollout/{key}", value, sync_dist=True)
 
-    def _measure(
-        self, scenario: ValidationScenario, walker: Walker, trainer: L.Trainer, device: torch.device
-    ) -> dict[str, Tensor]:
+    def _measure(self, name: str, trainer: L.Trainer, device: torch.device) -> dict[str, Tensor]:
         """Return the metrics of a scenario over the episodes of all processes."""
-        walked, score = scenario.walk(walker, self.deterministic), ClosedLoopScore()
-        if walked is not None:
-            score.update(walked.rollout)
+        from pedzoo.eval.comparison import PolicyRollout
+        from pedzoo.eval.rollout import walk
+        from pedzoo.metrics.closed_loop import ClosedLoopScore
+        from pedzoo.sim.make import make_env, physics_class
+        from pedzoo.sim.rollout import joined
+
+        score = ClosedLoopScore()
+        episodes = trainer.world_size if cast("Any", trainer).fast_dev_run else self.episodes
+        first, episodes = share(episodes, trainer.global_rank, trainer.world_size)
+        if episodes:  # there may be more processes than episodes
+            if name not in self._envs:
+                rounds = -(-episodes // physics_class(self.physics).scenes_at_once)
+                scenes, where = -(-episodes // rounds), self.scenarios[name]
+                env = make_env(where, scenes, self.physics, seed=self.seed, first_episode=first)
+                env.policy_name = "the model in training"
+                self._envs[name] = env
+            env = self._envs[name]
+            env.set_seed(self.seed)
+            rollout = joined(list(walk(self._walker, env, episodes, self.deterministic)))
+            score.update(rollout)
             if self.picture or self.video:
-                log_rollout_media(trainer, scenario.name, walked, self.picture, self.video)
+                walked = PolicyRollout(type(self._walker.model).__name__, rollout, env)
+                _log_media(trainer, name, walked, self.picture, self.video)
         if trainer.world_size > 1:
             score.to(device)  # where processes talk to each other
         return score.compute()
@@ -218,8 +243,8 @@ class ClosedLoopValidation(Callback):
 
     def close(self) -> None:
         """Let go of model and environments."""
-        for scenario in self._validation_scenarios:
-            scenario.close()
+        for env in self._envs.values():
+            env.physics.close()
         self._forget()
 
     def state_dict(self) -> dict[str, Any]:
@@ -232,9 +257,58 @@ class ClosedLoopValidation(Callback):
 
     def __getstate__(self) -> dict[str, Any]:
         """Copy and pickle without the state of a run."""
-        return self.__dict__ | {
-            "_walker": None,
-            "_validation_scenarios": [],
-            "_walked": False,
-            "_checked": None,
-        }
+        return self.__dict__ | {"_walker": None, "_envs": {}}
+
+
+def share(episodes: int, rank: int, processes: int) -> tuple[int, int]:
+    """Return the first episode of the process ``rank``, and how many it has, as equal as can be."""
+    each, more = divmod(episodes, processes)
+    return rank * each + min(rank, more), each + (rank < more)
+
+
+def _walking_copy(model: Forecaster) -> Any:
+    """Return a `Walker` of a copy: on the CPU, where environments are, and in eval mode."""
+    from pedzoo.policies.walker import Walker
+
+    return Walker(copy.deepcopy(model).cpu().eval())
+
+
+@contextmanager
+def _isolated(seed: int) -> Iterator[None]:
+    """Leave the state of a training as it is.
+
+    Outside of inference mode, in which Lightning validates: environments keep what they make from one
+    validation to the next. Random numbers that are not drawn by scene come from a state of their own.
+    """
+    with torch.inference_mode(False), torch.no_grad(), torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        yield
+
+
+@rank_zero_only
+def _log_media(trainer: L.Trainer, scenario: str, walked: Any, picture: bool, video: bool) -> None:
+    """Send what can be seen to all loggers of Weights & Biases: ``rollout/SCENARIO/ways`` and ``/video``.
+
+    Without such a logger nothing is drawn. The picture has the paths of all episodes, the video is of the
+    first.
+    """
+    loggers = [logger for logger in trainer.loggers if isinstance(logger, WandbLogger)]
+    if not loggers:
+        return
+    from pedzoo.viz.trajectories import plot_rollouts
+    from pedzoo.viz.video import film
+
+    key = "rollout/" + re.sub(r"[^\w.,=-]", "_", scenario)  # names files, too
+    shown = [walked._replace(name=f"{walked.name}, epoch {trainer.current_epoch}")]
+    step = logged_step(trainer)
+    with tempfile.TemporaryDirectory() as folder:
+        paths, film_of_walk = Path(folder, "ways.png"), Path(folder, "walk.webm")
+        if picture:
+            plot_rollouts(shown, paths)
+        if video:
+            film(shown, film_of_walk, size=FILM, seconds=FILM_SECONDS)
+        for logger in loggers:
+            if picture:
+                logger.log_image(f"{key}/ways", [str(paths)], step)
+            if video:
+                logger.log_video(f"{key}/video", [str(film_of_walk)], step)

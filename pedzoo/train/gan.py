@@ -14,7 +14,7 @@ from pedzoo.models.architectures.sgan import SGAN, Encoded
 from pedzoo.models.base import true_displacements
 from pedzoo.models.blocks.discriminator import Discriminator
 from pedzoo.models.blocks.people.crowd import Crowd
-from pedzoo.train.modules.module import ForecastModule
+from pedzoo.train.module import ForecastModule
 
 
 class GANModule(ForecastModule):
@@ -65,7 +65,7 @@ class GANModule(ForecastModule):
         encoded = generator.encode(batch, agents_of(batch)["future"].shape[2])
         if judged:
             self.toggle_optimizer(d_optimizer)
-            log["train/discriminator"] = loss = self.discriminator_loss(batch, random, encoded)
+            log["discriminator"] = loss = self.discriminator_loss(batch, random, encoded)
             d_optimizer.zero_grad()
             self.manual_backward(loss)
             for group in d_optimizer.param_groups:
@@ -74,13 +74,12 @@ class GANModule(ForecastModule):
             self.untoggle_optimizer(d_optimizer)
         self.toggle_optimizer(g_optimizer)
         loss, fake = generator.variety(batch, random, encoded, sample=judged)
-        log["train/variety"] = loss / len(batch)
+        log["variety"] = loss / len(batch)
         if fake is not None and judged:
-            crowd = encoded.crowd
-            observed, start = _observed(batch, crowd)
-            score = self.discriminator.of_futures(observed, fake.unsqueeze(0), start, crowd)
-            adversarial = _cross_entropy(score, _soft_one(score, random), _known(batch, crowd))
-            log["train/adversarial"] = adversarial
+            observed, start = _observed(batch, encoded.crowd)
+            score = self.discriminator.of_futures(observed, fake.unsqueeze(0), start, encoded.crowd)
+            adversarial = _cross_entropy(score, _soft_one(score, random), _known(batch, encoded.crowd))
+            log["adversarial"] = adversarial
             loss = loss + self.adversarial_weight * adversarial
         g_optimizer.zero_grad()
         self.manual_backward(loss)
@@ -90,9 +89,8 @@ class GANModule(ForecastModule):
         g_optimizer.step()
         self.untoggle_optimizer(g_optimizer)
         self.iteration += 1
-        self.show("loss", log["train/variety"])
-        detached = {key: value.detach() for key, value in log.items()}
-        self.log_dict(detached, on_step=False, on_epoch=True, batch_size=len(batch), sync_dist=True)
+        self.show("loss", log["variety"])
+        self.log_means(log, len(batch), sync_dist=True)
 
     def discriminator_loss(
         self, batch: TensorDict, random: torch.Generator, encoded: Encoded | None = None
@@ -110,11 +108,9 @@ class GANModule(ForecastModule):
         futures = torch.stack((crowd.pack(true_displacements(batch)), made))
         observed, start = _observed(batch, crowd)
         both = Crowd.of(torch.cat((agents["mask"], agents["mask"])))
-        score_real, score_made = self.discriminator.of_futures(observed, futures, start, both).chunk(2)
-        known = _known(batch, crowd)
-        return _cross_entropy(score_real, _soft_one(score_real, random), known) + _cross_entropy(
-            score_made, torch.zeros_like(score_made), known
-        )
+        real, false = self.discriminator.of_futures(observed, futures, start, both).chunk(2)
+        known, label = _known(batch, crowd), _soft_one(real, random)
+        return _cross_entropy(real, label, known) + _cross_entropy(false, torch.zeros_like(false), known)
 
 
 def _observed(batch: TensorDict, crowd: Crowd) -> tuple[Tensor, Tensor]:

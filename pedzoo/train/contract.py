@@ -50,15 +50,13 @@ def check_model(model: Forecaster, batch: TensorDict, by_loss: bool) -> None:
 def _check_futures(model: Forecaster, name: str, batch: TensorDict) -> None:
     agents = agents_of(batch)
     scenes, people, steps, _ = agents["future"].shape
-    future = _called(
-        model.sample, f"{name}.sample(batch, samples, steps, generator=None)", batch, SAMPLES, steps
-    )
+    usage = f"{name}.sample(batch, samples, steps, generator=None)"
+    future = _called(model.sample, usage, batch, SAMPLES, steps)
     expected = scenes, SAMPLES, people, steps, 2
     if not isinstance(future, Tensor) or future.shape != expected:
-        given = tuple(future.shape) if isinstance(future, Tensor) else repr(future)[:60]
         raise UserError(
-            f"{name}.sample returned {given}: expected displacements (B, K, A, T, 2), here {expected}; "
-            "pedzoo.models.base.for_all_samples makes them from one path (B, A, T, 2)"
+            f"{name}.sample returned {_shown(future)}: expected displacements (B, K, A, T, 2), here "
+            f"{expected}; pedzoo.models.base.for_all_samples makes them from one path (B, A, T, 2)"
         )
     here = agents["mask"][:, None, :, None, None].expand_as(future)
     if not bool(future[here].isfinite().all()):
@@ -71,8 +69,9 @@ def _check_futures(model: Forecaster, name: str, batch: TensorDict) -> None:
 def _check_loss(model: Forecaster, name: str, batch: TensorDict) -> None:
     loss = _called(model.loss, f"{name}.loss(batch, generator=None)", batch)
     if not isinstance(loss, Tensor) or loss.shape != ():
-        given = tuple(loss.shape) if isinstance(loss, Tensor) else repr(loss)[:60]
-        raise UserError(f"{name}.loss returned {given}: expected one number, the sum over scenes: add .sum()")
+        raise UserError(
+            f"{name}.loss returned {_shown(loss)}: expected one number, the sum over scenes: add .sum()"
+        )
     if not bool(loss.isfinite()):
         raise UserError(
             f"{name}.loss is {loss.item()} on the first batch: leave out unknown steps (agents/future_valid) "
@@ -87,16 +86,18 @@ def _check_loss(model: Forecaster, name: str, batch: TensorDict) -> None:
             "detach(), item() or torch.no_grad()"
         )
     loss.backward()
-    gradients = {key: value.grad for key, value in learned.items()}
-    if wrong := [
-        key for key, value in gradients.items() if value is not None and not bool(value.isfinite().all())
-    ]:
+    gradients = {key: value.grad for key, value in learned.items() if value.grad is not None}
+    if wrong := [key for key, value in gradients.items() if not bool(value.isfinite().all())]:
         raise UserError(
             f"the gradient of {name}.loss with respect to {wrong[0]} is not finite on the first batch: "
             "sqrt() has no slope at 0, add a small number below the root; take padding out before it is used"
         )
-    if left := [key for key, value in gradients.items() if value is None]:
+    if left := [key for key in learned if key not in gradients]:
         print(f"note: {', '.join(left[:3])} of {name} get no gradient from its loss", file=sys.stderr)
+
+
+def _shown(value: Any) -> str:
+    return str(tuple(value.shape)) if isinstance(value, Tensor) else repr(value)[:60]
 
 
 def _called(function: Callable[..., Any], usage: str, *given: Any) -> Any:
@@ -118,17 +119,12 @@ def _called(function: Callable[..., Any], usage: str, *given: Any) -> Any:
     except UserError:
         raise
     except Exception as error:  # a user's code may fail in any way
+        frames = traceback.extract_tb(error.__traceback__)
+        own = [frame for frame in frames if "site-packages" not in frame.filename]
+        place = f"{Path((own or frames)[-1].filename).name}:{(own or frames)[-1].lineno}"
         said = " ".join(str(error).split())
-        shapes = ", ".join(
-            f"{key} {tuple(value.shape)}" for key, value in agents_of(given[0]).items(True, True)
-        )
+        keys = agents_of(given[0]).items(True, True)
+        shapes = ", ".join(f"{key} {tuple(value.shape)}" for key, value in keys)
         raise UserError(
-            f"{usage} failed at {_place(error)}: {type(error).__name__}: {said}; agents: {shapes}"
+            f"{usage} failed at {place}: {type(error).__name__}: {said}; agents: {shapes}"
         ) from error
-
-
-def _place(error: Exception) -> str:
-    """Return the last line outside of installed packages that an error came through, ``file.py:12``."""
-    frames = traceback.extract_tb(error.__traceback__)
-    own = [frame for frame in frames if "site-packages" not in frame.filename]
-    return f"{Path((own or frames)[-1].filename).name}:{(own or frames)[-1].lineno}"

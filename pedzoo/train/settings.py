@@ -1,9 +1,10 @@
-"""The settings that a checkpoint or a resumed run brings from its configuration: data, not orders.
+"""What a training takes from weights and earlier runs: data, not orders.
 
 A run may come from anywhere. Its configuration says which model was trained on which data, for how long and
 how it was measured. It names no code, no place to write to, no logger.
 """
 
+import json
 import re
 from collections.abc import Iterable, Mapping, Set
 from inspect import signature
@@ -11,16 +12,21 @@ from pathlib import Path
 from pydoc import locate
 from typing import Any, NamedTuple, get_args, get_type_hints
 
+import torch
 from lightning.pytorch.utilities import rank_zero_only
 
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.core.forms import refuse_code
-from pedzoo.core.registry import absolute_name, import_path, names_code
-from pedzoo.core.spec import setting_groups
-from pedzoo.data.datamodule import TrajectoryDataModule
-from pedzoo.train.modules.module import ForecastModule
-from pedzoo.train.validation.rollout_validation import ClosedLoopValidation
+from pedzoo.core.paths import config_names
+from pedzoo.core.registry import ROBOT_POLICIES, absolute_name, import_path, names_code
+from pedzoo.core.spec import grouped, setting_groups
+from pedzoo.data.datamodule import PROTOCOL, TrajectoryDataModule
+from pedzoo.models.base import Forecaster
+from pedzoo.models.zoo.loading import build, config_of, load, saved_config
+from pedzoo.models.zoo.store import of_robots
+from pedzoo.train.module import ForecastModule, differences
+from pedzoo.train.validation import ClosedLoopValidation
 
 PLAIN = ("seed_everything", "monitor", "monitor_mode")
 """Settings that are a text or a number."""
@@ -277,3 +283,95 @@ def _classes(hint: Any) -> list[type]:
     if isinstance(hint, type) and hint.__module__.startswith("pedzoo."):
         return [hint]
     return [kind for inner in get_args(hint) for kind in _classes(inner)]
+
+
+def start_from(module: ForecastModule, weights: str) -> None:
+    """Fill the generator of ``module`` with ``weights``, a name that `pedzoo.load` accepts.
+
+    All else of a training begins anew: the optimizers, the schedule and a discriminator, which zoo weights do
+    not have. The goal protocol, the noise and the losses may differ from theirs.
+
+    Raises:
+        UserError: No such weights, or they are of another architecture.
+    """
+    model = load(weights, own=type(module.generator))
+    if changed := differences(config_of(model), config_of(module.generator), {"goal_protocol", "noise"}):
+        raise UserError(
+            f"--weights {weights} are of another architecture ({'; '.join(changed)}): "
+            "leave out --config and --model.generator options that change it"
+        )
+    module.generator.load_state_dict(model.state_dict())
+
+
+def config_beside(checkpoint: str | Path) -> Path | None:
+    """Return the configuration of the run in whose folder a checkpoint lies, None where there is none."""
+    path = Path(checkpoint)
+    config = path.parent.parent / "config.yaml"
+    return config if path.suffix == ".ckpt" and config.is_file() else None
+
+
+def options_of(weights: str) -> list[str]:
+    """Return the options of ``pedzoo fit`` for a training like the one that ``weights`` come from.
+
+    For a checkpoint in a run folder these are the run's, see `reusable_settings`. For other weights
+    they are the shipped config of their training, with model and data as their metadata have them.
+
+    Raises:
+        UserError: No such weights, or it is unknown how they were trained.
+    """
+    config = _trained(weights)
+    if run := config_beside(weights):
+        return ["--config", str(run)]
+    name = config.get("training", {}).get("config")
+    if name not in config_names():
+        raise UserError(
+            f"--weights {weights} do not say with which shipped config they were trained "
+            f"(they say {name}): add --config NAME ({', '.join(config_names())}) or a file"
+        )
+    return ["--config", name, *(architecture_options(weights, name) or _architecture(config))]
+
+
+def architecture_options(weights: str, config: str) -> list[str]:
+    """Return what a training that begins with weights does otherwise than its ``config`` says, as options.
+
+    A config with ``weights``, such as those in ``closed_loop``, is for any generator. It takes architecture,
+    losses and data of the weights that it is given, and decides itself how a model walks and about dropout.
+    To other configs weights have to fit.
+    """
+    settings = load_config(config)
+    if not settings.get("weights"):
+        return []
+    generator = settings["model"]["init_args"]["generator"]
+    decided = generator.get("init_args", {})
+    dropout = {key: value for key, value in decided.get("losses", {}).items() if key == "map_dropout"}
+    given = _architecture(_trained(weights), walking=decided.get("walking", {}), losses=dropout)
+    if json.loads(given[1])["class_path"] == generator["class_path"]:
+        return given
+    # jsonargparse would keep groups of the config's class: the base class has none
+    return ["--model.generator", f"{Forecaster.__module__}.{Forecaster.__qualname__}", *given]
+
+
+def _trained(weights: str) -> dict[str, Any]:
+    """Return what weights say of themselves; those of robots, and what has none, are refused."""
+    config = saved_config(weights)
+    if not config:
+        raise UserError(
+            f"--weights {weights}: expected a trained model, such as sgan_goal.zara1: "
+            "leave out --weights, and train from the beginning with --config NAME"
+        )
+    if config["architecture"] in ROBOT_POLICIES.names():
+        raise of_robots(weights)
+    return config
+
+
+def _architecture(config: dict[str, Any], **decided: dict[str, Any]) -> list[str]:
+    with torch.device("meta"):  # its settings alone are asked for
+        model = build(config)
+    cls = type(model)
+    # all options, also those that weights of an earlier version do not know: a config may set them
+    options = grouped(cls, model.config)
+    options |= {group: options[group] | changes for group, changes in decided.items() if group in options}
+    written = {"class_path": f"{cls.__module__}.{cls.__qualname__}", "init_args": options}
+    protocol = config.get("protocol", {})
+    data = [f"--data.{key}={protocol[key]}" for key in PROTOCOL if key in protocol]
+    return ["--model.generator", json.dumps(written), *data]

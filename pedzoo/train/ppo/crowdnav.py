@@ -19,20 +19,8 @@ from pedzoo.core.geometry import direction_of, unrotate
 from pedzoo.core.registry import ROBOTS
 from pedzoo.core.spec import build
 from pedzoo.policies.robots._base import ObservedPeople, Robot
-from pedzoo.sim.crowdnav import (
-    CROWDNAV,
-    CROWDNAV_PP,
-    EARLY,
-    RADIUS,
-    TIME_STEP,
-    Setting,
-    cases,
-    in_range,
-    people_velocity,
-    replaced,
-    swept_clearance,
-    walked,
-)
+from pedzoo.sim import crowdnav
+from pedzoo.sim.crowdnav import CROWDNAV, CROWDNAV_PP, RADIUS, TIME_STEP, Setting
 from pedzoo.sim.observation import done_spec, flag, real
 from pedzoo.sim.robots.reward import DEFAULT_WEIGHTS
 
@@ -64,11 +52,12 @@ class Crowds(NamedTuple):
     @classmethod
     def of_seeds(cls, setting: Setting, seeds: Sequence[int]) -> Crowds:
         """Return the crowds of cases; who replaces others keeps clear of the robot's start and goal alone."""
-        state = cases(setting, seeds)
+        state = crowdnav.cases(setting, seeds)
         states = [state.people]
-        for _ in range(round((setting.time_limit - EARLY) / TIME_STEP)):
-            velocity = people_velocity(setting, None, state.people, state.goal)
-            state = replaced(setting, state._replace(people=walked(state.people, velocity)))
+        for _ in range(round((setting.time_limit - crowdnav.EARLY) / TIME_STEP)):
+            velocity = crowdnav.people_velocity(setting, None, state.people, state.goal)
+            people = crowdnav.walked(state.people, velocity)
+            state = crowdnav.replaced(setting, state._replace(people=people))
             states.append(state.people)
         place, velocity = (torch.stack([one[part] for one in states], 1) for part in (0, 1))
         return cls(*(part.float() for part in (place, velocity, state.robot.position, state.robot.goal)))
@@ -154,7 +143,7 @@ class CrowdNavEnv(EnvBase):
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         velocity = self._driven(cast("Tensor", tensordict["robots", "action"]))
         robot, people = self._met()
-        gap = swept_clearance(robot, people, velocity, TIME_STEP).amin(1)
+        gap = crowdnav.swept_clearance(robot, people, velocity, TIME_STEP).amin(1)
         steps, foresight = self.crowds.place.shape[1] - 1, torch.arange(1, 1 + self.setting.foresight)
         later = self.crowds.place[self._crowd[:, None], (self._clock[:, None] + foresight).clamp_max(steps)]
         apart = (later - self._position[:, None, None]).norm(dim=-1) - RADIUS - self.fleet.radius
@@ -215,7 +204,7 @@ class CrowdNavEnv(EnvBase):
     def _observation(self, events: Tensor) -> TensorDict:
         """Return what robots sense; discs face one way all the time."""
         robot, people = self._met()
-        ahead, mask = direction_of(self._heading), in_range(self.setting, robot, people)
+        ahead, mask = direction_of(self._heading), crowdnav.in_range(self.setting, robot, people)
         place = people.position - self._position[:, None]
         place, velocity = (
             unrotate(value, ahead[:, None].expand_as(value)) for value in (place, people.velocity)

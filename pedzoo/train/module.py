@@ -1,4 +1,4 @@
-"""Parts of all trainings: schedule, seeds, validation, and a checkpoint's description."""
+"""Training of a forecaster: schedule, seeds, validation, a checkpoint's description, and the plain loss."""
 
 import math
 from collections.abc import Mapping, Set
@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 
 import lightning as L
 import torch
+from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.optim import Optimizer
@@ -16,7 +17,7 @@ from pedzoo.metrics.forecast import ForecastScore
 from pedzoo.models.base import Forecaster
 from pedzoo.models.blocks.recurrent import DisplacementEncoder
 from pedzoo.models.zoo.loading import architecture_in, config_of, read_checkpoint
-from pedzoo.train.modules.contract import check_model, is_own
+from pedzoo.train.contract import check_model, is_own
 
 
 class ForecastModule(L.LightningModule):
@@ -90,7 +91,7 @@ class ForecastModule(L.LightningModule):
         """Let the model take from the data what is not trained; try a model of the user's on one batch.
 
         Raises:
-            UserError: As of `pedzoo.train.modules.contract.check_model`.
+            UserError: As of `pedzoo.train.contract.check_model`.
         """
         data: Any = getattr(self.trainer, "datamodule", None)
         if data is None or int(self.iteration):
@@ -108,16 +109,18 @@ class ForecastModule(L.LightningModule):
         mixes = not any(isinstance(part, DisplacementEncoder) for part in self.modules())
         return ["32-true", *["64-true"] * ("map" not in self.generator.needs), *["bf16-mixed"] * mixes]
 
+    @property
+    def step_seed(self) -> int:
+        """The seed of everything random in this iteration."""
+        return self.seed * 1_000_003 + int(self.iteration)
+
     def random(self) -> torch.Generator:
-        """Return the source of everything random in this iteration."""
-        return torch.Generator().manual_seed(self._seed_of_iteration())
+        """Return a source of random numbers for this iteration."""
+        return torch.Generator().manual_seed(self.step_seed)
 
     def on_train_batch_start(self, *_: Any) -> None:
         """Seed torch's own generator too: dropout and users' models draw from that."""
-        torch.manual_seed(self._seed_of_iteration())
-
-    def _seed_of_iteration(self) -> int:
-        return self.seed * 1_000_003 + int(self.iteration)
+        torch.manual_seed(self.step_seed)
 
     def iterations(self) -> float:
         """Return how many iterations the whole training will have; infinite where nothing ends it.
@@ -148,6 +151,11 @@ class ForecastModule(L.LightningModule):
             name, value.detach(), prog_bar=True, logger=False, on_step=True, on_epoch=False, batch_size=1
         )
 
+    def log_means(self, values: Mapping[str, Tensor], batch_size: int = 1, sync_dist: bool = False) -> None:
+        """Log the means over an epoch as ``train/...``, with ``sync_dist`` those over all processes."""
+        named = {f"train/{name}": value.detach() for name, value in values.items()}
+        self.log_dict(named, on_step=False, on_epoch=True, batch_size=batch_size, sync_dist=sync_dist)
+
     def validation_step(self, batch: TensorDict, batch_idx: int) -> None:
         """Add a batch to the scores, with the same noise in every epoch."""
         self.score.update(self.generator, batch, torch.Generator().manual_seed(batch_idx))
@@ -176,28 +184,47 @@ class ForecastModule(L.LightningModule):
         checkpoint["pedzoo"] = config_of(self.generator, protocol=data.protocol if data else {})
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Refuse a checkpoint of another model.
+        """Check that a checkpoint is of this training; a run asks before it touches its records.
 
         Raises:
             UserError: It was written by another program, for another architecture, or in another training.
         """
-        self.check(checkpoint)
-
-    def check(self, checkpoint: dict[str, Any]) -> None:
-        """Check that a checkpoint is of this training; a run asks before it touches its records.
-
-        Raises:
-            UserError: As `on_load_checkpoint`.
-        """
         theirs, ours = checkpoint.get("pedzoo"), config_of(self.generator)
         if theirs is None:
             raise UserError("this checkpoint was not written by pedzoo fit")
-        changed = differences(theirs, ours)
-        if changed:
+        if changed := differences(theirs, ours):
             raise UserError(
                 f"the checkpoint is of another architecture ({'; '.join(changed)}); use its own --config"
             )
         check_state(self, checkpoint)
+
+
+class PlainModule(ForecastModule):
+    """Minimises ``generator.loss(batch)``: squared errors, variety losses, evidence bounds."""
+
+    by_loss = True
+
+    def configure_optimizers(self) -> OptimizerLRScheduler:
+        """Return Adam; `set_lr` sets its learning rate at every iteration."""
+        return torch.optim.Adam(self.generator.parameters(), self.lr)
+
+    def training_step(self, batch: TensorDict, batch_idx: int) -> Tensor:
+        """Return the loss of a batch, summed over its scenes."""
+        loss = self.generator.loss(batch, self.random())
+        per_scene = loss.detach() / len(batch)
+        self.log_means({"loss": per_scene}, len(batch), sync_dist=True)
+        self.show("loss", per_scene)
+        return loss
+
+    def on_after_backward(self) -> None:
+        """Count the iteration: not at its very end, where checkpoints may have been written already."""
+        self.iteration += 1
+
+    def on_before_optimizer_step(self, optimizer: Optimizer) -> None:
+        """Clip the gradient and set the learning rate."""
+        if self.clip:
+            torch.nn.utils.clip_grad_norm_(self.generator.parameters(), self.clip)
+        self.set_lr(optimizer, self.lr, int(self.iteration) - 1)
 
 
 def check_state(module: nn.Module, checkpoint: Mapping[str, Any]) -> None:
@@ -228,11 +255,6 @@ def read_progress(file: str) -> dict[str, Any]:
     if lacks := [key for key in ("loops", "optimizer_states") if not checkpoint.get(key)]:
         raise UserError(f"checkpoint {file!r} has no {lacks[0]} to go on with: is it damaged?")
     return checkpoint
-
-
-def copied_keys(checkpoint: Mapping[str, Any]) -> set[str]:
-    """Return the keys under which earlier trainings in the loop wrote their generator a second time."""
-    return {key for key in checkpoint.get("state_dict", ()) if key.startswith("walker.model.")}
 
 
 def differences(theirs: dict[str, Any], ours: dict[str, Any], free: Set[str] = frozenset()) -> list[str]:

@@ -1,0 +1,1 @@
+"""Proximal policy optimisation: one trainer for people and for robots."""

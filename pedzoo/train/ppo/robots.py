@@ -1,0 +1,360 @@
+"""PPO of a robot among people: actor, critic, the training, and how its episodes end."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from typing import Any, ClassVar, cast
+
+import torch
+from lightning.pytorch.utilities.types import OptimizerLRScheduler
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor, nn
+from torch.utils.data import DataLoader
+from torchrl.modules import ProbabilisticActor
+
+from pedzoo.core.errors import UserError
+from pedzoo.core.spec import parse
+from pedzoo.policies.load import load_policy
+from pedzoo.policies.robots._base import bodies_of
+from pedzoo.policies.robots.attention import Attention, Encoder, as_action, frame_of, head
+from pedzoo.sim.robots.env import RobotEnv, make_robot_env
+from pedzoo.train.ppo.crowdnav import SETTINGS, CrowdNavEnv
+from pedzoo.train.ppo.teacher import CONSTANT_VELOCITY, Teacher, teacher_of
+from pedzoo.train.ppo.trainer import PPO, Gatherer, Objective, Optimisation, actor, check_ranges
+
+_PEOPLE = "orca"
+"""Who walks where nothing else is said, and always in CrowdNav's scenarios."""
+
+_SEEN: list[Any] = [("robots", "observation"), ("robots", "body")]
+"""What actor and critic read."""
+
+
+class Mean(TensorDictModuleBase):
+    """Writes mean and standard deviation (B, R, 2) of decisions, see `Attention.mean`."""
+
+    in_keys: ClassVar[list[Any]] = _SEEN
+    out_keys: ClassVar[list[Any]] = [("robots", "loc"), ("robots", "scale")]
+
+    def __init__(self, policy: Attention, std: float) -> None:
+        """Take the policy, and the standard deviation at the beginning, a share of the limits."""
+        super().__init__()
+        self.policy, self.log_std = policy, nn.Parameter(torch.full((2,), math.log(std)))
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write them."""
+        mean = self.policy.mean(tensordict)
+        tensordict["robots", "loc"] = mean
+        tensordict["robots", "scale"] = self.log_std.clamp(-4, 0.5).exp().expand_as(mean)
+        return tensordict
+
+
+class Value(TensorDictModuleBase):
+    """The critic: the return that a robot can still expect."""
+
+    in_keys: ClassVar[list[Any]] = _SEEN
+    out_keys: ClassVar[list[Any]] = [("robots", "value")]
+
+    def __init__(self, policy: Attention) -> None:
+        """Make a network as large as the policy's."""
+        super().__init__()
+        self.encoder = Encoder(**policy.config)
+        self.net = head(self.encoder.features, 2 * policy.config["width"], 1)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the value (B, R, 1) of every robot."""
+        seen = cast("TensorDictBase", tensordict["robots", "observation"])
+        tensordict["robots", "value"] = self.net(self.encoder(seen, bodies_of(tensordict)))
+        return tensordict
+
+
+class Decider(TensorDictModuleBase):
+    """Writes decisions (B, R, 2), actions, and the decisions of a teacher, if there is one: ``taught``."""
+
+    in_keys: ClassVar[list[Any]] = _SEEN
+    out_keys: ClassVar[list[Any]] = [
+        ("robots", key) for key in ("loc", "scale", "decision", "log_prob", "taught", "action")
+    ]
+
+    def __init__(self, acting: ProbabilisticActor) -> None:
+        """Take the actor."""
+        super().__init__()
+        self.acting = acting
+        self.teacher: Teacher | None = None
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write them; a teacher sees the scenes on the CPU."""
+        decided = self.acting(tensordict.select(*self.in_keys).clone())["robots"]
+        decision = decided["decision"]
+        if self.teacher:
+            decided["taught"] = self.teacher(tensordict.to("cpu")).to(decision.device)
+        else:
+            decided["taught"] = decision
+        tensordict["robots"].update(decided.exclude("observation", "body"))
+        act(tensordict, decision)
+        return tensordict
+
+
+def act(scenes: TensorDictBase, decision: Tensor) -> None:
+    """Write the actions of decisions (B, R, 2)."""
+    bodies = bodies_of(scenes)
+    scenes["robots", "action"] = as_action(decision, frame_of(scenes, bodies), bodies)
+
+
+class RobotPPO(PPO):
+    """Trains one robot in each scene, among people who are walked inside.
+
+    Scenes are on the CPU, where a few hundred of them are fastest; what learns may be on another device.
+    An update gathers ``steps`` decisions in ``envs`` scenes of every scenario, and makes ``passes`` over them
+    in ``minibatches`` by TorchRL's loss. A validation runs the mean of the policy through ``episodes``
+    episodes of every scenario, the same ones every time.
+    """
+
+    iteration: Tensor
+
+    def __init__(
+        self,
+        policy: Attention,
+        scenarios: list[str],
+        people: str = _PEOPLE,
+        robot: str = "disc",
+        decision_dt: float = 0.2,
+        reward: Mapping[str, float] | None = None,
+        envs: int = 64,
+        steps: int = 64,
+        updates: int = 10,
+        episodes: int = 100,
+        physics: str = "compiled",
+        imitate: int = 0,
+        teacher: str = CONSTANT_VELOCITY,
+        std: float = 0.4,
+        lr: float = 1e-3,
+        final_lr: float = 0.05,
+        passes: int = 4,
+        minibatches: int = 16,
+        gamma: float = 0.98,
+        gae_lambda: float = 0.95,
+        clip_ratio: float = 0.2,
+        entropy: float = 0.001,
+        critic: float = 0.5,
+        clip: float = 0.5,
+    ) -> None:
+        """Take the robot, its place and the settings of its training.
+
+        Args:
+            policy: The network.
+            scenarios: With settings, as of `pedzoo.make_robot_env`, or ``crowdnav:people=5`` or
+                ``crowdnav_pp``, whose people and decisions are CrowdNav's; see
+                `pedzoo.train.ppo.crowdnav.CrowdNavEnv`.
+            people: A policy or a mixed crowd, in scenarios that are not CrowdNav's.
+            robot: A body with settings.
+            decision_dt: Seconds between two decisions.
+            reward: Weights by name; see `pedzoo.sim.robots.reward.DEFAULT_WEIGHTS`.
+            envs: B, scenes of every scenario.
+            steps: T, decisions in each of them for one update.
+            updates: In an epoch.
+            episodes: Of every scenario in a validation.
+            physics: As in `pedzoo.make_robot_env`.
+            imitate: So many updates at the beginning follow a teacher, not rewards.
+            teacher: Its name; see `pedzoo.train.ppo.teacher.teacher_of`.
+            std: Standard deviation of decisions at the beginning, a share of the robot's limits.
+            lr: Learning rate of Adam at the beginning.
+            final_lr: Share of it left at the end; it falls linearly.
+            passes: Over the decisions of an update.
+            minibatches: Steps of the optimizer in one pass.
+            gamma: Discount of a decision.
+            gae_lambda: Of the generalised advantage.
+            clip_ratio: By how much the likelihood of a decision may change to a gain.
+            entropy: Weight of the distribution's entropy.
+            critic: Weight of the critic's loss.
+            clip: Largest norms of the gradients of actor and critic.
+
+        Raises:
+            UserError: No scenario, a number out of range, or people who are unknown or have no use.
+        """
+        super().__init__()
+        numbers = {"envs": envs, "steps": steps, "updates": updates, "episodes": episodes, "std": std}
+        check_ranges("--model.", **numbers, imitate=imitate, lr=lr, final_lr=final_lr, clip=clip)
+        self.how = Optimisation(
+            lr, passes, minibatches, gamma, gae_lambda, clip_ratio, entropy=entropy, critic=critic
+        )
+        self.how.check("--model.", envs * steps)
+        if not scenarios:
+            raise UserError("--model.scenarios: expected at least one, such as door:people=4")
+        if any(parse(scenario).name not in SETTINGS for scenario in scenarios):
+            load_policy(people)
+        elif people != _PEOPLE:
+            raise UserError(
+                f"--model.people {people:.200}: no use for people with crowdnav scenarios, which have their "
+                f"own: leave it out, or set --model.scenarios '[\"door:people=4\"]'"
+            )
+        self.automatic_optimization = False
+        self.scenarios, self.people, self.robot = scenarios, people, robot
+        self.decision_dt, self.reward, self.physics = decision_dt, reward, physics
+        self.envs, self.steps, self.updates, self.episodes = envs, steps, updates, episodes
+        self.lr, self.final_lr, self.most, self.imitate = lr, final_lr, clip, imitate
+        self.teacher = teacher_of(teacher)
+        self.mean, self.value = Mean(policy, std), Value(policy)
+        self.seed = torch.initial_seed() % 2**31
+        for name in ("iteration", "skipped"):
+            self.register_buffer(name, torch.zeros((), dtype=torch.long))
+        self._gatherers: list[Gatherer] = []
+
+    @property
+    def policy(self) -> Attention:
+        """The robot's policy."""
+        return self.mean.policy
+
+    def environment(self, scenario: str, scenes: int, training: bool = False) -> RobotEnv | CrowdNavEnv:
+        """Return ``scenes`` scenes of one of the scenarios; those of a training are never validated on."""
+        spec = parse(scenario)
+        if setting := SETTINGS.get(spec.name):
+            counts: dict[str, Any] = {key: int(value) for key, value in spec.settings.items()}
+            # CrowdNav's validation cases are those of the seeds from 0 on
+            counts |= {} if training else {"crowds": scenes, "first": 0}
+            return CrowdNavEnv(scenes, setting, robot=self.robot, reward=self.reward, **counts)
+        return make_robot_env(
+            scenario,
+            self.robot,
+            self.people,
+            scenes,
+            self.policy.sensors,
+            self.reward,
+            self.physics,
+            decision_dt=self.decision_dt,
+        )
+
+    def train_dataloader(self) -> Any:
+        """Return as many numbers as an epoch has updates."""
+        return DataLoader(range(self.updates), batch_size=1)  # pyright: ignore[reportArgumentType]
+
+    def val_dataloader(self) -> Any:
+        """Return one number: a validation is one batch."""
+        return DataLoader(range(1), batch_size=1)  # pyright: ignore[reportArgumentType]
+
+    def configure_optimizers(self) -> OptimizerLRScheduler:
+        """Return Adam; its learning rate is set in every update."""
+        return torch.optim.Adam([{"params": part.parameters()} for part in (self.mean, self.value)], self.lr)
+
+    def on_fit_start(self) -> None:
+        """Make environments and TorchRL's loss."""
+        acting = actor(self.mean, "robots", "decision")
+        self._decider = (Decider(acting),)  # in a tuple: its parameters are registered already
+        self._objective = Objective(acting, self.value, self.how, self.device, "decision", "robots")
+        self._gatherers = [
+            Gatherer(self.environment(name, self.envs, True), self._decider[0], self.steps, self.device)
+            for name in self.scenarios
+        ]
+
+    @property
+    def _imitates(self) -> bool:
+        return int(self.iteration) < self.imitate
+
+    def training_step(self, batch: Tensor, batch_idx: int) -> None:
+        """Gather decisions and learn from them; in every epoch all scenes are new."""
+        began = time.perf_counter()
+        torch.manual_seed(self.seed * 1_000_003 + int(self.iteration))
+        self._decider[0].teacher = self.teacher if self._imitates else None
+        seed = self.seed * 1_000_003 + self.current_epoch
+        gathered = [gatherer.gather(seed) for gatherer in self._gatherers]
+        parts = [lived.select("robots", ("next", "robots")) for lived in gathered]
+        known = self._objective.rated(self._lived_through(torch.cat(parts).to(self.device)))
+        lived = cast("TensorDict", torch.cat([one["next", "robots"] for one in gathered]))
+        log = {**outcome_shares(lived), "reward": lived["reward"].mean()}
+        share = min(int(self.iteration) / max(cast("int", self.trainer.max_epochs) * self.updates, 1), 1.0)
+        for group in cast("Any", self.optimizers()).param_groups:
+            group["lr"] = self.lr * (1 - (1 - self.final_lr) * share)
+        log |= self.learn(self._objective.loss, known)
+        self.iteration += 1
+        log |= {"std": self.mean.log_std.detach().exp().mean()}
+        log["samples_per_s"] = torch.tensor(len(known) / (time.perf_counter() - began))
+        self.log("success", log["success"], prog_bar=True, logger=False, batch_size=1)
+        values = {f"train/{key}": value for key, value in log.items()}
+        self.log_dict(values, on_step=False, on_epoch=True, batch_size=1)
+
+    @torch.no_grad()
+    def _lived_through(self, lived: TensorDict) -> TensorDict:
+        """Return decisions (B, T) with values, and which of them count."""
+        self.value(lived)
+        self.value(lived["next"])
+        info = cast("TensorDict", lived["next", "robots", "info"])
+        failed = info["failed"] if "failed" in info.keys() else torch.zeros_like(info["active"])
+        lived["robots", "scored"] = info["active"] & ~failed
+        return lived
+
+    def terms(self, part: TensorDict, result: TensorDict, number: int) -> TensorDict:
+        """Follow the teacher at the beginning, not the rewards."""
+        if self._imitates:
+            missed = (self.policy.mean(part) - part["robots", "taught"]).square().sum(-1)
+            result["loss_objective"] = missed[part["robots", "scored"]].mean()
+            del result["loss_entropy"]
+        return result
+
+    def validation_step(self, batch: Tensor, batch_idx: int) -> None:
+        """Run episodes with the mean of the policy."""
+        if self.trainer.sanity_checking:
+            return
+        environments = (self.environment(name, self.episodes) for name in self.scenarios)
+        results = [walked_once(env, self.policy.mean, self.device) for env in environments]
+        for key in results[0]:
+            self.log(f"val/{key}", torch.stack([one[key] for one in results]).mean(), batch_size=1)
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Write down what this is, so that `pedzoo.policies.load.load_robot_policy` can build it."""
+        known = {"scenarios": self.scenarios, "crowd": self.people, "robot": self.robot}
+        known |= {"decision_dt": self.decision_dt, "sensors": self.policy.sensors}
+        checkpoint["pedzoo"] = {"architecture": "attention", "init": self.policy.config, "protocol": known}
+
+    def teardown(self, stage: str) -> None:
+        """Close the environments."""
+        for gatherer in self._gatherers:
+            gatherer.close()
+        self._gatherers = []
+
+
+def outcome_shares(robots: TensorDictBase) -> dict[str, Tensor]:
+    """Return the shares of success, contacts and so on among the episodes that ended in decisions (...)."""
+    over = robots["done"][..., 0] & robots["info", "active"]
+    return {name: (over & flag).sum() / over.sum().clamp_min(1) for name, flag in _flags(robots).items()}
+
+
+def _flags(robots: TensorDictBase) -> dict[str, Tensor]:
+    """Return for which robots (...) bool a decision was a success, a collision with anything, or the end."""
+    info = cast("TensorDictBase", robots["info"])
+    touched = [info[name] for name in info.keys() if str(name).endswith("_contact")]
+    return {
+        "success": info["success"],
+        "collision": torch.stack(touched).any(0),
+        "timeout": info["timeout"],
+    }
+
+
+@torch.no_grad()
+def walked_once(
+    env: RobotEnv | CrowdNavEnv, decide: Teacher, device: torch.device | str = "cpu"
+) -> dict[str, Tensor]:
+    """Return how one episode in each scene went: shares, seconds of those that succeeded, and the return.
+
+    Args:
+        env: With one robot in each scene.
+        decide: Returns decisions (B, R, 2) for what robots sense.
+        device: Where it decides; scenes are on the CPU.
+    """
+    env.set_seed(0, static_seed=True)
+    now = env.reset()
+    over = torch.zeros_like(now["robots", "info", "active"])
+    flags = dict.fromkeys(("success", "collision", "timeout"), over)
+    reward, seconds = torch.zeros(over.shape), torch.zeros(over.shape)
+    while not bool(over.all()):
+        act(now, decide(now.select(*_SEEN).to(device)).cpu())
+        now = env.step(now)["next"]
+        robots = cast("TensorDictBase", now["robots"])
+        seconds += env.decision_dt * ~over
+        reward += torch.where(over, 0.0, robots["reward"][..., 0])
+        flags = {name: flags[name] | (flag & ~over) for name, flag in _flags(robots).items()}
+        over = over | robots["done"][..., 0]
+    share = {name: flag.float().mean() for name, flag in flags.items()}
+    time = (seconds * flags["success"]).sum() / flags["success"].sum().clamp_min(1)
+    return share | {"seconds": time, "return": reward.mean()}

@@ -1,1 +1,0 @@
-"""Robots that learn among people: PPO."""

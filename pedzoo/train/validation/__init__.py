@@ -1,1 +1,0 @@
-"""Closed-loop metrics beside ADE and FDE."""

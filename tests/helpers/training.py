@@ -1,0 +1,37 @@
+"""Trainers that print nothing, and what two trainings ended with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import lightning as L
+import torch
+from lightning.pytorch.callbacks import Callback, ModelCheckpoint
+from torch.utils._pytree import tree_flatten
+
+
+def quiet_trainer(*callbacks: Callback, **options: Any) -> L.Trainer:
+    """Return a trainer on the CPU that logs nowhere, and saves if a callback does."""
+    quiet = {"enable_progress_bar": False, "enable_model_summary": False, "logger": False}
+    saving = any(isinstance(callback, ModelCheckpoint) for callback in callbacks)
+    own = {"accelerator": "cpu", "log_every_n_steps": 1, "enable_checkpointing": saving} | quiet | options
+    return L.Trainer(callbacks=list(callbacks), **own)
+
+
+def last(run: Path) -> Path:
+    """Return the last checkpoint of a run."""
+    return run / "checkpoints" / "last.ckpt"
+
+
+def assert_same_end(first: Path, second: Path) -> dict[str, Any]:
+    """Check that two checkpoints have bit-equal weights and optimizer states; return the first one."""
+    one, two = (torch.load(path, weights_only=True) for path in (first, second))
+    for key in ("state_dict", "optimizer_states"):
+        (ours, shape), (theirs, other) = tree_flatten(one[key]), tree_flatten(two[key])
+        assert shape == other and sum(torch.is_tensor(value) for value in ours) > 10
+        assert all(
+            torch.equal(a, b) if torch.is_tensor(a) else a == b for a, b in zip(ours, theirs, strict=True)
+        )
+    assert one["global_step"] == two["global_step"] and one["epoch"] == two["epoch"]
+    return one
