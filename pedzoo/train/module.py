@@ -204,9 +204,14 @@ class PlainModule(ForecastModule):
 
     by_loss = True
 
+    @property
+    def networks(self) -> list[nn.Module]:
+        """What is trained; each has the norm of its gradient clipped on its own."""
+        return [self.generator]
+
     def configure_optimizers(self) -> OptimizerLRScheduler:
         """Return Adam; `set_lr` sets its learning rate at every iteration."""
-        return torch.optim.Adam(self.generator.parameters(), self.lr)
+        return torch.optim.Adam([p for network in self.networks for p in network.parameters()], self.lr)
 
     def training_step(self, batch: TensorDict, batch_idx: int) -> Tensor:
         """Return the loss of a batch, summed over its scenes."""
@@ -221,9 +226,9 @@ class PlainModule(ForecastModule):
         self.iteration += 1
 
     def on_before_optimizer_step(self, optimizer: Optimizer) -> None:
-        """Clip the gradient and set the learning rate."""
-        if self.clip:
-            torch.nn.utils.clip_grad_norm_(self.generator.parameters(), self.clip)
+        """Clip the gradients and set the learning rate."""
+        for network in self.networks if self.clip else ():
+            torch.nn.utils.clip_grad_norm_(network.parameters(), self.clip)
         self.set_lr(optimizer, self.lr, int(self.iteration) - 1)
 
 

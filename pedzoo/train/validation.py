@@ -107,9 +107,6 @@ class ClosedLoopValidation(Callback):
         self.every, self.episodes, self.physics, self.seed = every, episodes, physics, seed
         self.deterministic, self.picture, self.video = deterministic, picture, video
         self._validations = 0
-        self._forget()
-
-    def _forget(self) -> None:
         self._walker: Any = None
         self._envs: dict[str, Any] = {}
 
@@ -245,7 +242,7 @@ class ClosedLoopValidation(Callback):
         """Let go of model and environments."""
         for env in self._envs.values():
             env.physics.close()
-        self._forget()
+        self._walker, self._envs = None, {}
 
     def state_dict(self) -> dict[str, Any]:
         """Return how many validations there were: a resumed run keeps the rhythm."""

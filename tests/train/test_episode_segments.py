@@ -26,6 +26,9 @@ from pedzoo.train.closed_loop.segments import Course, CourseSampler, Segment, un
 
 TURN = torch.tensor([[0.6, 0.8], [-0.8, 0.6]])
 HALL = room((-8.0, -8.0), (8.0, 8.0), 0.1)
+NOWHERE = MapBank([])
+FIRST = torch.tensor([[[True, False]]])
+"""Of two people, the policy moves the first."""
 
 
 def made(velocity: Tensor, start: Tensor, bank: MapBank | None = None, **more: Any) -> Segment:
@@ -37,17 +40,13 @@ def made(velocity: Tensor, start: Tensor, bank: MapBank | None = None, **more: A
     scenes = velocity.shape[1]
     fields = {
         "trace": begin.unsqueeze(-2) + velocity.unsqueeze(-2) * part,
-        "asked": velocity,
-        "action": velocity,
-        "velocity": velocity,
+        **dict.fromkeys(("asked", "action", "velocity"), velocity),
         "progress": 0.4 * velocity[..., 0],
         "pref_speed": torch.ones(velocity.shape[:3]),
         "radius": torch.full(velocity.shape[:3], 0.15),
         "goal": begin,
-        "present": there,
-        "moved": there,
-        "agent_contact": ~there,
-        "wall_contact": ~there,
+        **dict.fromkeys(("present", "moved"), there),
+        **dict.fromkeys(("agent_contact", "wall_contact"), ~there),
         "done": torch.zeros(scenes, dtype=torch.bool),
         "map_id": torch.full((scenes,), bank.grids[0].map_id if bank else -1),
         "pose": identity_pose(scenes),
@@ -61,29 +60,37 @@ def two(distance: float, steps: int = 3) -> Segment:
     return made(velocity, torch.tensor([[[0.0, 0.0], [0.0, distance], [0.0, 50.0]]]))
 
 
-def test_people_are_as_near_as_between_two_trace_points() -> None:
-    """Two who meet head-on at 2 m/s, 0.2 m beside each other, half way between two points of the trace."""
-    velocity = torch.tensor([[[[2.0, 0.0], [-2.0, 0.0]]]])
-    result = least_gaps(made(velocity, torch.tensor([[[0.0, 0.0], [0.6, 0.2]]])))
-    assert result.shape == (1, 1, 2) and result[0, 0].tolist() == pytest.approx([-0.1, -0.1], abs=1e-4)
+def standing_and_walking() -> Segment:
+    """Return one who walks at 1 m/s and one who stands 5 m away, for 4 steps."""
+    velocity = torch.zeros(4, 1, 2, 2)
+    velocity[:, :, 0, 0] = 1.0
+    return made(velocity, torch.tensor([[[0.0, 0.0], [0.0, 5.0]]]))
 
 
-def test_gaps_are_between_bodies_of_their_own_sizes_to_the_end_of_a_step() -> None:
-    """Someone of 0.5 m whom nothing moves comes 0.8 m nearer in the step, to 1.2 m between centres."""
-    velocity = torch.tensor([[[[0.0, 0.0], [-2.0, 0.0]]]])
-    segment = made(velocity, torch.tensor([[[0.0, 0.0], [2.0, 0.0]]]), radius=torch.tensor([[[0.15, 0.5]]]))
-    segment = segment._replace(moved=torch.tensor([[[True, False]]]), asked=torch.zeros(1, 1, 2, 2))
-    assert least_gaps(segment)[0, 0].tolist() == pytest.approx([0.55, 0.55], abs=1e-4)
-
-
-def test_people_are_as_near_as_they_ask_to_be_and_others_as_they_are() -> None:
-    """A layer holds two back who would walk into each other; the one whom nothing moves stays where it is."""
-    held = made(torch.zeros(1, 1, 2, 2), torch.tensor([[[0.0, 0.0], [1.0, 0.0]]]))
-    asks = torch.tensor([[[[1.0, 0.0], [-1.0, 0.0]]]])
-    moved = torch.tensor([[[True, False]]])
-    assert least_gaps(held)[0, 0, 0] == pytest.approx(0.7, abs=1e-4)
-    assert least_gaps(held._replace(asked=asks))[0, 0, 0] == pytest.approx(-0.1, abs=1e-4)
-    assert least_gaps(held._replace(asked=asks, moved=moved))[0, 0, 0] == pytest.approx(0.3, abs=1e-4)
+@pytest.mark.parametrize(
+    ("speeds", "other", "changes", "expected"),
+    [
+        # head-on at 2 m/s, 0.2 m beside each other: nearest between two points of the trace
+        ((2.0, -2.0), (0.6, 0.2), {}, -0.1),
+        # someone of 0.5 m whom nothing moves comes 0.8 m nearer, to 1.2 m between centres
+        ((0.0, -2.0), (2.0, 0.0), {"radius": torch.tensor([[[0.15, 0.5]]]), "moved": FIRST}, 0.55),
+        # a layer holds two back who ask to walk into each other; whom nothing moves stays
+        ((0.0, 0.0), (1.0, 0.0), {}, 0.7),
+        ((0.0, 0.0), (1.0, 0.0), {"asked": torch.tensor([[[[1.0, 0.0], [-1.0, 0.0]]]])}, -0.1),
+        (
+            (0.0, 0.0),
+            (1.0, 0.0),
+            {"asked": torch.tensor([[[[1.0, 0.0], [-1.0, 0.0]]]]), "moved": FIRST},
+            0.3,
+        ),
+    ],
+)
+def test_gaps_are_between_bodies_along_what_is_asked_for(
+    speeds: tuple[float, float], other: tuple[float, float], changes: dict[str, Tensor], expected: float
+) -> None:
+    velocity = torch.tensor([[[[speeds[0], 0.0], [speeds[1], 0.0]]]])
+    segment = made(velocity, torch.tensor([[[0.0, 0.0], other]]))._replace(**changes)
+    assert least_gaps(segment)[0, 0].tolist() == pytest.approx([expected] * 2, abs=1e-4)
 
 
 def test_those_who_meet_lack_more_than_those_who_walk_together() -> None:
@@ -93,22 +100,6 @@ def test_those_who_meet_lack_more_than_those_who_walk_together() -> None:
         velocity = torch.tensor([[[[mine, 0.0], [theirs, 0.0]]]])
         met, plain = (least_gaps(made(velocity, start), margin) for margin in (0.3, 0.0))
         assert (plain - met)[0, 0].tolist() == pytest.approx([lacking, lacking], abs=1e-3)
-    term = LoopLosses(person_distance=10.0, people_margin=0.2, meeting_margin=0.3)
-    assert float(term(two(0.3), MapBank([]))["person_distance"]) == pytest.approx(
-        10 * (0.2 + 0.04) * 2 / 3, abs=1e-3
-    )
-
-
-def test_what_a_safety_layer_changed_costs() -> None:
-    """One of three is held back by 0.5 m/s in all steps."""
-    segment = two(5.0)
-    asked = segment.asked.clone()
-    asked[:, :, 0, 0] += 0.5
-    result = LoopLosses(safety_correction=3.0)(segment._replace(asked=asked), MapBank([]))[
-        "safety_correction"
-    ]
-    assert float(result) == pytest.approx(3.0 * 0.5 / 3, abs=1e-3)
-    assert "safety_correction" not in LoopLosses()(segment, MapBank([]))
 
 
 def test_no_person_is_near_who_is_alone_or_gone() -> None:
@@ -122,8 +113,7 @@ def test_no_person_is_near_who_is_alone_or_gone() -> None:
 
 
 def test_walls_are_felt_along_the_way_that_was_asked_for() -> None:
-    grid = rectangles(HALL + wall((2.0, -8.0), (2.0, 8.0), 0.2), 0.05, name="one wall")
-    bank = MapBank([grid])
+    bank = MapBank([rectangles(HALL + wall((2.0, -8.0), (2.0, 8.0), 0.2), 0.05, name="one wall")])
     segment = made(torch.tensor([[[[2.0, 0.0]]]]), torch.tensor([[[1.0, 0.0]]]), bank)
     distance = wall_distances(segment, bank)[0, 0, 0]
     assert distance.tolist() == pytest.approx([0.7, 0.5, 0.3, 0.1], abs=0.03)
@@ -131,30 +121,32 @@ def test_walls_are_felt_along_the_way_that_was_asked_for() -> None:
 
 def test_time_is_lost_by_those_who_stand_and_not_by_those_who_walk() -> None:
     """The lost time of a person who stands for T steps is 0.4 (1 + ... + T) / T; the mean over two people."""
-    velocity = torch.zeros(4, 1, 2, 2)
-    velocity[:, :, 0, 0] = 1.0
-    segment = made(velocity, torch.tensor([[[0.0, 0.0], [0.0, 5.0]]]))
+    segment = standing_and_walking()
     assert float(lost_seconds(segment)) == pytest.approx(1.0 / 2)
-    weight = torch.tensor([[7.0, 3.0]])
-    assert float(lost_seconds(segment, weight)) == pytest.approx(3.0 / 2)
-
-
-def test_who_arrived_early_has_the_rest_to_their_credit() -> None:
-    segment = two(5.0, steps=4)
-    moved = segment.moved.clone()
-    moved[2:, :, 0] = False  # left after two steps
+    assert float(lost_seconds(segment, torch.tensor([[7.0, 3.0]]))) == pytest.approx(3.0 / 2)
+    assert lost_seconds(segment._replace(moved=~segment.moved)).item() == 0.0
+    early = two(5.0, steps=4)
+    moved = early.moved.clone()
+    moved[2:, :, 0] = False  # left after two steps: the rest is to their credit
     moved[:, :, 2] = False  # was never moved by the policy
-    late = lost_seconds(segment._replace(moved=moved))
-    assert float(late) == pytest.approx(
-        (0.4 + 0.8) / 4 / 2
-    )  # of steps 3 and 4, mean over the segment and two
+    # of steps 3 and 4, mean over the segment and two
+    assert float(lost_seconds(early._replace(moved=moved))) == pytest.approx((0.4 + 0.8) / 4 / 2)
+
+
+def test_the_trait_weighs_ones_own_time() -> None:
+    segment, cost = standing_and_walking(), LoopLosses(assertiveness=0.5, progress=6.0)
+    segment = segment._replace(progress=0 * segment.progress)  # both stand
+    calm, eager = (cost(segment, NOWHERE, torch.tensor([[[z], [0.0]]]))["progress"] for z in (-1.0, 1.0))
+    ratio = (float(eager) - 0.5) / (float(calm) - 0.5)  # the other one's share is 1 / 2
+    assert ratio == pytest.approx(torch.tensor(1.0).exp().item(), rel=1e-3)
+    never = LoopLosses(assertiveness=0.0, progress=6.0)(segment, NOWHERE, torch.ones(1, 2, 1))
+    assert float(never["progress"]) == 1.0
 
 
 @pytest.mark.parametrize("name", ["person_distance", "walls", "overspeed", "effort", "progress"])
-def test_a_weight_of_nothing_takes_its_term_away_and_twice_the_weight_doubles_it(name: str) -> None:
+def test_a_term_is_proportional_to_its_weight(name: str) -> None:
     grid = rectangles(HALL + wall((-8.0, -0.3), (8.0, -0.3), 0.2), 0.05, name="beside")
-    bank = MapBank([grid])
-    segment = two(0.25)
+    bank, segment = MapBank([grid]), two(0.25)
     faster = segment._replace(
         asked=1.5 * segment.asked,
         action=1.5 * segment.action,
@@ -163,12 +155,25 @@ def test_a_weight_of_nothing_takes_its_term_away_and_twice_the_weight_doubles_it
     )
     once, twice, never = (LoopLosses(**{name: weight})(faster, bank)[name] for weight in (1.0, 2.0, 0.0))
     assert float(once) > 0 and float(twice) == pytest.approx(2 * float(once)) and float(never) == 0
+    with pytest.raises(UserError, match=rf"{name} -1.*at least 0"):
+        LoopLosses(**{name: -1})
 
 
-def test_people_cost_what_they_lack_in_distance() -> None:
-    """Two of three people are 0.3 m apart, 0.2 m short of the margin: 0.2 + 0.04 each."""
-    term = LoopLosses(person_distance=10.0, people_margin=0.2)(two(0.3), MapBank([]))["person_distance"]
-    assert float(term) == pytest.approx(10 * 2 / 3 * (0.2 + 0.04), rel=1e-4)
+def test_people_and_corrections_cost_what_they_are_by_hand() -> None:
+    """Two of three are 0.3 m apart, 0.2 m short of the margin; one of three is held back by 0.5 m/s."""
+    segment, short = two(0.3), 10 * 2 / 3 * (0.2 + 0.04)
+    for margin in (0.0, 0.3):  # they walk together
+        term = LoopLosses(person_distance=10.0, people_margin=0.2, meeting_margin=margin)(segment, NOWHERE)
+        assert float(term["person_distance"]) == pytest.approx(short, abs=1e-3)
+        assert "safety_correction" not in term
+    asked = two(5.0).asked.clone()
+    asked[:, :, 0, 0] += 0.5
+    result = LoopLosses(safety_correction=3.0)(two(5.0)._replace(asked=asked), NOWHERE)
+    assert float(result["safety_correction"]) == pytest.approx(3.0 * 0.5 / 3, abs=1e-3)
+    velocity = torch.ones(2, 1, 2, 2).requires_grad_()  # nobody is corrected
+    still = made(velocity, torch.tensor([[[0.0, 0.0], [0.0, 5.0]]]))
+    LoopLosses(safety_correction=1.0)(still, NOWHERE)["safety_correction"].backward()
+    assert velocity.grad is not None and bool(velocity.grad.isfinite().all())
 
 
 def test_dawdling_does_not_thin_out_what_went_wrong() -> None:
@@ -180,67 +185,30 @@ def test_dawdling_does_not_thin_out_what_went_wrong() -> None:
     moved = stays.moved.clone()
     moved[1:] = False
     left = stays._replace(moved=moved, present=moved)
-    result = [LoopLosses()(one, MapBank([]))["person_distance"] for one in (stays, left)]
+    result = [LoopLosses()(one, NOWHERE)["person_distance"] for one in (stays, left)]
     assert float(result[0]) == pytest.approx(float(result[1]))
-
-
-def test_the_trait_weighs_ones_own_time() -> None:
-    velocity = torch.zeros(4, 1, 2, 2)
-    segment = made(velocity, torch.tensor([[[0.0, 0.0], [0.0, 5.0]]]))
-    cost = LoopLosses(assertiveness=0.5, progress=6.0)
-    calm, eager = (cost(segment, MapBank([]), torch.tensor([[[z], [0.0]]]))["progress"] for z in (-1.0, 1.0))
-    ratio = (float(eager) - 0.5) / (float(calm) - 0.5)  # the other one's share is 1 / 2
-    assert ratio == pytest.approx(torch.tensor(1.0).exp().item(), rel=1e-3)
-    assert (
-        float(
-            LoopLosses(assertiveness=0.0, progress=6.0)(segment, MapBank([]), torch.ones(1, 2, 1))["progress"]
-        )
-        == 1.0
-    )
 
 
 def test_who_comes_from_the_front_should_be_on_the_side_that_one_likes() -> None:
     """Two meet head-on, each 0.2 m to the other's left: who likes to pass on the left lacks 0.7 m."""
     velocity = torch.tensor([[[[1.0, 0.0], [-1.0, 0.0]]]])
     start = torch.tensor([[[0.0, 0.0], [2.0, 0.2]]])
-    segment = made(velocity, start)
-    segment = segment._replace(goal=start + 4 * velocity)
+    segment = made(velocity, start, goal=start + 4 * velocity)
+    turned = made(velocity @ TURN, start @ TURN, goal=(start + 4 * velocity) @ TURN)
     for like, lacks in ((9.0, 0.7), (-9.0, 0.3), (0.0, 0.0)):
-        result = wrong_side(segment, torch.tensor([[like, like]]))
-        assert result[0, 0].tolist() == pytest.approx([lacks, lacks], abs=1e-4)
-        turned = made(velocity @ TURN, start @ TURN, goal=(start + 4 * velocity) @ TURN)
-        assert wrong_side(turned, torch.tensor([[like, like]])).flatten().tolist() == pytest.approx(
-            [lacks, lacks], abs=1e-4
-        )
-    gone = segment._replace(present=torch.tensor([[[True, False]]]))
-    assert not bool(wrong_side(gone, torch.full((1, 2), 9.0)).any())
+        for one in (segment, turned):
+            result = wrong_side(one, torch.tensor([[like, like]]))
+            assert result.flatten().tolist() == pytest.approx([lacks, lacks], abs=1e-4)
+    assert not bool(wrong_side(segment._replace(present=FIRST), torch.full((1, 2), 9.0)).any())
     close = made(velocity, 0.3 * start, goal=0.3 * start + 4 * velocity)  # 0.6 m before, 0.06 m beside
     assert wrong_side(close, torch.full((1, 2), 9.0))[0, 0].tolist() == pytest.approx([0.56, 0.56], abs=1e-4)
     behind = segment._replace(goal=start - 4 * velocity)
     assert not bool(wrong_side(behind, torch.ones(1, 2)).any())
-
-
-def test_sides_count_by_their_weight_where_people_have_preferences() -> None:
-    velocity = torch.tensor([[[[1.0, 0.0], [-1.0, 0.0]]]])
-    start = torch.tensor([[[0.0, 0.0], [2.0, 0.2]]])
-    segment = made(velocity, start, goal=start + 4 * velocity)
-    liked, bank = torch.tensor([[[0.0, 9.0], [0.0, 9.0]]]), MapBank([])
-    assert float(LoopLosses(passing_side=3.0)(segment, bank, liked)["passing_side"]) == pytest.approx(2.1)
+    liked = torch.tensor([[[0.0, 9.0], [0.0, 9.0]]])
+    term = LoopLosses(passing_side=3.0)(segment, NOWHERE, liked)["passing_side"]
+    assert float(term) == pytest.approx(2.1)
     for losses, noise in ((LoopLosses(), liked), (LoopLosses(passing_side=3.0), liked[..., :1])):
-        assert "passing_side" not in losses(segment, bank, noise)
-
-
-def test_losses_are_finite_where_no_one_moves_or_is_corrected() -> None:
-    velocity = torch.zeros(2, 1, 2, 2).add(1.0).requires_grad_()
-    segment = made(velocity, torch.tensor([[[0.0, 0.0], [0.0, 5.0]]]))
-    LoopLosses(safety_correction=1.0)(segment, MapBank([]))["safety_correction"].backward()
-    assert velocity.grad is not None and bool(velocity.grad.isfinite().all())
-    assert lost_seconds(segment._replace(moved=~segment.moved)).item() == 0.0
-
-
-def test_a_negative_weight_is_refused() -> None:
-    with pytest.raises(UserError, match=r"walls -1.*at least 0"):
-        LoopLosses(walls=-1)
+        assert "passing_side" not in losses(segment, NOWHERE, noise)
 
 
 class Straight:
@@ -254,6 +222,12 @@ class Straight:
         """Write the action."""
         seen["agents", "action"] = self.factor * seen["agents", "desired_velocity"]
         return seen
+
+    def slope(self, ends: Tensor) -> float:
+        """Return how much further people are at the end of a segment, metres, if they walk faster."""
+        ends.abs().sum().backward()
+        assert self.factor.grad is not None
+        return float(self.factor.grad)
 
 
 def test_a_segment_is_what_the_environment_does() -> None:
@@ -274,36 +248,29 @@ def test_a_segment_is_what_the_environment_does() -> None:
 
 def test_gradients_flow_through_all_that_is_seen_until_it_is_cut() -> None:
     """Walking faster moves the last position by the whole way, and after the cut by the rest of it."""
-    policy, env = Straight(), make_env("door:offset=0,jitter=0", 2, seed=4)
-    segment = unrolled(env, policy, env.reset(), 2)
-    way = segment.trace[-1, ..., -1, 0] - segment.trace[0, ..., 0, 0]
-    segment.trace[-1, ..., -1, 0].abs().sum().backward()
-    assert policy.factor.grad is not None
-    assert float(policy.factor.grad) == pytest.approx(-float(way.abs().sum().detach()), rel=0.02)
-    policy = Straight()
-    after = unrolled(env, policy, env.cut(), 1)
-    rest = after.trace[0, ..., -1, 0] - after.trace[0, ..., 0, 0]
-    after.trace[-1, ..., -1, 0].abs().sum().backward()
-    assert policy.factor.grad is not None
-    assert abs(float(policy.factor.grad)) == pytest.approx(float(rest.abs().sum().detach()), rel=0.02)
+    env = make_env("door:offset=0,jitter=0", 2, seed=4)
+    for seen, steps in ((env.reset, 2), (env.cut, 1)):
+        policy = Straight()
+        segment = unrolled(env, policy, seen(), steps)
+        end = segment.trace[-1, ..., -1, 0]
+        way = float((end - segment.trace[0, ..., 0, 0]).abs().sum().detach())
+        slope = policy.slope(end)
+        assert abs(slope) == pytest.approx(way, rel=0.02) and (slope < 0 or steps == 1)
 
 
 def test_scenes_that_are_over_stay_as_they_are() -> None:
     env = make_env("circle:people=2", 2, seed=1)
     segment = unrolled(env, Straight(), env.reset(), 60)
     assert bool(segment.done.all()) and len(segment.moved) < 60
-    ended = segment.moved.any(2).sum(0)
-    for scene, steps in enumerate(ended.tolist()):
-        assert not bool(segment.moved[steps:, scene].any()) and not bool(
-            segment.progress[steps:, scene].any()
-        )
+    for scene, steps in enumerate(segment.moved.any(2).sum(0).tolist()):
+        rest = segment.moved[steps:, scene], segment.progress[steps:, scene]
+        assert not any(bool(values.any()) for values in rest)
 
 
 def test_every_weight_of_a_network_has_a_gradient_through_an_episode() -> None:
     model = pedzoo.load("sgan_goal_map.eth_ucy").train()
     env = make_env("door", 4, seed=0)
-    walker = pedzoo.policy(model)
-    segment = unrolled(env, walker, env.reset(), 6)
+    segment = unrolled(env, pedzoo.policy(model), env.reset(), 6)
     torch.stack(list(LoopLosses()(segment, env.bank).values())).sum().backward()
     for name, parameter in model.named_parameters():
         assert parameter.grad is not None and bool(parameter.grad.isfinite().all()), name
@@ -312,25 +279,30 @@ def test_every_weight_of_a_network_has_a_gradient_through_an_episode() -> None:
 COURSES = [Course("door", 3, 1.0), Course("circle:people=3", 2, 3.0)]
 
 
-def walked(courses: CourseSampler, updates: range, per_epoch: int = 4, keep: int = 2) -> list[Tensor]:
-    """Return where people are at the beginning of each update's segment."""
+def walked(
+    courses: CourseSampler, updates: range, per_epoch: int = 4, keep: int = 2, steps: int = 3
+) -> list[TensorDict]:
+    """Return what is seen at the beginning of each update's segment."""
     result = []
     for update in updates:
         running = courses.at(update, update // per_epoch)
         seen = running.begin(keep)
-        result.append(seen["agents", "history"][:, :, -1])
-        running.end(unrolled(running.env, Straight(), seen, 3).done)
+        result.append(seen.clone())
+        running.end(unrolled(running.env, Straight(), seen, steps).done)
     return result
 
 
+def places(seen: list[TensorDict]) -> list[Tensor]:
+    return [one["agents", "history"][:, :, -1] for one in seen]
+
+
 def test_a_mixture_that_goes_on_does_what_an_uninterrupted_one_would() -> None:
-    whole = walked(CourseSampler(COURSES, 5), range(12))
-    later = walked(CourseSampler(COURSES, 5), range(8, 12))
+    whole = places(walked(CourseSampler(COURSES, 5), range(12)))
+    later = places(walked(CourseSampler(COURSES, 5), range(8, 12)))
     assert all(torch.equal(one, other) for one, other in zip(whole[8:], later, strict=True))
-    other = walked(CourseSampler(COURSES, 6), range(12))
-    assert any(
-        one.shape != two.shape or not torch.equal(one, two) for one, two in zip(whole, other, strict=True)
-    )
+    other = places(walked(CourseSampler(COURSES, 6), range(12)))
+    same = (one.shape == two.shape and torch.equal(one, two) for one, two in zip(whole, other, strict=True))
+    assert not all(same)
 
 
 def test_courses_have_their_shares_of_the_updates() -> None:
@@ -340,20 +312,14 @@ def test_courses_have_their_shares_of_the_updates() -> None:
 
 
 def test_episodes_go_on_until_they_are_over_or_too_old() -> None:
-    courses = CourseSampler([Course("door", 2)], 0)
-    places = walked(courses, range(5), per_epoch=100, keep=2)
-    first, second, third, _, fifth = places
+    first, second, third, _, fifth = places(
+        walked(CourseSampler([Course("door", 2)], 0), range(5), per_epoch=100)
+    )
     assert not torch.equal(first, second)  # three steps on
-    moved = (second - first).norm(dim=-1)
-    assert bool((moved < 3 * 0.4 * 1.9).all())
+    assert bool(((second - first).norm(dim=-1) < 3 * 0.4 * 1.9).all())
     assert bool(((third - second).norm(dim=-1) > 0).all()) and not torch.equal(third, fifth)
-    keys = []
-    courses = CourseSampler([Course("door", 2)], 0)
-    for update in range(5):
-        running = courses.at(update, 0)
-        seen = running.begin(2)
-        keys.append(seen["scene_key"][:, 0].tolist())
-        running.end(unrolled(running.env, Straight(), seen, 1).done)
+    seen = walked(CourseSampler([Course("door", 2)], 0), range(5), per_epoch=100, steps=1)
+    keys = [one["scene_key"][:, 0].tolist() for one in seen]
     assert keys[0] == keys[1] != keys[2] == keys[3] != keys[4]
 
 
@@ -373,17 +339,12 @@ def test_courses_that_give_no_training_are_refused(options: dict[str, Any]) -> N
         CourseSampler([], 0)
 
 
-def test_cut_needs_scenes() -> None:
+def test_cut_needs_scenes_and_reset_keeps_the_others() -> None:
     with pytest.raises(UserError, match=r"reset\(\) first"):
         make_env("door").cut()
-
-
-def test_reset_after_a_cut_keeps_the_other_scenes() -> None:
     env = make_env("door", 2, seed=0)
-    seen = env.reset()
-    env.step(Straight()(seen))
+    env.step(Straight()(env.reset()))
     cut = env.cut()
-    flags = TensorDict({"_reset": torch.tensor([[True], [False]])}, [2])
-    after = env.reset(flags)
+    after = env.reset(TensorDict({"_reset": torch.tensor([[True], [False]])}, [2]))
     same = (after["agents", "history"] == cut["agents", "history"]).flatten(1).all(1)
     assert same.tolist() == [False, True]

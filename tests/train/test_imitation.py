@@ -83,10 +83,6 @@ def toward(seen: TensorDict, key: str = "desired_velocity") -> Tensor:
     return 0.4 * cast("Tensor", seen["agents", key])
 
 
-def constant(seen: TensorDict) -> Tensor:
-    return toward(seen, "velocity")
-
-
 def plain_sgan(**settings: Any) -> SGAN:
     torch.manual_seed(0)
     return SGAN.of(goal_dim=8, goal_protocol="destination", frame="heading", **settings)
@@ -125,20 +121,20 @@ def test_training_has_unrolled_windows_beside_the_others(capsys: pytest.CaptureF
     assert torch.equal(data.sets["train"].rows, plain.sets["train"].rows)
 
 
-def test_unrolled_windows_of_a_batch_may_be_of_one_recording(shared: Path) -> None:
-    data = TrajectoryDataModule(
-        "zara1",
-        str(shared / "data"),
-        clock="true",
-        imitated=ImitationWindows(steps=6, one_recording_per_batch=True),
-    )
+def own_windows(shared: Path, **options: Any) -> tuple[TrajectoryDataModule, SceneSet]:
+    data = TrajectoryDataModule("zara1", str(shared / "data"), **options)
     data.setup("fit")
     assert data.unrolled is not None
-    names = [name for name, counts in data.unrolled.counts if counts.windows]
-    assert len(data.unrolled.recording.unique()) == len(names) > 1
-    loader = data.train_dataloader()["unrolled"]
-    for draw in loader.sampler:
-        assert len(data.unrolled.recording[draw.scenes].unique()) == 1
+    return data, data.unrolled
+
+
+def test_unrolled_windows_of_a_batch_may_be_of_one_recording(shared: Path) -> None:
+    imitated = ImitationWindows(steps=6, one_recording_per_batch=True)
+    data, unrolled = own_windows(shared, clock="true", imitated=imitated)
+    names = [name for name, counts in unrolled.counts if counts.windows]
+    assert len(unrolled.recording.unique()) == len(names) > 1
+    for draw in data.train_dataloader()["unrolled"].sampler:
+        assert len(unrolled.recording[draw.scenes].unique()) == 1
 
 
 def test_unrolled_windows_keep_to_their_split(tmp_path: Path) -> None:
@@ -156,15 +152,11 @@ def test_unrolled_windows_keep_to_their_split(tmp_path: Path) -> None:
 
 def test_unrolled_windows_are_on_the_true_clock(shared: Path) -> None:
     """biwi_eth's steps are really 0.667 s: by the benchmark's clock its people would run."""
-    speeds = {}
-    for clock in ("benchmark", "true"):
-        data = TrajectoryDataModule(
-            "zara1", str(shared / "data"), clock=cast("Any", clock), imitated=ImitationWindows(20)
-        )
-        data.setup("fit")
-        assert data.unrolled is not None
-        speeds[clock] = data.unrolled.speeds()
-    assert torch.equal(speeds["benchmark"], speeds["true"])
+    one, two = (
+        own_windows(shared, clock=clock, imitated=ImitationWindows(20))[1].speeds()
+        for clock in ("benchmark", "true")
+    )
+    assert torch.equal(one, two)
 
 
 def test_bad_options_of_unrolling_are_refused() -> None:
@@ -178,10 +170,11 @@ def test_bad_options_of_unrolling_are_refused() -> None:
 
 
 @pytest.mark.parametrize("who", ["sgan", "go_to_goal"])
-def test_people_see_and_do_what_they_would_in_the_environment(recording: Path, who: str) -> None:
+def test_people_see_and_do_what_they_would_in_the_environment(
+    recording: Path, windows: SceneSet, who: str
+) -> None:
     """The same people in the scenario replay, until the first of them really leaves."""
-    parts = OwnFiles([str(recording)], 0.4, "0,0,1").recordings("test")
-    batch = SceneSet(parts, [-1], MapBank(), 8, 12, "present", 1).batch(torch.tensor([0]), "destination")
+    batch = windows.batch(torch.tensor([0]), "destination")
     model = stirred(plain_sgan(residual="bent_line", bottleneck_dim=8))
     walker = Walker(model, "episode")
 
@@ -251,9 +244,7 @@ def test_no_person_walks_faster_than_they_can(windows: SceneSet) -> None:
 def test_gradients_reach_back_through_what_others_see(windows: SceneSet) -> None:
     """Where one is in the end depends on what another did in the first step, and on nothing later."""
     batch = windows.batch(torch.tensor([0]), "destination")
-    batch["agents", "pref_speed"] = torch.full_like(
-        batch["agents", "pref_speed"], 2.0
-    )  # no person is at the limit
+    batch["agents", "pref_speed"] += 2.0  # no person is at the limit
     pushes = torch.zeros(4, 1, 5, 2, requires_grad=True)
     steps = iter(pushes)
 
@@ -318,12 +309,8 @@ def test_wasserstein_is_scipys_with_a_gradient(m: int, n: int) -> None:
     result = wasserstein(first, second)
     assert result.item() == pytest.approx(wasserstein_distance(first.detach(), second.detach()))
     assert torch.autograd.gradcheck(wasserstein, (first, second))
-
-
-def test_nothing_to_compare_is_no_distance() -> None:
-    some = torch.ones(3, requires_grad=True)
-    wasserstein(some, torch.zeros(0)).backward()
-    assert some.grad is not None and not some.grad.any()
+    wasserstein(first, second[:0]).backward()  # nothing to compare is no distance
+    assert first.grad is not None and not first.grad.any()
 
 
 def test_displacement_by_hand() -> None:
@@ -345,9 +332,8 @@ def test_the_energy_score_does_not_punish_walks_that_differ() -> None:
     both = Unrolled(torch.cat((xy + aside, xy - aside)), yes.repeat(2, 1, 1), yes.repeat(2, 1, 1))
     for spread, expected in ((0.0, 1.0), (0.5, 0.0)):
         imitation = Imitation(samples=2, spread=spread)
-        assert float(imitation._displacement(both, Unrolled(xy, yes, yes))) == pytest.approx(
-            expected, abs=1e-4
-        )
+        cost = imitation._displacement(both, Unrolled(xy, yes, yes))
+        assert float(cost) == pytest.approx(expected, abs=1e-4)
 
 
 @pytest.mark.parametrize("term", ["displacement", "distribution", "tail"])
@@ -398,19 +384,23 @@ def test_what_a_safety_layer_changes_is_part_of_the_walk(batch: TensorDict) -> N
 
 def test_models_without_noise_or_weights_walk_too(batch: TensorDict) -> None:
     terms = Imitation(distribution=0.0)(Walker(ConstantVelocity()), batch, torch.Generator())
-    walked = unroll(constant, batch, 12)
+    walked = unroll(lambda seen: toward(seen, "velocity"), batch, 12)
     assert terms.keys() == {"loss", "displacement"}
     expected = float(Imitation()._displacement(walked, recorded(batch, 12)))
     assert float(terms["loss"]) == pytest.approx(expected, rel=1e-5)
 
 
-def test_weights_by_name() -> None:
-    with pytest.raises(UserError, match="acceleration"):
-        Imitation(features={"accelerations": 2.0})
-    with pytest.raises(UserError, match="one above it"):
-        Imitation(features=dict.fromkeys(SPREADS, 0.0))
-    with pytest.raises(UserError, match="samples 0"):
-        Imitation(samples=0)
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"features": {"accelerations": 2.0}}, "acceleration"),
+        ({"features": dict.fromkeys(SPREADS, 0.0)}, "one above it"),
+        ({"samples": 0}, "samples 0"),
+    ],
+)
+def test_weights_are_checked(options: dict[str, Any], said: str) -> None:
+    with pytest.raises(UserError, match=said):
+        Imitation(**options)
 
 
 def test_tails_by_hand() -> None:
@@ -458,13 +448,11 @@ def test_a_discriminator_learns_who_is_real_and_the_generator_from_it(batch: Ten
     assert learns == {"adversarial": [True, False], "discriminator": [False, True], "tail": [True, False]}
 
 
-def test_scores_may_be_negative_if_they_are_to(batch: TensorDict) -> None:
-    for signed in (False, True):
-        torch.manual_seed(0)
-        judge = Discriminator(hidden_dim=8, mlp_dim=8, signed=signed)
-        way = torch.randn(200, 10, 2)
-        mask = torch.ones(1, 200, dtype=torch.bool)
-        assert bool((judge(way, way[:, 0], Crowd.of(mask)) < 0).any()) == signed
+@pytest.mark.parametrize("signed", [False, True])
+def test_scores_may_be_negative_if_they_are_to(signed: bool) -> None:
+    judge, way = Discriminator(hidden_dim=8, mlp_dim=8, signed=signed), torch.randn(200, 10, 2)
+    scores = judge(way, way[:, 0], Crowd.of(torch.ones(1, 200, dtype=torch.bool)))
+    assert bool((scores < 0).any()) == signed
 
 
 def test_only_who_walks_in_all_judged_steps_is_judged(batch: TensorDict) -> None:

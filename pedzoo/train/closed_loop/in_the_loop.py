@@ -7,10 +7,8 @@ recordings and their imitation step by step.
 from typing import Any, cast
 
 import torch
-from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from tensordict import TensorDict
-from torch import Tensor
-from torch.optim import Optimizer
+from torch import Tensor, nn
 
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
@@ -20,16 +18,16 @@ from pedzoo.policies.walker import Walker
 from pedzoo.train.closed_loop.imitation import Imitation
 from pedzoo.train.closed_loop.loop_losses import LoopLosses, mean_cost
 from pedzoo.train.closed_loop.segments import Course, CourseSampler
-from pedzoo.train.module import ForecastModule
+from pedzoo.train.module import PlainModule
 
 
-class LoopModule(ForecastModule):
+class LoopModule(PlainModule):
     """A segment of an environment and a batch of recordings in every update.
 
     An update whose gradient is not finite is skipped, and counted as ``train/skipped``.
     """
 
-    in_scenes = True
+    by_loss, in_scenes = False, True
     skipped: Tensor
 
     def __init__(
@@ -84,16 +82,13 @@ class LoopModule(ForecastModule):
         """The generator as a policy."""
         return self._walker[0]
 
-    def configure_optimizers(self) -> OptimizerLRScheduler:
-        """Return Adam, of a discriminator too; `set_lr` sets its learning rate at every iteration."""
-        return torch.optim.Adam([*self.generator.parameters(), *self.imitation.parameters()], self.lr)
+    @property
+    def networks(self) -> list[nn.Module]:
+        """The generator and, if there is one, a discriminator."""
+        return [self.generator, self.imitation]
 
     def setup(self, stage: str) -> None:
-        """Check the data; see `ForecastModule.setup`.
-
-        Raises:
-            UserError: There are no windows to imitate.
-        """
+        """Check the data. Raises UserError: as `ForecastModule.setup`, or there are no windows to imitate."""
         super().setup(stage)
         data: Any = getattr(self.trainer, "datamodule", None)
         if stage == "fit" and data is not None and not data.imitated.steps:
@@ -139,21 +134,13 @@ class LoopModule(ForecastModule):
 
     def on_after_backward(self) -> None:
         """Count the iteration, and skip gradients that are not finite."""
-        self.iteration += 1
-        networks = self.generator, self.imitation
-        trained = [p for network in networks for p in network.parameters() if p.grad is not None]
+        super().on_after_backward()
+        trained = [p for network in self.networks for p in network.parameters() if p.grad is not None]
         if not all(bool(cast("Tensor", p.grad).isfinite().all()) for p in trained):
             self.skipped += 1
             for parameter in trained:
                 parameter.grad = None  # which Adam passes over
         self.log_means({"skipped": self.skipped.float()})
-
-    def on_before_optimizer_step(self, optimizer: Optimizer) -> None:
-        """Clip the gradients, each network's on its own, and set the learning rate."""
-        if self.clip:
-            for network in (self.generator, self.imitation):
-                torch.nn.utils.clip_grad_norm_(list(network.parameters()), self.clip)
-        self.set_lr(optimizer, self.lr, int(self.iteration) - 1)
 
     def teardown(self, stage: str) -> None:
         """Close the environments."""

@@ -248,21 +248,23 @@ class RobotPPO(PPO):
             for name in self.scenarios
         ]
 
-    @property
-    def _imitates(self) -> bool:
-        return int(self.iteration) < self.imitate
-
     def training_step(self, batch: Tensor, batch_idx: int) -> None:
         """Gather decisions and learn from them; in every epoch all scenes are new."""
         began = time.perf_counter()
         torch.manual_seed(self.seed * 1_000_003 + int(self.iteration))
-        self._decider[0].teacher = self.teacher if self._imitates else None
+        self._decider[0].teacher = self.teacher if int(self.iteration) < self.imitate else None
         seed = self.seed * 1_000_003 + self.current_epoch
         gathered = [gatherer.gather(seed) for gatherer in self._gatherers]
         parts = [lived.select("robots", ("next", "robots")) for lived in gathered]
-        known = self._objective.rated(self._lived_through(torch.cat(parts).to(self.device)))
-        lived = cast("TensorDict", torch.cat([one["next", "robots"] for one in gathered]))
-        log = {**outcome_shares(lived), "reward": lived["reward"].mean()}
+        lived = cast("TensorDict", torch.cat(parts)).to(self.device)
+        with torch.no_grad():
+            self.value(lived)
+            self.value(lived["next"])
+        then = cast("TensorDict", lived["next", "robots"])
+        scored = then["info", "active"]
+        lived["robots", "scored"] = scored & ~then["info"].get("failed", torch.zeros_like(scored))
+        log = {**outcome_shares(then), "reward": then["reward"].mean()}
+        known = self._objective.rated(lived)
         share = min(int(self.iteration) / max(cast("int", self.trainer.max_epochs) * self.updates, 1), 1.0)
         for group in cast("Any", self.optimizers()).param_groups:
             group["lr"] = self.lr * (1 - (1 - self.final_lr) * share)
@@ -274,19 +276,9 @@ class RobotPPO(PPO):
         values = {f"train/{key}": value for key, value in log.items()}
         self.log_dict(values, on_step=False, on_epoch=True, batch_size=1)
 
-    @torch.no_grad()
-    def _lived_through(self, lived: TensorDict) -> TensorDict:
-        """Return decisions (B, T) with values, and which of them count."""
-        self.value(lived)
-        self.value(lived["next"])
-        info = cast("TensorDict", lived["next", "robots", "info"])
-        failed = info["failed"] if "failed" in info.keys() else torch.zeros_like(info["active"])
-        lived["robots", "scored"] = info["active"] & ~failed
-        return lived
-
     def terms(self, part: TensorDict, result: TensorDict, number: int) -> TensorDict:
         """Follow the teacher at the beginning, not the rewards."""
-        if self._imitates:
+        if int(self.iteration) < self.imitate:
             missed = (self.policy.mean(part) - part["robots", "taught"]).square().sum(-1)
             result["loss_objective"] = missed[part["robots", "scored"]].mean()
             del result["loss_entropy"]

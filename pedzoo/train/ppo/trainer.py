@@ -44,15 +44,7 @@ _RANGES: dict[str, tuple[Callable[[float], bool], str]] = {
 
 
 def check_ranges(place: str, **numbers: float) -> None:
-    """Raise for numbers out of range.
-
-    Args:
-        place: What stands before the names in the message, such as ``--model.``.
-        numbers: By the names of settings.
-
-    Raises:
-        UserError: One is.
-    """
+    """Raise UserError for numbers out of range; ``place`` stands before their names, such as ``--model.``."""
     for name, number in numbers.items():
         fits, expected = _RANGES[name]
         if not fits(number):
@@ -112,7 +104,7 @@ class Gatherer:
             device: Where the policy is; experience is on the CPU.
         """
         self.env: Any = env
-        self._seed: int | None = None
+        self._seed = -1
         self._collector = Collector(
             env,
             policy,
@@ -178,10 +170,8 @@ class Objective:
     ) -> None:
         """Take an actor of `actor`, and a critic that writes ``value`` (B, A, 1); no parameter is copied."""
         self.group = group
-        keys: dict[str, Any] = {
-            key: (group, key)
-            for key in ("reward", "done", "terminated", "value", "value_target", "advantage")
-        }
+        names = "reward", "done", "terminated", "value", "value_target", "advantage"
+        keys: dict[str, Any] = {key: (group, key) for key in names}
         self.loss = ClipPPOLoss(
             acting,
             cast("TensorDictModule", critic),
@@ -244,8 +234,8 @@ class PPO(L.LightningModule):
                 terms = [result[key] for key in result.keys() if str(key).startswith("loss_")]
                 optimizer.zero_grad()
                 self.manual_backward(torch.stack(terms).sum())
-                groups = [group["params"] for group in optimizer.param_groups]
-                norms = [torch.nn.utils.clip_grad_norm_(group, self.most) for group in groups]
+                groups = optimizer.param_groups
+                norms = [torch.nn.utils.clip_grad_norm_(group["params"], self.most) for group in groups]
                 if bool(torch.stack(norms).isfinite().all()):
                     optimizer.step()
                 else:
@@ -255,11 +245,8 @@ class PPO(L.LightningModule):
         return {_LOGGED[key]: value for key, value in means.items()}
 
     def terms(self, part: TensorDict, result: TensorDict, number: int) -> TensorDict:
-        """Return the result of the loss of an update, with more or other terms ``loss_...``.
+        """Return the result of TorchRL's loss of some decisions, with more or other terms ``loss_...``.
 
-        Args:
-            part: Its decisions.
-            result: Of TorchRL's loss.
-            number: Of the update in this iteration.
+        ``number`` is that of the update in this iteration.
         """
         return result
