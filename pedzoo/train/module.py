@@ -228,7 +228,7 @@ class PlainModule(ForecastModule):
     def on_before_optimizer_step(self, optimizer: Optimizer) -> None:
         """Clip the gradients and set the learning rate."""
         for network in self.networks if self.clip else ():
-            torch.nn.utils.clip_grad_norm_(network.parameters(), self.clip)
+            torch.nn.utils.clip_grad_norm_(list(network.parameters()), self.clip)
         self.set_lr(optimizer, self.lr, int(self.iteration) - 1)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +11,32 @@ import torch
 from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from torch.utils._pytree import tree_flatten
 
+FIT = ["fit", "--config", "sgan", "--data.fold", "embedded", "--data.loading.batch_size", "8"]
+FIT += ["--trainer.limit_train_batches", "2", "--trainer.limit_val_batches", "1", "--trainer.max_epochs", "1"]
+FIT += ["--model.samples", "2", "--trainer.enable_progress_bar", "false"]
+"""A training of a second, and ..."""
+
+RUN = Path("runs/sgan/embedded-seed0")
+"""... its folder."""
+
+LAST = RUN / "checkpoints" / "last.ckpt"
+
+ROOT = Path(__file__).parents[2]
+
+
+def environment(**variables: str) -> dict[str, str]:
+    """Return the environment of a command line of its own, with the tests' modules."""
+    inherited = {key: value for key, value in os.environ.items() if key not in ("LOCAL_RANK", "PEDZOO_RUN")}
+    return inherited | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])} | variables
+
 
 def quiet_trainer(*callbacks: Callback, **options: Any) -> L.Trainer:
     """Return a trainer on the CPU that logs nowhere, and saves if a callback does."""
     quiet = {"enable_progress_bar": False, "enable_model_summary": False, "logger": False}
     saving = any(isinstance(callback, ModelCheckpoint) for callback in callbacks)
-    own = {"accelerator": "cpu", "log_every_n_steps": 1, "enable_checkpointing": saving} | quiet | options
+    own: dict[str, Any] = (
+        {"accelerator": "cpu", "log_every_n_steps": 1, "enable_checkpointing": saving} | quiet | options
+    )
     return L.Trainer(callbacks=list(callbacks), **own)
 
 

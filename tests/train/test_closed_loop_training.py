@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import json
 import math
-import os
 import pickle
 import struct
 import subprocess
@@ -18,7 +17,7 @@ import lightning as L
 import pytest
 import torch
 from helpers.lightning_marks import LIGHTNING_MARKS
-from helpers.training import last, quiet_trainer
+from helpers.training import environment, last, quiet_trainer
 from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from torch import Tensor, nn
 
@@ -34,7 +33,6 @@ from pedzoo.train.run import rows_of
 from pedzoo.train.validation import METRICS, ClosedLoopValidation, share
 from pedzoo.viz.video import read_video
 
-ROOT = Path(__file__).parents[2]
 FIT = ["fit", "--config", "sgan_goal", "--data.fold", "embedded", "--trainer.enable_progress_bar", "false"]
 QUICK = ["--trainer.limit_train_batches=2", "--trainer.limit_val_batches=1", "--trainer.max_epochs=1"]
 QUICK += ["--trainer.check_val_every_n_epoch=1", "--model.samples=2", "--model.generator.losses.best_k=2"]
@@ -329,12 +327,8 @@ def test_two_processes_train_and_walk_like_one(elsewhere: Path) -> None:
     # all of it: whether 1 is one batch or the whole depends on the order of types that Python has kept of a
     # union of int and float, and so on what else was tested in this process
     words += ["--trainer.limit_val_batches=1.0"]
-    paths = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
-    env = {key: value for key, value in os.environ.items() if key not in ("LOCAL_RANK", "PEDZOO_RUN")}
     command = [sys.executable, "-m", "pedzoo.cli.main", *words]
-    done = subprocess.run(
-        command, env=env | {"PYTHONPATH": paths}, capture_output=True, text=True, timeout=300
-    )
+    done = subprocess.run(command, env=environment(), capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     assert "Warning" not in done.stderr and done.stdout.count("next: pedzoo forecast") == 1
     assert done.stdout.count("run folder:") == 1

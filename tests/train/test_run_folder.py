@@ -13,18 +13,11 @@ from typing import Any
 
 import pytest
 import torch
-from helpers.training import assert_same_end, last
+from helpers.training import FIT, LAST, RUN, assert_same_end, environment, last
 
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.train.run import MetricsFile, RunFolder, WholeCheckpoints, rows_of
-
-FIT = ["fit", "--config", "sgan", "--data.fold", "embedded", "--data.loading.batch_size", "8"]
-FIT += ["--trainer.limit_train_batches", "2", "--trainer.limit_val_batches", "1", "--trainer.max_epochs", "1"]
-FIT += ["--model.samples", "2", "--trainer.enable_progress_bar", "false"]
-RUN = Path("runs/sgan/embedded-seed0")
-ROOT = Path(__file__).parents[2]
-LAST = RUN / "checkpoints" / "last.ckpt"
 
 pytestmark = [
     pytest.mark.usefixtures("elsewhere"),
@@ -319,16 +312,9 @@ def test_the_checkpoint_of_another_run_is_not_continued(slurm: pytest.MonkeyPatc
 
 def distributed(*words: str) -> subprocess.Popen[str]:
     """Start a command line whose processes are a group of their own."""
-    paths = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
-    env = {key: value for key, value in os.environ.items() if key not in ("LOCAL_RANK", "PEDZOO_RUN")}
-    return subprocess.Popen(
-        [sys.executable, "-m", "pedzoo.cli.main", *words],
-        env=env | {"PYTHONPATH": paths},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        start_new_session=True,
-    )
+    command = [sys.executable, "-m", "pedzoo.cli.main", *words]
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    return subprocess.Popen(command, env=environment(), start_new_session=True, **pipes)
 
 
 @pytest.mark.slow

@@ -10,19 +10,15 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
-from helpers.training import assert_same_end
+from helpers.training import FIT, LAST, RUN, assert_same_end, environment
 
 from pedzoo.cli.main import main
 
-FIT = ["fit", "--config", "sgan", "--data.fold", "embedded", "--data.loading.batch_size", "8"]
-FIT += ["--trainer.limit_train_batches", "2", "--trainer.limit_val_batches", "1", "--trainer.max_epochs", "2"]
-FIT += ["--model.samples", "2", "--trainer.enable_progress_bar", "false"]
-RUN = Path("runs/sgan/embedded-seed0")
-LAST = RUN / "checkpoints" / "last.ckpt"
-ROOT = Path(__file__).parents[2]
+FIT = [*FIT, "--trainer.max_epochs", "2"]
 JOB = {"NTASKS": "1", "JOB_ID": "7", "PROCID": "0", "LOCALID": "0", "NODEID": "0", "JOB_NAME": "fit"}
 SLURM = {f"SLURM_{name}": value for name, value in JOB.items()}
 
@@ -47,6 +43,7 @@ sys.exit(main(sys.argv[2:]))
 WAITS = """
 import time
 from pathlib import Path
+from typing import Any
 from pedzoo.eval.suite import EvaluationCase, Suite
 
 class Waits(Suite):
@@ -75,15 +72,8 @@ def processes_that_hear_hangups() -> Iterator[None]:
 
 def run(code: list[str], **variables: str) -> subprocess.CompletedProcess[str]:
     """Run Python in a process of its own."""
-    paths = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
-    return subprocess.run(
-        [sys.executable, *code],
-        env=os.environ | {"PYTHONPATH": paths} | variables,
-        capture_output=True,
-        text=True,
-        timeout=200,
-        check=False,
-    )
+    pipes: dict[str, Any] = {"capture_output": True, "text": True, "timeout": 200, "check": False}
+    return subprocess.run([sys.executable, *code], env=environment(**variables), **pipes)
 
 
 def stopped(number: int, **variables: str) -> subprocess.CompletedProcess[str]:
@@ -136,14 +126,9 @@ def test_a_job_that_slurm_runs_again_goes_on(whole: Path, monkeypatch: pytest.Mo
 
 def started(words: list[str], until: Callable[[], bool]) -> subprocess.Popen[str]:
     """Start a command in a session of its own, and return it once something has come true."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "pedzoo", *words],
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    command = [sys.executable, "-m", "pedzoo", *words]
+    process = subprocess.Popen(command, env=environment(), start_new_session=True, **pipes)
     while not until() and process.poll() is None:
         time.sleep(0.01)
     return process

@@ -86,13 +86,13 @@ class Decider(TensorDictModuleBase):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write them; a teacher sees the scenes on the CPU."""
-        decided = self.acting(tensordict.select(*self.in_keys).clone())["robots"]
+        decided: Any = self.acting(tensordict.select(*self.in_keys).clone())["robots"]
         decision = decided["decision"]
         if self.teacher:
             decided["taught"] = self.teacher(tensordict.to("cpu")).to(decision.device)
         else:
             decided["taught"] = decision
-        tensordict["robots"].update(decided.exclude("observation", "body"))
+        cast("Any", tensordict["robots"]).update(decided.exclude("observation", "body"))
         act(tensordict, decision)
         return tensordict
 
@@ -255,14 +255,14 @@ class RobotPPO(PPO):
         self._decider[0].teacher = self.teacher if int(self.iteration) < self.imitate else None
         seed = self.seed * 1_000_003 + self.current_epoch
         gathered = [gatherer.gather(seed) for gatherer in self._gatherers]
-        parts = [lived.select("robots", ("next", "robots")) for lived in gathered]
+        parts: Any = [lived.select("robots", ("next", "robots")) for lived in gathered]
         lived = cast("TensorDict", torch.cat(parts)).to(self.device)
         with torch.no_grad():
             self.value(lived)
             self.value(lived["next"])
         then = cast("TensorDict", lived["next", "robots"])
         scored = then["info", "active"]
-        lived["robots", "scored"] = scored & ~then["info"].get("failed", torch.zeros_like(scored))
+        lived["robots", "scored"] = scored & ~then.get(("info", "failed"), torch.zeros_like(scored))
         log = {**outcome_shares(then), "reward": then["reward"].mean()}
         known = self._objective.rated(lived)
         share = min(int(self.iteration) / max(cast("int", self.trainer.max_epochs) * self.updates, 1), 1.0)
@@ -337,7 +337,7 @@ def walked_once(
     env.set_seed(0, static_seed=True)
     now = env.reset()
     over = torch.zeros_like(now["robots", "info", "active"])
-    flags = dict.fromkeys(("success", "collision", "timeout"), over)
+    flags: dict[str, Tensor] = dict.fromkeys(("success", "collision", "timeout"), over)
     reward, seconds = torch.zeros(over.shape), torch.zeros(over.shape)
     while not bool(over.all()):
         act(now, decide(now.select(*_SEEN).to(device)).cpu())
