@@ -97,7 +97,7 @@ def test_a_wrong_base_is_told_by_the_command(tmp_path: Path, capsys: pytest.Capt
 
 
 @pytest.mark.parametrize("name", config_names())
-def test_a_config_trains_in_a_precision_or_says_in_one_line_that_it_does_not(
+def test_a_config_trains_in_a_precision_or_refuses_it(
     name: str, tmp_path: Path, request: pytest.FixtureRequest, capsys: pytest.CaptureFixture[str]
 ) -> None:
     if "alexnet" in name:

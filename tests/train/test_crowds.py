@@ -158,7 +158,7 @@ def test_people_who_walk_as_they_did_are_the_recorded_crowd(whole: Excerpts) -> 
         torch.testing.assert_close(made.features[name], values, atol=2e-2, rtol=1e-2, msg=name)
 
 
-def test_people_are_taken_over_after_eight_rows_and_leave_at_their_exit(whole: Excerpts) -> None:
+def test_people_are_taken_over_after_eight_rows_until_their_exit(whole: Excerpts) -> None:
     walk = walked_on(AsRecorded(whole), whole, PLANNER, torch.tensor([0]))
     begin = OBS_LEN - 1 + 12  # of the excerpt's frames: it begins seven before the recording
     scored = walk.scored[0, LATE].nonzero()[:, 0]
@@ -167,7 +167,7 @@ def test_people_are_taken_over_after_eight_rows_and_leave_at_their_exit(whole: E
     assert not walk.there[0, LATE, -1]  # arrived
 
 
-def test_steps_before_are_walked_but_not_scored_and_have_no_gradient(crowd: RecordedCrowd) -> None:
+def test_steps_before_are_neither_scored_nor_differentiated(crowd: RecordedCrowd) -> None:
     policy = walker()
     real = excerpts(crowd, [0], 14)
     walk = walked_on(policy, real, PLANNER, torch.tensor([0]), before=10)
@@ -297,7 +297,7 @@ def test_the_loss_sees_one_large_acceleration(crowd: RecordedCrowd) -> None:
     assert value - none > sum(parts) / 20
 
 
-def test_a_judge_learns_to_distinguish_and_is_not_trained_by_those_it_judges() -> None:
+def test_a_judge_learns_to_distinguish_and_judges_untrained() -> None:
     random = torch.Generator().manual_seed(0)
     torch.manual_seed(0)
     judge = CrowdDiscriminator(hidden_dim=16)

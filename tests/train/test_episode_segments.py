@@ -119,7 +119,7 @@ def test_walls_are_felt_along_the_way_that_was_asked_for() -> None:
     assert distance.tolist() == pytest.approx([0.7, 0.5, 0.3, 0.1], abs=0.03)
 
 
-def test_time_is_lost_by_those_who_stand_and_not_by_those_who_walk() -> None:
+def test_time_is_lost_by_those_who_stand_not_who_walk() -> None:
     """The lost time of a person who stands for T steps is 0.4 (1 + ... + T) / T; the mean over two people."""
     segment = standing_and_walking()
     assert float(lost_seconds(segment)) == pytest.approx(1.0 / 2)
@@ -189,7 +189,7 @@ def test_dawdling_does_not_thin_out_what_went_wrong() -> None:
     assert float(result[0]) == pytest.approx(float(result[1]))
 
 
-def test_who_comes_from_the_front_should_be_on_the_side_that_one_likes() -> None:
+def test_people_from_the_front_should_be_on_the_preferred_side() -> None:
     """Two meet head-on, each 0.2 m to the other's left: who likes to pass on the left lacks 0.7 m."""
     velocity = torch.tensor([[[[1.0, 0.0], [-1.0, 0.0]]]])
     start = torch.tensor([[[0.0, 0.0], [2.0, 0.2]]])
@@ -267,7 +267,7 @@ def test_scenes_that_are_over_stay_as_they_are() -> None:
         assert not any(bool(values.any()) for values in rest)
 
 
-def test_every_weight_of_a_network_has_a_gradient_through_an_episode() -> None:
+def test_every_weight_has_a_gradient_through_an_episode() -> None:
     model = pedzoo.load("sgan_goal_map.eth_ucy").train()
     env = make_env("door", 4, seed=0)
     segment = unrolled(env, pedzoo.policy(model), env.reset(), 6)
@@ -296,7 +296,7 @@ def places(seen: list[TensorDict]) -> list[Tensor]:
     return [one["agents", "history"][:, :, -1] for one in seen]
 
 
-def test_a_mixture_that_goes_on_does_what_an_uninterrupted_one_would() -> None:
+def test_a_mixture_that_goes_on_equals_an_uninterrupted_one() -> None:
     whole = places(walked(CourseSampler(COURSES, 5), range(12)))
     later = places(walked(CourseSampler(COURSES, 5), range(8, 12)))
     assert all(torch.equal(one, other) for one, other in zip(whole[8:], later, strict=True))

@@ -61,7 +61,7 @@ def refused(capsys: pytest.CaptureFixture[str], *argv: str) -> str:
     return capsys.readouterr().err
 
 
-def test_zoo_weights_bring_their_config_and_the_command_line_wins() -> None:
+def test_zoo_weights_bring_their_config_and_options_win() -> None:
     run = fit("--weights", NAME, "--data.fold", "embedded", *STILL)
     assert run == Path("runs/sgan_goal_map/embedded-seed0")
     assert_same_weights(last(run), NAME)
@@ -75,7 +75,7 @@ def test_zoo_weights_bring_their_config_and_the_command_line_wins() -> None:
     assert command[:2] == ["pedzoo", "fit"] and command[command.index("--weights") + 1] == NAME
 
 
-def test_fine_tuning_changes_all_weights_and_begins_where_they_were() -> None:
+def test_fine_tuning_begins_where_the_weights_were() -> None:
     """Two iterations of a training from random weights are an order of magnitude worse."""
     ades = []
     for options in (
@@ -111,7 +111,7 @@ def test_a_checkpoint_brings_the_config_of_its_run() -> None:
     assert steps == [2, 2]  # counted from the beginning
 
 
-def test_a_fine_tuning_run_goes_on_and_is_measured_without_the_weights_it_began_with() -> None:
+def test_a_fine_tuning_run_goes_on_without_its_first_weights() -> None:
     first = fit("--config", "sgan", "--data.fold", "embedded")
     second = fit("--weights", last(first))
     Path(last(first)).unlink()

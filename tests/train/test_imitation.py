@@ -423,7 +423,7 @@ def adversary() -> Imitation:
     return Imitation(adversarial=1.0, discriminator=judge, samples=2, tail=0.5)
 
 
-def test_a_discriminator_learns_who_is_real_and_the_generator_from_it(batch: TensorDict) -> None:
+def test_discriminator_and_generator_learn_from_each_other(batch: TensorDict) -> None:
     """People who stand are told from real ones; then the way out is to walk, for the generator alone."""
     imitation, model = adversary(), plain_sgan()
     judge = cast("Discriminator", imitation.discriminator)

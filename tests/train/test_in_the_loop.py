@@ -105,7 +105,7 @@ class Watch(Callback):
         self.weights.append(nn.utils.parameters_to_vector(pl_module.parameters()).detach().clone())
 
 
-def test_an_update_without_a_finite_gradient_is_left_out_and_counted() -> None:
+def test_an_update_without_a_finite_gradient_is_skipped() -> None:
     watch, trained = Watch(), module(walking=Broken(), imitation=Imitation(adversarial=0.1), steps=3)
     trainer = train(trained, 3, watch)
     first, second, third = (watch.weights[i : i + 2] for i in (0, 2, 4))

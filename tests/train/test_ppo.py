@@ -196,7 +196,7 @@ def test_likelihoods_of_updates_are_those_of_collecting() -> None:
     torch.testing.assert_close(stored, Normal(loc, 0.2).log_prob(action).sum(-1))
 
 
-def test_people_whom_the_policy_does_not_move_have_a_fixed_distribution() -> None:
+def test_people_that_nothing_moves_have_a_fixed_distribution() -> None:
     model, env = small(), make_env("hallway", 2)
     now = cast("TensorDict", env.reset())
     now["agents", "controlled"][:, 0] = False

@@ -184,7 +184,7 @@ def test_options_with_which_a_run_cannot_go_on_are_not_kept(capsys: pytest.Captu
         (["--monitor", "train/varity"], "train/variety"),
     ],
 )
-def test_a_metric_that_is_not_logged_is_refused_and_leaves_no_folder(
+def test_a_metric_that_is_not_logged_leaves_no_folder(
     options: list[str], near: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main([*FIT, *options]) == 2
@@ -318,7 +318,7 @@ def distributed(*words: str) -> subprocess.Popen[str]:
 
 
 @pytest.mark.slow
-def test_two_processes_that_were_killed_go_on_as_if_they_had_not_been() -> None:
+def test_two_killed_processes_end_as_uninterrupted_ones() -> None:
     words = [*FIT, "--trainer.max_epochs", "4", "--trainer.accelerator", "cpu", "--trainer.devices", "2"]
     words += ["--trainer.strategy", "ddp_find_unused_parameters_true"]
     with distributed(*words) as killed:

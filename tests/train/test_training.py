@@ -144,7 +144,7 @@ def _plain_config(folder: Path) -> Path:
     return path
 
 
-def test_the_command_line_wins_over_a_checkpoint_and_strangers_are_refused(
+def test_options_win_over_checkpoints_and_strangers_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["fit", "--config", "sgan", *QUICK, *CONSTANT, "--trainer.max_epochs", "1"]) == 0
