@@ -113,6 +113,10 @@ def test_a_folder_is_loaded_by_its_path(model: Forecaster, monkeypatch: pytest.M
     }.items():
         with pytest.raises(UserError, match=message):
             load(name)
+    write_model(model, Path("sgan"))  # it does not hide the architecture
+    with pytest.raises(UserError, match="'sgan' is an architecture"):
+        load("sgan")
+    assert same(load("./sgan"), model)
     monkeypatch.setenv("PEDZOO_ZOO", " elsewhere, mine ")
     assert same(load(NAME), model) and {NAME, "sgan_goal.square"} <= set(list_models("sgan_goal.*"))
     MINE.rename("walkers.v2")
@@ -139,13 +143,6 @@ def test_a_repository_of_the_hub_has_a_folder_or_is_one(
     monkeypatch.delenv("HF_ENDPOINT")
     monkeypatch.setenv("PEDZOO_OFFLINE", "1")
     assert NAME in list_models()
-
-
-def test_a_folder_named_like_an_architecture_does_not_hide_it(model: Forecaster) -> None:
-    write_model(model, Path("sgan"))
-    with pytest.raises(UserError, match="'sgan' is an architecture"):
-        load("sgan")
-    assert same(load("./sgan"), model)
 
 
 def test_a_model_of_the_web_is_fetched_once_and_found_offline(
@@ -378,12 +375,13 @@ def test_a_page_in_place_of_a_card_is_not_kept(model: Forecaster, site: Site) ->
     assert same(load(f"{site.url}/zoo/{NAME}"), model)
 
 
-def test_models_are_found_without_torch(model: Forecaster) -> None:
+def test_models_are_found_and_cards_shown_without_torch(model: Forecaster) -> None:
     write_model(model, Path("mine"))
     code = (
         "import sys; from pedzoo.models.zoo.store import find, names, weights_of;"
-        "names(); weights_of(find('mine'));"
-        "assert find('mine').card.architecture == 'sgan'; assert not {'torch', 'numpy'} & set(sys.modules)"
+        "from pedzoo.models.zoo.card_page import page;"
+        "names(); weights_of(find('mine')); page(find('mine').card);"
+        "assert not {'torch', 'numpy', 'rich'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
 
