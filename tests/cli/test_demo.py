@@ -26,6 +26,7 @@ def test_the_demo_walks_tunes_and_compares(
     monkeypatch.delenv("PEDZOO_DATA", raising=False)
     monkeypatch.setattr(demo, "FILM_SECONDS", 1)
     monkeypatch.setattr(demo, "EPISODES", 1)
+    monkeypatch.setattr(demo, "POLICIES", f"{demo.CONTROLLER} orca:radius=0.3")
     monkeypatch.setattr(demo, "METRICS", "success,time_ratio")
     assert main(["demo", "--out", "my demo", "--epochs", "3"]) == 0
     printed = capsys.readouterr().out

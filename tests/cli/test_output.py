@@ -63,10 +63,7 @@ def test_bars_show_text_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     ("words", "printer"),
     [
         (["rollout", "go_to_goal", *WALK], "print_report"),
-        (
-            ["evaluate", "go_to_goal", "--suite", "encounters", "--physics", "compiled", "--episodes", "1"],
-            "print_pages",
-        ),
+        (["evaluate", "go_to_goal", "--suite", "door", *WALK[2:]], "print_pages"),
         (["forecast", "constant_velocity", "--data.fold", "embedded", "--samples", "1"], "print_report"),
         (["models", "sgan_goal.zara1"], "print_tables"),
     ],

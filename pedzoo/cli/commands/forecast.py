@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pedzoo.cli.check import given
 from pedzoo.cli.output import check_outputs, print_report, write_and_print
-from pedzoo.cli.parsing import call, parse, parser_of
+from pedzoo.cli.parsing import parse, parser_of
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.core.machine import versions
@@ -81,11 +81,15 @@ def trained(configs: str, argv: list[str], runs: str) -> list[str]:
     Raises:
         UserError: A config is unknown or a training fails.
     """
-    from pedzoo.cli.commands import fit
+    from pedzoo.cli.training import train as run_training
 
-    words = [word for pair in _pairs(argv) if pair[0].startswith("--data.") for word in pair]
-    options = {name.partition("=")[0]: value for name, value in _pairs(argv)}
-    result = []
+    pairs, result = [], []
+    for place, word in enumerate(argv):
+        if word.startswith("--"):
+            name, equal, value = word.partition("=")
+            pairs.append((name, value if equal else "".join(argv[place + 1 : place + 2])))
+    words = [word for pair in pairs if pair[0].startswith("--data.") for word in pair]
+    options = dict(pairs)
     for config in filter(None, configs.split(",")):
         generator = load_config(config)["model"]["init_args"]["generator"]
         fixed = "steps" in generator.get("init_args", {}).get("architecture", {})
@@ -93,17 +97,8 @@ def trained(configs: str, argv: list[str], runs: str) -> list[str]:
         more = ["--model.generator.architecture.steps", steps] if steps else []
         before = set(Path(runs).rglob("best.ckpt"))
         seed = ["--seed_everything", options.get("--seed", "0")]
-        if call(fit, ["--config", config, "--runs", runs, *seed, *words, *more]):
+        command = ["--config", config, "--runs", runs, *seed, *words, *more]
+        if run_training("fit", command, HELP, EXAMPLE):
             raise UserError(f"the training of {config!r} failed: see above")
         result += [str(file) for file in sorted(set(Path(runs).rglob("best.ckpt")) - before)]
     return result
-
-
-def _pairs(argv: list[str]) -> list[list[str]]:
-    """Return the options of a command, each with its value: ``--a 1`` and ``--a=1`` alike."""
-    pairs = []
-    for place, word in enumerate(argv):
-        if word.startswith("--"):
-            name, equal, value = word.partition("=")
-            pairs.append([name, value if equal else "".join(argv[place + 1 : place + 2])])
-    return pairs
