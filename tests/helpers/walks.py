@@ -6,9 +6,12 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torchrl.envs import step_mdp
 
 from pedzoo.core.geometry import identity_pose
+from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.rollout import Rollout
+from pedzoo.sim.state import State
 
 BROKEN = '''
 from pedzoo.policies.policy import Policy
@@ -69,3 +72,20 @@ def straight(speed: float = 1.3, points: int = 200, start: tuple[float, float] =
     """Return a path (1 + T, 2) along x at ``speed``, m/s."""
     x = start[0] + 0.1 * speed * torch.arange(points + 1, dtype=torch.float64)
     return torch.stack((x, torch.full_like(x, start[1])), dim=-1)
+
+
+def as_desired(
+    env: PedestrianEnv, steps: int, drift: tuple[float, float] = (0.0, 0.0)
+) -> tuple[list[Any], list[State]]:
+    """Return what is seen, and the states, before each decision and at the end.
+
+    People walk where they desire, plus a velocity of ``drift``, m/s.
+    """
+    now: Any = env.reset()
+    seen, states = [now.clone()], [env.state]
+    for _ in range(steps):
+        now["agents", "action"] = now["agents", "desired_velocity"] + torch.tensor(drift)
+        now = step_mdp(env.step(now))
+        seen.append(now.clone())
+        states.append(env.state)
+    return seen, states

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 import torch
+from helpers.walks import as_desired
 from torch import Tensor
-from torchrl.envs.utils import step_mdp
 
 from pedzoo.core.batch import companions_of
 from pedzoo.sim.make import make_env
@@ -90,15 +90,12 @@ def pairs_seen(folder: Path, decisions: int, *people: tuple[int, float, float, f
     file = folder / "rows.txt"
     file.write_text("".join(f"{f} {a} {x:.4f} {y:.4f}\n" for f, a, x, y in sorted(rows)))
     env = make_env(Replay(files=[str(file)], dt=0.4).prepare(0.25))
-    now: Any = env.reset()
-    seen = []
-    for _ in range(decisions):
+    result = []
+    for now, state in zip(*as_desired(env, decisions - 1), strict=True):
         pairs = now["agents", "id"][0][companions_of(now)[0].nonzero()]
-        seen.append(sorted(pairs.tolist()))
-        assert torch.equal(env.state.group[0] >= 0, torch.isin(env.state.person[0], pairs.flatten()))
-        now["agents", "action"] = now["agents", "desired_velocity"]
-        now = step_mdp(env.step(now))
-    return seen
+        result.append(sorted(pairs.tolist()))
+        assert torch.equal(state.group[0] >= 0, torch.isin(state.person[0], pairs.flatten()))
+    return result
 
 
 def test_policies_see_companies_as_soon_as_these_show(tmp_path: Path) -> None:

@@ -11,7 +11,8 @@ from typing import Any, Literal
 import pytest
 import torch
 from helpers.scenes import prepared
-from torchrl.envs import check_env_specs, step_mdp
+from helpers.walks import as_desired
+from torchrl.envs import check_env_specs
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import move_to_scene, turn_to_scene
@@ -25,7 +26,6 @@ from pedzoo.maps.plans import flat
 from pedzoo.models.zoo.loading import baselines, list_models, load, save_weights
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.walker import Walker
-from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env, make_scenario
 from pedzoo.sim.scenario import MIN_INITIAL_PATH
 from pedzoo.sim.scenarios.goals import Goals
@@ -74,7 +74,8 @@ def test_a_scene_depends_on_seed_and_number_alone(name: str) -> None:
     """The same alone and among others, at first and a few decisions later; other seeds differ."""
     scene = prepared(name)
     whole, alone = (make_env(scene, n, seed=3, first_episode=first) for n, first in ((9, 0), (1, 5)))
-    for step, (every, one) in enumerate(zip(walked(whole, 5), walked(alone, 5), strict=True)):
+    seen = (as_desired(env, 5)[0] for env in (whole, alone))
+    for step, (every, one) in enumerate(zip(*seen, strict=True)):
         for key in ("history", "goal", "desired_velocity", "pref_speed", "group", "controlled"):
             theirs, mine = every["agents", key][5], one["agents", key][0]
             torch.testing.assert_close(mine, theirs, atol=1e-4 if step else 0, rtol=0, msg=key)
@@ -83,16 +84,6 @@ def test_a_scene_depends_on_seed_and_number_alone(name: str) -> None:
         first, other = (make_env(scene, 9, seed=seed).reset()["agents", "history"] for seed in (3, 4))
         assert float((first - other).abs().amax((1, 2, 3)).min()) > 0.01
         assert float((first[1:] - first[:-1]).abs().amax((1, 2, 3)).min()) > 0.01
-
-
-def walked(env: PedestrianEnv, steps: int) -> list[Any]:
-    """Return what is seen before each decision of people who walk as they desire."""
-    seen: list[Any] = [env.reset()]
-    for _ in range(steps):
-        now = seen[-1].clone()
-        now["agents", "action"] = now["agents", "desired_velocity"]
-        seen.append(step_mdp(env.step(now)))
-    return seen
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 import torch
-from helpers.walks import made
+from helpers.walks import as_desired, made
 from torchrl.envs import step_mdp
 
 from pedzoo.core.batch import companions_of
@@ -15,29 +15,16 @@ from pedzoo.eval.evaluate import evaluate
 from pedzoo.eval.rollout import rollout
 from pedzoo.metrics.closed_loop import measure
 from pedzoo.metrics.smoothness import standing_drift_m
-from pedzoo.policies.rule_based.go_to_goal import GoToGoal
 from pedzoo.sim import kernel
-from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env, make_scenario
 
 TWO = "waiting:people=3,waiting=2,stay=0,seconds=2.1,speed_std=0"
 
 
-def walked(env: PedestrianEnv, steps: int, drift: tuple[float, float] = (0.0, 0.0)) -> list[Any]:
-    """Return what is seen before each decision, of people who walk where they desire, plus a velocity."""
-    now: Any = env.reset()
-    seen = []
-    for _ in range(steps):
-        seen.append(now.clone())
-        now["agents", "action"] = now["agents", "desired_velocity"] + torch.tensor(drift)
-        now = step_mdp(env.step(now))
-    return [*seen, now]
-
-
 @pytest.mark.parametrize("physics", ["compiled", "torch", "bullet"])
 def test_people_wait_and_set_out(physics: str) -> None:
     env = make_env(TWO, num_envs=2, physics=physics)
-    seen = walked(env, 8)
+    seen, _ = as_desired(env, 8)
     env.physics.close()
     start = seen[0]["agents", "history"][:, :2, -1]
     for step, now in enumerate(seen[:-1]):
@@ -58,7 +45,7 @@ def test_people_wait_and_set_out(physics: str) -> None:
 
 def test_the_policy_has_to_hold_them_and_is_shown_the_way_back() -> None:
     env = make_env(TWO, num_envs=2)
-    seen = walked(env, 4, drift=(0.0, 0.5))
+    seen, _ = as_desired(env, 4, drift=(0.0, 0.5))
     place, last = seen[0]["agents", "history"][:, :2, -1], seen[4]["agents"]
     off = last["history"][:, :2, -1] - place
     # 0.2 m per decision, and as far back in the next one
@@ -69,10 +56,10 @@ def test_the_policy_has_to_hold_them_and_is_shown_the_way_back() -> None:
 
 def test_waiting_takes_no_time_from_the_way() -> None:
     env = make_env(TWO, num_envs=2)
-    walked(env, 5)
+    as_desired(env, 5)
     assert env.state.deadline[:, :2].isinf().all() and env.state.holds[:, :2].all()
     assert env.state.planned[:, :2].eq(0).all()
-    walked(env, 6)
+    as_desired(env, 6)
     way = env.state.remaining_path[:, :2]
     assert torch.allclose(env.state.deadline[:, :2], 2.4 + (4 * way / 1.3).clamp_min(20.0), atol=1e-3)
     assert torch.allclose(env.state.planned[:, :2], way - 0.3)
@@ -103,14 +90,8 @@ def test_people_who_stay_are_not_waited_for_nor_scored() -> None:
 
 def test_people_are_served_one_after_the_other() -> None:
     env = make_env("queue:people=5,coming=2,seconds=3,speed_std=0", num_envs=2)
-    seen = walked(env, 60)
-    drawn = []
-    now: Any = env.reset()
-    for _ in range(60):
-        drawn.append(env.state.goal_index)
-        now["agents", "action"] = now["agents", "desired_velocity"]
-        now = step_mdp(env.step(now))
-    taken = torch.stack(drawn)
+    seen, states = as_desired(env, 60)
+    taken = torch.stack([state.goal_index for state in states])
     # no person takes a place before the one ahead has left it
     assert (taken[..., :-1] >= taken[..., 1:] - 1).all()
     left = (taken > torch.arange(5)).int().argmax(0) * 0.4  # when each set out for an exit
@@ -124,15 +105,9 @@ def test_people_are_served_one_after_the_other() -> None:
 
 def test_people_join_the_line_at_its_present_end() -> None:
     env = make_env("queue:people=3,coming=1,seconds=1,speed_std=0", num_envs=1)
-    first = env.reset()["agents", "info", "remaining_path"][0, 2]
-    goals = {round(float(env.state.goal_point[0, 2, 0]), 1)}
-    now: Any = env.reset()
-    for _ in range(6):
-        now["agents", "action"] = now["agents", "desired_velocity"]
-        now = step_mdp(env.step(now))
-        goals.add(round(float(env.state.goal_point[0, 2, 0]), 1))
-    assert float(first) > 1.5
-    assert goals == {-1.6, -0.8}
+    _, states = as_desired(env, 6)
+    assert float(states[0].remaining_path[0, 2]) > 1.5
+    assert {round(float(state.goal_point[0, 2, 0]), 1) for state in states} == {-1.6, -0.8}
     assert float(env.state.position[0, 2, 0]) < -0.8
 
 
@@ -184,24 +159,15 @@ def test_two_streams_have_the_density_that_is_asked_for() -> None:
     assert float(left[..., 1].abs().max()) > 1.1 and float(left[..., 1].mean().abs()) < 0.1
 
 
-class Stands(GoToGoal):
-    """Moves no person."""
-
-    def forward(self, tensordict: Any) -> Any:
-        """Write no velocity."""
-        tensordict["agents", "action"] = torch.zeros_like(tensordict["agents", "velocity"])
-        return tensordict
-
-
 @pytest.mark.parametrize("scenario", ["queue", "waiting"])
 def test_scenes_end_even_if_no_person_moves(scenario: str) -> None:
     env = make_env(scenario, num_envs=2)
     now: Any = env.reset()
-    stands = Stands()
     steps = 0
     while not now["done"].all():
         steps += 1
-        now = step_mdp(env.step(stands(now)))
+        now["agents", "action"] = torch.zeros_like(now["agents", "velocity"])
+        now = step_mdp(env.step(now))
         assert steps < 260
     assert now["truncated"].all() and steps > 40
 
