@@ -1,7 +1,5 @@
 """Environments and scenarios by name, and scenarios in files."""
 
-from __future__ import annotations
-
 import os
 from typing import Any
 

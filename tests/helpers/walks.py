@@ -1,7 +1,5 @@
 """Rollouts made by hand, and a policy that fails, for tests of what is said about walks."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

@@ -1,7 +1,5 @@
 """Environments take actions of the right shape alone, in any precision."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, ClassVar
 

@@ -1,7 +1,5 @@
 """Clauses 8 and 10 of the loop contract, for every physics backend and for wide bodies too."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Who walks with whom: in recordings, as far as is seen of them, and in what policies see of a replay."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """CrowdNav's cases and rules: RVO2 and published logs as oracles, steps by hand, invariances."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

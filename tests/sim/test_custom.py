@@ -1,7 +1,5 @@
 """Scenarios written in YAML: people with starts and goals of their own."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Who comes to a door from where, how far away they are, and when they would be there."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor

@@ -1,7 +1,5 @@
 """Encounters: who meets whom, where and when, with how many people, and what cannot be."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 from typing import Any

@@ -1,7 +1,5 @@
 """Robots among people for Gymnasium, PettingZoo and Stable-Baselines3. Needs the extra ``gym``."""
 
-from __future__ import annotations
-
 import importlib
 import re
 import sys

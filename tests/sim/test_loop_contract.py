@@ -1,7 +1,5 @@
 """The loop contract of the design, clause by clause."""
 
-from __future__ import annotations
-
 import math
 import pickle
 from concurrent.futures import ProcessPoolExecutor

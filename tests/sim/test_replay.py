@@ -1,7 +1,5 @@
 """Replay: recorded people come, are taken over and leave exactly when they should, under any policy."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

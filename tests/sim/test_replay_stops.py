@@ -1,7 +1,5 @@
 """Replay with stops: people who replace recorded ones stand where those stood, for as long, and go on."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

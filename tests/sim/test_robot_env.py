@@ -1,7 +1,5 @@
 """Robots among people: bodies, actions, outcomes, sensors, and people who are the same without the robot."""
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 from pathlib import Path

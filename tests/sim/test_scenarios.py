@@ -1,7 +1,5 @@
 """Every scenario and every policy of the registries, a newcomer's too."""
 
-from __future__ import annotations
-
 from functools import cached_property
 from pathlib import Path
 from textwrap import dedent

@@ -1,7 +1,5 @@
 """Clause 7 of the loop contract: a scene with a robot and the scene without it have the same people."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

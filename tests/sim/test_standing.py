@@ -1,7 +1,5 @@
 """A person who stands at a door and then walks on."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """Robots of a URDF file in pybullet: a Husky is 1.007 m long, and 0.685 m wide over its wheels."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Any

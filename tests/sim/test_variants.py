@@ -1,7 +1,5 @@
 """Scenes of one scenario differ: which floor plan they have, where people start, and who comes first."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor

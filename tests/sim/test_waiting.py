@@ -1,7 +1,5 @@
 """People who wait: policies hold them at their places, until their time is up or they are called."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

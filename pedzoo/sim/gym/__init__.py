@@ -1,7 +1,5 @@
 """Robots among people for Gymnasium and PettingZoo; importing it registers ``pedzoo/Goals-v0`` and more."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The batched environment in NumPy, which the single, the vector and the parallel environment share."""
 
-from __future__ import annotations
-
 import os
 import sys
 from typing import Any, NamedTuple, cast

@@ -1,7 +1,5 @@
 """One robot among people as a Gymnasium environment."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 import gymnasium

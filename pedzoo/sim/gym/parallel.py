@@ -1,7 +1,5 @@
 """Several robots among people as a PettingZoo environment."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 import numpy as np

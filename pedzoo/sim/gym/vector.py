@@ -1,7 +1,5 @@
 """Many scenes at once as Gymnasium's vector environment: the batched environment itself, not copies."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

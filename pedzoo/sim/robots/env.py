@@ -1,7 +1,5 @@
 """Robots among people as a TorchRL environment, by name: a policy moves the robots, people walk inside."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, cast, get_args
 

@@ -1,7 +1,5 @@
 """The table of reward terms of robots: every public class here is a term by its name."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """Scenes of any scenario in which robots take the places of its last people."""
 
-from __future__ import annotations
-
 import inspect
 import math
 from collections.abc import Sequence

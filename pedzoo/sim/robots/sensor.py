@@ -1,7 +1,5 @@
 """What robots observe: the view of a scene, the interface of sensors, and the readings of several of them."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The table of sensors: every public class here is a sensor by its name."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Parts of scenarios: settings of which every scene draws a value, and floor plans that follow from them."""
 
-from __future__ import annotations
-
 import math
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """People with starts and goals of your own, written one by one; ``mine.yaml`` has the settings of this."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """People meet at a narrow door from both sides (experiment 3 of the paper on iGibson)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 Lengths of walls are multiples of 0.05 m. A setting with a list has one of its values in each scene.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

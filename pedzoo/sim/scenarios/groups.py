@@ -1,7 +1,5 @@
 """Groups of two to four walk together, meet others, and pass a door."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

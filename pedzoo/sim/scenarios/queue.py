@@ -1,7 +1,5 @@
 """People queue at a counter, are served one after the other, and leave."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """A person stands at a narrow door for some seconds while others want to go through."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import torch

@@ -1,7 +1,5 @@
 """Two streams meet in a corridor, as in experiments on bidirectional flow."""
 
-from __future__ import annotations
-
 import math
 
 import torch

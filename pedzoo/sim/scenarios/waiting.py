@@ -1,7 +1,5 @@
 """People stand and wait in a hall while others walk through."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 
