@@ -53,7 +53,8 @@ class RobotScenes(Scenario):
         self.inner, self.bodies, self.robots = inner, list(bodies), len(bodies)
         self.fleet, self.robot_goals, self.present = Fleet.of(self.bodies), robot_goals, present
         self.body_radius = body_radius
-        for name in ("people", "speed", "speed_std", "goals", "later", "finished", "unknown", "waits"):
+        of_people = ("people", "speed", "speed_std", "goals", "later", "finished", "unknown", "waits")
+        for name in (*of_people, "pauses", "gate"):  # robots wait like the people whose places they take
             setattr(self, name, getattr(inner, name))
         limited = (body.drive != "holonomic" or math.isfinite(body.acceleration) for body in bodies)
         self.wheels = inner.wheels or any(limited)
@@ -83,14 +84,6 @@ class RobotScenes(Scenario):
         """Return the scenes with the ways of people and robots, ``clearance`` metres from walls."""
         inner = self.inner.prepare(clearance)
         return replace(inner, scenario=self, tables=inner)
-
-    def pauses(self, draws: Draws, number: Tensor) -> Tensor:
-        """Return how long agents wait at their goals, robots like the people whose places they take."""
-        return self.inner.pauses(draws, number)
-
-    def gate(self, draws: Draws) -> Tensor | None:
-        """Return the door of the scenario."""
-        return self.inner.gate(draws)
 
     def next_goal(
         self, prepared: PreparedScenario, draws: Draws, agent: Tensor, number: Tensor, last: Tensor
