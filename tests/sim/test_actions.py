@@ -16,69 +16,54 @@ from pedzoo.policies.policy import Policy
 from pedzoo.policies.teams import Teams
 
 
-class Wide(Policy):
-    """Walks as the planner says, in numbers of another kind and another width."""
+class Made(Policy):
+    """Returns what a function makes of the batch."""
 
     out_keys: ClassVar[list[Any]] = [("agents", "action")]
 
-    def __init__(self, width: int = 2) -> None:
-        """Say how many numbers every agent gets."""
-        super().__init__(0.4)
-        self.width = width
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write double precision."""
-        desired = tensordict["agents", "desired_velocity"]
-        tensordict["agents", "action"] = desired[..., :1].expand(*desired.shape[:2], self.width).double()
-        return tensordict
-
-
-@pytest.mark.parametrize("width", [1, 3])
-def test_actions_of_another_width_are_refused(width: int) -> None:
-    env = pedzoo.make_env("circle:people=3", 2)
-    with pytest.raises(UserError, match=rf"action of shape \(2, 3, {width}\): expected \(2, 3, 2\)"):
-        env.step(Wide(width)(env.reset()))
-    with pytest.raises(UserError, match=r"expected \(1, 1, 2\)"):
-        pedzoo.controller(Wide(width)).step({1: (0, 0)}, {1: (0, -5)})
-
-
-class Forgetful(Policy):
-    """Writes no velocities, or does not return the batch."""
-
     def __init__(self, result: Callable[[TensorDictBase], Any]) -> None:
-        """Take what to return of the batch."""
+        """Take the function."""
         super().__init__(0.4)
         self.result = result
 
     def forward(self, tensordict: TensorDictBase) -> Any:
-        """Write nothing."""
+        """Ask the function."""
         return self.result(tensordict)
 
 
+def wide(width: int = 2) -> Made:
+    """Return a policy that walks as the planner says, in double precision and numbers of another width."""
+
+    def write(batch: TensorDictBase) -> TensorDictBase:
+        desired = batch["agents", "desired_velocity"]
+        batch["agents", "action"] = desired[..., :1].expand(*desired.shape[:2], width).double()
+        return batch
+
+    return Made(write)
+
+
 @pytest.mark.parametrize(
-    ("result", "message"),
+    ("policy", "message"),
     [
-        (
-            lambda batch: batch,
-            "'Forgetful'.* wrote no velocities: set tensordict",
-        ),
-        (lambda batch: None, "returned NoneType: write `return tensordict` at its end"),
-        (lambda batch: batch["agents", "velocity"], "returned Tensor: write `return tensordict`"),
+        (wide(1), r"action of shape \({scenes}, 1\): expected \({scenes}, 2\)"),
+        (wide(3), r"action of shape \({scenes}, 3\): expected \({scenes}, 2\)"),
+        (Made(lambda batch: batch), "'Made'.* wrote no velocities: set tensordict"),
+        (Made(lambda batch: None), "returned NoneType: write `return tensordict` at its end"),
+        (Made(lambda batch: batch["agents", "velocity"]), "returned Tensor: write `return tensordict`"),
     ],
 )
-def test_a_policy_that_forgets_the_actions_or_the_batch_is_told(
-    result: Callable[[TensorDictBase], Any], message: str
-) -> None:
-    with pytest.raises(UserError, match=message):
-        Forgetful(result)(pedzoo.make_env("circle:people=2", 2).reset())
-    with pytest.raises(UserError, match=message):
-        pedzoo.controller(Forgetful(result)).step({1: (0, 0)}, {1: (0, -5)})
+def test_policies_that_return_something_else_are_told(policy: Made, message: str) -> None:
+    env = pedzoo.make_env("circle:people=3", 2)
+    with pytest.raises(UserError, match=message.replace("{scenes}", "2, 3")):
+        env.step(policy(env.reset()))
+    with pytest.raises(UserError, match=message.replace("{scenes}", "1, 1")):
+        pedzoo.controller(policy).step({1: (0, 0)}, {1: (0, -5)})
 
 
 @pytest.mark.parametrize("scenario", ["door", "circle:people=4"])
 def test_double_precision_walks_as_single(scenario: str) -> None:
     env = pedzoo.make_env(scenario, 2)
-    for policy in (Wide(), Teams([(Wide(), 0.5), (pedzoo.load("go_to_goal"), 0.5)])):
+    for policy in (wide(), Teams([(wide(), 0.5), (pedzoo.load("go_to_goal"), 0.5)])):
         after = env.step(policy(env.reset()))["next"]
         assert after["agents", "history"].dtype == torch.float32
         assert after["agents", "velocity"].norm(dim=-1).max() > 0.1
