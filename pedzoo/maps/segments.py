@@ -14,7 +14,7 @@ from torch import Tensor
 
 from pedzoo.core.machine import compiles
 from pedzoo.core.types import BODY_RADIUS
-from pedzoo.maps.constants import BUCKET, ROUNDED
+from pedzoo.maps.constants import BUCKET, HALF, ROUNDED
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 
 Floats = NDArray[np.float64]
@@ -139,7 +139,7 @@ class Segments(NamedTuple):
         return Segments(*(part[..., :most, :] for part in self))
 
 
-NOWHERE = np.array([[0.0, 0, 1, 0, 1, -1, 0, -1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1]])
+NOWHERE = np.array([[0.0, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 1, 1]])
 """Stands for no segment; it could be one, so that sums with it stay finite."""
 
 _NUMBER = (1 << 31) - 1
@@ -225,17 +225,14 @@ class SegmentTable:
 
     @classmethod
     def build(cls, maps: Sequence[Floats], reach: float, most: int | None) -> SegmentTable:
-        """Return the table of the segments (S, 18) of each map; see `edges` and `Walls.segments`."""
-        from pedzoo.maps.walls_numba import bucket_lists
-
-        segments = np.concatenate([*maps, NOWHERE]).T.copy()
+        """Return the table of the segments (S, 13) of each map; see `edges` and `Walls.segments`."""
+        segments = _seen_from_themselves(np.concatenate([*maps, NOWHERE]))
         lists, counts, lows, sizes, before = [np.zeros(0, np.int32)], [np.zeros(0, np.int64)], [], [], 0
         for own in maps:
             low = own[:, :2].min(0) - reach if len(own) else np.zeros(2)
             high = own[:, :2].max(0) + reach if len(own) else np.zeros(2)
             size = np.ceil((high - low) / BUCKET).astype(np.int64)
-            mine = segments[:, before : before + len(own)]
-            numbers, count = bucket_lists(mine, low, size, reach, -1 if most is None else most)
+            numbers, count = _bucket_lists(segments[:5, before : before + len(own)], low, size, reach, most)
             lists.append(numbers + np.int32(before))
             before += len(own)
             counts.append(count)
@@ -310,18 +307,65 @@ class SegmentTable:
         return (bits + segment.view(bits.shape)).sort(dim=0)[0][: self.most]
 
 
+def _bucket_lists(
+    segments: Floats, low: Floats, size: NDArray[np.int64], reach: float, most: int | None
+) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Return which segments (5, S) matter in each bucket, nearest to its middle first, and how many (M,).
+
+    ``low`` are the smallest x and y of the buckets, metres, and ``size`` says how many lie along x and y.
+    """
+    start, way, length = segments[:2], segments[2:4], segments[4]
+    ends, low = np.sort((start, start + way * length), axis=0), low[:, None]
+    first = np.maximum(((ends[0] - reach - low) / BUCKET).astype(np.int64), 0)
+    last = np.minimum(((ends[1] + reach - low) / BUCKET).astype(np.int64) + 1, size[:, None])
+    wide, high = np.maximum(last - first, 0)
+    parts, area = [], wide * high
+    for some in np.array_split(np.arange(len(length)), len(length) // 500 + 1):
+        s = np.repeat(some, area[some])
+        at = np.arange(len(s)) - np.repeat(np.cumsum(area[some]) - area[some], area[some])
+        at = np.stack((at % wide[s], at // wide[s])) + first[:, s]
+        x, y = low + (at + 0.5) * BUCKET - start[:, s]
+        along, left = x * way[0, s] + y * way[1, s], way[0, s] * y - way[1, s] * x
+        gap = np.hypot(along - along.clip(0, length[s]), left)
+        keep = (gap <= reach + HALF) & (left < HALF)
+        parts.append((at[0, keep] + size[0] * at[1, keep], gap[keep], left[keep], s[keep]))
+    bucket, gap, left, number = (np.concatenate(part) for part in zip(*parts, strict=True))
+    order = np.lexsort((gap, bucket))
+    bucket, gap, number = bucket[order], gap[order], number[order]
+    count = np.bincount(bucket, minlength=size[0] * size[1])
+    if most is not None:
+        # every point of a bucket has so many segments outside of it, none farther than the last of them
+        sure = np.append(0, np.cumsum(left[order] < -HALF))
+        enough = np.flatnonzero(sure[1:] - np.repeat(sure[np.cumsum(count) - count], count) >= most)
+        limit, (full, at) = np.full(len(count), np.inf), np.unique(bucket[enough], return_index=True)
+        limit[full] = gap[enough[at]] + 2 * HALF
+        keep = gap <= limit[bucket]
+        number, count = number[keep], np.bincount(bucket[keep], minlength=len(count))
+    return number.astype(np.int32), count
+
+
 def edges(polygon: Floats) -> Floats:
-    """Return the segments (V, 18) of an outline (V, 2), with the columns of `SegmentTable.segments`."""
+    """Return the segments (V, 13) of an outline (V, 2) as `SegmentTable.build` takes them.
+
+    Of each: start, end and unit direction; directions of the segments before and after. Then whether the
+    corners at start and end are convex, and the length of the segment before.
+    """
     end = np.roll(polygon, -1, axis=0)
     length = np.linalg.norm(end - polygon, axis=1)
     direction = (end - polygon) / length[:, None]
-    left = np.column_stack((-direction[:, 1], direction[:, 0]))
     before, after = np.roll(direction, 1, axis=0), np.roll(direction, -1, axis=0)
-    back_x, back_y, ahead_x, ahead_y = (
-        (way * axis).sum(1) for way in (before, after) for axis in (direction, left)
-    )
     convex = before[:, 0] * direction[:, 1] - before[:, 1] * direction[:, 0] >= 0
-    legs, corners = (-back_x, -back_y, -ahead_x, ahead_y), (convex, np.roll(convex, -1))
     return np.column_stack(
-        (polygon, direction, length, *legs, *corners, end, before, after, np.roll(length, 1))
+        (polygon, end, direction, before, after, convex, np.roll(convex, -1), np.roll(length, 1))
     )
+
+
+def _seen_from_themselves(segments: Floats) -> Floats:
+    """Return segments (S, 13) of `edges` in the form of the table (18, S)."""
+    start, end, direction, before, after = (segments[:, at : at + 2] for at in range(0, 10, 2))
+    left = np.column_stack((-direction[:, 1], direction[:, 0]))
+    legs = [(way * axis).sum(1) for way in (before, after) for axis in (direction, left)]
+    back_x, back_y, ahead_x, ahead_y = legs
+    length = np.linalg.norm(end - start, axis=1)
+    columns = (start, direction, length, -back_x, -back_y, -ahead_x, ahead_y, segments[:, 10:12])
+    return np.column_stack((*columns, end, before, after, segments[:, 12])).T.copy()

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from pedzoo.core.compiled import compiled, jit
-from pedzoo.maps.constants import BUCKET, CANDIDATES, HALF, INTO, ROUNDED, WALL
+from pedzoo.maps.constants import BUCKET, CANDIDATES, INTO, ROUNDED, WALL
 
 
 @jit
@@ -54,69 +54,6 @@ def wall_gap(x, y, frame, place, choice, option, limit):
     scale = sign * side / depth
     off_x, off_y = off_x * scale, off_y * scale
     return distance * sign, frame[0] * off_x + frame[1] * off_y, frame[2] * off_x + frame[3] * off_y
-
-
-@jit
-def _around(segments, s, x, y):
-    """Return the distance of a point to a segment, and how far left of its line the point is."""
-    dx, dy = segments[2, s], segments[3, s]
-    along = (x - segments[0, s]) * dx + (y - segments[1, s]) * dy
-    left = dx * (y - segments[1, s]) - dy * (x - segments[0, s])
-    beyond = along - min(max(along, 0.0), segments[4, s])
-    return math.hypot(beyond, left), left
-
-
-@compiled("Tuple((i4[:], i8[:]))(f8[:,:], f8[:], i8[:], f8, i8)")
-def bucket_lists(segments, low, size, reach, most):
-    """Return the numbers of segments that matter in each bucket of a map, and how many each bucket has.
-
-    Args are the segments (>= 5, S) of `SegmentTable`; smallest x and y of the buckets, metres; how many
-    buckets lie along x and y. Then the reach, metres, and how many segments a point asks for. The segments
-    nearest to a bucket's middle come first.
-    """
-    counts = np.zeros(size[0] * size[1], np.int64)
-    begin = np.zeros(len(counts) + 1, np.int64)
-    number, gap, left = np.zeros(0, np.int32), np.zeros(0), np.zeros(0)
-    for fill in (False, True):
-        if fill:
-            begin[1:] = np.cumsum(counts)
-            number, gap, left = np.zeros(begin[-1], np.int32), np.zeros(begin[-1]), np.zeros(begin[-1])
-            counts[:] = 0
-        for s in range(segments.shape[1]):
-            x, y = segments[0, s], segments[1, s]
-            end_x, end_y = x + segments[2, s] * segments[4, s], y + segments[3, s] * segments[4, s]
-            first = int((min(x, end_x) - reach - low[0]) / BUCKET)
-            last = int((max(x, end_x) + reach - low[0]) / BUCKET)
-            for row in range(
-                max(int((min(y, end_y) - reach - low[1]) / BUCKET), 0),
-                min(int((max(y, end_y) + reach - low[1]) / BUCKET) + 1, size[1]),
-            ):
-                for column in range(max(first, 0), min(last + 1, size[0])):
-                    line_distance, side = _around(
-                        segments, s, low[0] + (column + 0.5) * BUCKET, low[1] + (row + 0.5) * BUCKET
-                    )
-                    if line_distance <= reach + HALF and side < HALF:
-                        bucket = row * size[0] + column
-                        at = begin[bucket] + counts[bucket]
-                        counts[bucket] += 1
-                        if fill:
-                            number[at], gap[at], left[at] = s, line_distance, side
-    stored = 0
-    for bucket in range(len(counts)):
-        some = slice(begin[bucket], begin[bucket + 1])
-        numbers, gaps, lefts = number[some].copy(), gap[some].copy(), left[some].copy()
-        limit, sure, start = np.inf, 0, stored
-        for i in np.argsort(gaps, kind="mergesort"):
-            if gaps[i] > limit:
-                break
-            number[stored] = numbers[i]
-            stored += 1
-            # every point of the bucket has such a segment outside of it and as near as that
-            sure += lefts[i] < -HALF
-            if sure == most and limit == np.inf:
-                limit = gaps[i] + 2 * HALF
-        counts[bucket] = stored - start
-    return number[:stored].copy(), counts
 
 
 @compiled("i8(f4[:,:], i8[:], f4[:], f4[:,:], i4[:], i4[:], f4[:,:], i4[:,:], i8[:,:], f4[:,:])")
