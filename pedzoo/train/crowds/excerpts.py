@@ -115,15 +115,7 @@ class Excerpts(NamedTuple):
         taken: Frame in which a policy takes people over (B, A) long; may be before the excerpt.
         last: Frame of their last row (B, A) long.
         walks: Which people a policy moves at all (B, A) bool.
-        start: As of `RecordedCrowd` (B, A, 2).
-        exit: Likewise (B, A, 2).
-        goal: Likewise (B, A, 2).
-        goal_id: Likewise (B, A).
-        path_length: Likewise (B, A).
-        head: Likewise (B, A, 8, 2).
-        pref_speed: Likewise (B, A).
-        group: Likewise (B, A), -1 where nobody is.
-        grouped: Likewise (B, A), a frame of the excerpt.
+        start: This and what follows (B, A, ...) as of `RecordedCrowd`; ``grouped`` is a frame of the excerpt.
         map_id: Floor plans (B,) long.
         pose: Scene poses (B, 4).
     """

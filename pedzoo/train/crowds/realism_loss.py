@@ -142,15 +142,8 @@ class CrowdLikeness(nn.Module):
             company: How far companions walk from each other, see `parted`.
         """
         super().__init__()
-        self.weights = {
-            "distribution": distribution,
-            "places": places,
-            "persons": persons,
-            "judged": judged,
-            "near": near,
-            "safety_correction": safety_correction,
-            "company": company,
-        }
+        self.weights = {"distribution": distribution, "places": places, "persons": persons, "judged": judged}
+        self.weights |= {"near": near, "safety_correction": safety_correction, "company": company}
         self.nearest, self.judge_steps = nearest, judge_steps
         self.judges = nn.ModuleDict(
             {"fine": CrowdDiscriminator(), "coarse": CrowdDiscriminator()} if judged else {}
