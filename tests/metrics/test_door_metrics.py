@@ -14,10 +14,8 @@ from pedzoo.core.randomness import Draws
 from pedzoo.core.registry import SCENARIOS
 from pedzoo.eval.rollout import rollout
 from pedzoo.metrics import door
-from pedzoo.metrics.closed_loop import closed_loop
-from pedzoo.metrics.ratios import summarised
+from pedzoo.metrics.closed_loop import measure
 from pedzoo.metrics.smoothness import velocities
-from pedzoo.sim.rollout import Rollout
 
 INF = float("inf")
 BOTH = torch.tensor([[0, 1]])
@@ -37,10 +35,6 @@ def passed(*paths: Tensor, gate: Tensor = GATE) -> list[float]:
     path = torch.stack(paths).unsqueeze(0)
     scored = torch.ones(*path.shape[:2], path.shape[2] - 1, dtype=torch.bool)
     return door.passing_seconds(path, scored, gate)[0].tolist()
-
-
-def metrics(walked: Rollout) -> dict[str, float]:
-    return summarised(closed_loop(walked))[0]
 
 
 def test_people_pass_when_they_cross_the_door_line_for_good() -> None:
@@ -119,21 +113,21 @@ def test_metrics_of_a_person_who_yields() -> None:
     quick = walk((-2.5, 0.0, 0.0), (2.5, 0.0, 4.0), (2.5, 0.0, 8.0))
     slow = walk((2.6, 0.3, 0.0), (1.0, 0.3, 2.0), (1.0, 0.3, 4.0), (-2.2, 0.3, 8.0))
     path = torch.stack((slow, quick)).unsqueeze(0)
-    result = metrics(made(path, gate=GATE, pref_speed=torch.tensor([[0.9, 1.3]])))
+    result = measure(made(path, gate=GATE, pref_speed=torch.tensor([[0.9, 1.3]])))[0]
     assert result["yield_delay_s"] == pytest.approx(5.25 - 2.0)
     assert result["faster_first"] == 1.0
     assert result["yielder_speed_m_per_s"] == pytest.approx(0.0, abs=1e-6)
     assert result["specific_flow_per_m_s"] == pytest.approx(2 / (0.85 * 3.25))
-    alone = metrics(made(path[:, :1], gate=GATE))
+    alone = measure(made(path[:, :1], gate=GATE))[0]
     assert not {"symmetry_index", "yield_delay_s", "faster_first", "specific_flow_per_m_s"} & set(alone)
-    assert "symmetry_index" not in metrics(made(path))
+    assert "symmetry_index" not in measure(made(path))[0]
 
 
 def test_symmetry_in_metres_ends_with_the_first_arrival() -> None:
     """The sum of both grows by 0.1 m at each point; the second arrives at the 21st."""
     path = torch.stack((walk((-2.5, 0.0, 0.0), (-2.5, 0.0, 5.0)), walk((2.5, 0.0, 0.0), (-2.5, 0.0, 5.0))))
     reached = (torch.arange(50) >= 20).long() * torch.tensor([[[0], [1]]])
-    result = metrics(made(path.unsqueeze(0), gate=GATE, reached=reached))
+    result = measure(made(path.unsqueeze(0), gate=GATE, reached=reached))[0]
     assert result["symmetry_m"] == pytest.approx(0.1 * 22 / 2)
     assert result["symmetry_index"] == pytest.approx(2.55 / 2.5)
 
@@ -141,12 +135,12 @@ def test_symmetry_in_metres_ends_with_the_first_arrival() -> None:
 def test_no_person_yields_where_orca_walks_in_mirror_images() -> None:
     policy, alike = "orca:radius=0.1,jitter=0,dt=0.4", "door:speed_std=0,jitter=0"
     walked, _ = rollout(policy, alike, "compiled", 1)
-    result = metrics(walked)
+    result = measure(walked)[0]
     assert result["success"] == 1.0
     assert result["symmetry_index"] < 1e-3 and result["yield_delay_s"] < 1e-3 and result["symmetry_m"] < 1e-3
     assert "faster_first" not in result  # they like to walk as fast as each other
     yields, _ = rollout(policy, f"{alike},speed_ratio=0.6", "compiled", 1)
-    result = metrics(yields)
+    result = measure(yields)[0]
     assert result["faster_first"] == 1.0 and result["symmetry_index"] > 0.1 and result["yield_delay_s"] > 1.0
 
 
@@ -204,9 +198,9 @@ def test_interventions_are_those_of_policies_with_a_layer() -> None:
     """By hand: of 4 steps one is changed by 0.1 m and one by 1 cm; a policy without a layer has no number."""
     path = torch.stack((straight(points=8), straight(points=8) + 3)).unsqueeze(0)
     changed = torch.tensor([[[0.1] * 4 + [0.01] * 4, [0.0] * 8]])
-    result = metrics(made(path, changed=changed))
+    result = measure(made(path, changed=changed))[0]
     assert result["intervention_share"] == 0.25 and result["intervention_m"] == pytest.approx(0.11 / 4)
-    assert "intervention_m" not in metrics(made(path))
+    assert "intervention_m" not in measure(made(path))[0]
 
 
 def test_the_layer_does_much_for_those_who_do_not_avoid_others() -> None:
@@ -214,7 +208,7 @@ def test_the_layer_does_much_for_those_who_do_not_avoid_others() -> None:
     result = {}
     for policy in ("go_to_goal:safety=true", "go_to_goal"):
         walked, _ = rollout(policy, "door", "compiled", 3)
-        result[policy] = metrics(walked)
+        result[policy] = measure(walked)[0]
     assert 0.05 < result["go_to_goal:safety=true"]["intervention_share"] < 1
     assert "intervention_share" not in result["go_to_goal"]
 

@@ -9,8 +9,7 @@ import torch
 from helpers.walks import made, straight
 from torch import Tensor
 
-from pedzoo.metrics.closed_loop import closed_loop
-from pedzoo.metrics.ratios import summarised
+from pedzoo.metrics.closed_loop import measure
 from pedzoo.metrics.smoothness import acceleration, heading_rate, jerk, length, turning, velocities
 
 SECONDS = 0.1 * torch.arange(41, dtype=torch.float64)
@@ -88,7 +87,7 @@ def test_nothing_is_measured_across_a_gap() -> None:
 
 
 def scores(path: Tensor) -> dict[str, float]:
-    return summarised(closed_loop(made(path[None, None].float())))[0]
+    return measure(made(path[None, None].float()))[0]
 
 
 def test_a_teleporting_trace_scores_visibly_badly() -> None:
