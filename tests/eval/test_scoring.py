@@ -32,7 +32,6 @@ from pedzoo.eval.scoring.score import Reference, score
 from pedzoo.eval.suite import OwnRecordings
 from pedzoo.metrics.door import flow
 from pedzoo.metrics.realism.crowds import ratios, spread
-from pedzoo.metrics.realism.distances import displacement
 from pedzoo.metrics.realism.two_sample import TREES, auc
 from pedzoo.metrics.realism.walks import ScoredSteps, columns, companions, through
 from pedzoo.metrics.realism.wosac import (
@@ -310,13 +309,6 @@ def test_the_likelihood_is_a_weighted_mean_of_features() -> None:
     assert result["likelihood_turn_rate"].isnan().all()
     expected = (0.25 * contact + 0.05 * 0.5) / 0.3
     assert result["likelihood"].tolist() == pytest.approx([expected, 0.5])
-
-
-def test_displacement_is_the_mean_distance_of_known_steps() -> None:
-    true = torch.zeros(1, 1, 3, 2)
-    simulated = torch.stack((true + torch.tensor([3.0, 4.0]), true + torch.tensor([1.0, 0.0])))
-    known = torch.tensor([[[True, True, False]]])
-    assert displacement(simulated, true, known).flatten().tolist() == [5.0, 1.0]
 
 
 def test_windows_hold_everybody_with_a_history(real: PreparedReplay, windows: JointWindows) -> None:

@@ -34,17 +34,6 @@ def test_quantiles_of_resamples_are_those_of_the_repeated_values(monkeypatch: py
         assert result.tolist() == np.quantile(repeated.numpy(), AT, method="inverted_cdf").tolist()
 
 
-def test_interval_of_a_median_shrinks_with_episodes_and_holds_it() -> None:
-    generator = torch.Generator().manual_seed(1)
-    widths = []
-    for episodes in (20, 320):
-        value = torch.randn(2 * episodes, generator=generator)
-        low, high = bootstrap_quantile(value, torch.arange(2 * episodes) // 2, episodes, 0.5) or (0.0, 0.0)
-        assert low < float(value.median()) < high
-        widths.append(high - low)
-    assert widths[1] < widths[0] / 2
-
-
 @pytest.mark.parametrize("episodes", [3, 5, 6, 10, 20])
 def test_intervals_of_medians_cover_or_are_none(episodes: int) -> None:
     """People of one episode are alike: half of their variance is the episode's."""
