@@ -29,6 +29,12 @@ AHEAD = 0.2
 TIE = 0.05
 """The same for two who wait; it is also the lead of the one with the higher rank."""
 
+EVEN, BARELY = 1e-5, 0.01
+"""Metres: a smaller lead is none; then the one with the higher rank goes first, by so much of a full lead.
+
+Two groups that mirror each other exactly would else hinder each other for ever.
+"""
+
 LEAD_SECONDS = 0.2
 """A person who comes forward faster than another counts as ahead by so many seconds of the difference.
 
@@ -54,8 +60,9 @@ def precedence(step: Tensor, away: Tensor, wait: Tensor, rank: Tensor | None, ve
     ahead = 0.5 * (away * (toward.unsqueeze(3) + toward.unsqueeze(2))).sum(0)
     forward = LEAD_SECONDS * (toward * velocity.movedim(-1, 0)).sum(0)
     ahead = ahead + forward.unsqueeze(2) - forward.unsqueeze(1)
-    tie = 0.0 if rank is None else TIE * (rank.unsqueeze(2) - rank.unsqueeze(1)).sign()
-    return torch.where(wait, (ahead + tie) / TIE, ahead / AHEAD).clamp(-1, 1)
+    tie = torch.zeros(()) if rank is None else (rank.unsqueeze(2) - rank.unsqueeze(1)).sign()
+    lead = torch.where(ahead.abs() < EVEN, BARELY * tie.to(ahead), ahead / AHEAD)
+    return torch.where(wait, ahead / TIE + tie.to(ahead), lead).clamp(-1, 1)
 
 
 @torch.no_grad()
@@ -121,7 +128,7 @@ class ProposedSteps(NamedTuple):
         radius: Of their bodies (B, A), metres.
         robot: Which of them are robots (B, A) bool.
         velocity: With which they begin the step (B, A, 2), m/s: the simulation blends it with the new one.
-        rank: Of two people who wait side by side, the one of higher rank goes first (B, A). None: none does.
+        rank: Of two people side by side, the one of higher rank goes first (B, A). None: none does.
     """
 
     position: Tensor

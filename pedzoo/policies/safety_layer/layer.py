@@ -194,8 +194,8 @@ def safe(batch: TensorDictBase, step: Tensor, shoulders: float = SHOULDERS) -> T
     there = agents["mask"].unsqueeze(-1)
     history, velocity = cast("Tensor", agents["history"]), cast("Tensor", agents["velocity"])
     here = history[:, :, -1]
-    waits, rank = (history - here.unsqueeze(2)).norm(dim=-1).amax(2) < WAITED, None
-    if waits.device.type != "cpu" or bool(waits.any()):  # else nobody needs it
+    waits, rank = (history - here.unsqueeze(2)).norm(dim=-1).amax(2) < WAITED, ids_of(batch).to(here)
+    if waits.device.type != "cpu" or bool(waits.any()):  # else ids do for exact ties
         keys = batch.get("scene_key", None)  # 0 where nothing names the scenes
         keys = torch.zeros_like(batch["map_id"]) if keys is None else keys
         rank = randomness.uniform(randomness.join(keys, "rank", ids_of(batch)))

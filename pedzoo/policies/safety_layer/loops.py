@@ -17,7 +17,9 @@ from pedzoo.maps.walls import LocalWalls
 from pedzoo.maps.walls_numba import quarter, wall_gap
 from pedzoo.policies.safety_layer.clearance import (
     AHEAD,
+    BARELY,
     BEYOND,
+    EVEN,
     FIRST,
     HEAD_ON,
     LEAD_SECONDS,
@@ -270,9 +272,10 @@ def precedence(people, b, a, o, away, step, wait):
     theirs = step[o] * (1 / max(math.sqrt(dot(step[o], step[o])), LEAST_ASKED))
     lead = 0.5 * dot(away, mine + theirs)
     lead += _LEAD * (dot(mine, people.velocity[b, a]) - dot(theirs, people.velocity[b, o]))
-    rank = people.rank[b, a] - people.rank[b, o]
-    lead = (lead + TIE * np.sign(rank)) / TIE if wait else lead / AHEAD
-    return min(max(lead, -1.0), 1.0)
+    tie = np.sign(people.rank[b, a] - people.rank[b, o])
+    if not wait and abs(lead) < EVEN:
+        return BARELY * tie
+    return min(max(lead / TIE + tie if wait else lead / AHEAD, -1.0), 1.0)
 
 
 @jit
