@@ -1,6 +1,6 @@
 """Misspelt options and names of a command line, refused before anything heavy is imported.
 
-The command checks all of it again, so what is doubtful passes here.
+`pedzoo.cli.parsing` checks types and values, so what is doubtful passes here.
 """
 
 import json

@@ -20,10 +20,10 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.paths import cache_home
 
 PATIENCE, SLOWEST = 180.0, 1000.0
-"""Seconds that any file may take, and the fewest bytes per second after that."""
+"""Seconds of grace; a download slower than so many bytes per second is given up after that."""
 
 _RESTARTS = 3
-"""How often a download begins anew within a call, of a server that cannot go on where it was."""
+"""How often a download may restart from zero, if the server cannot resume it."""
 
 
 class _RefusedError(Exception):
@@ -35,7 +35,7 @@ class _WrongFileError(_RefusedError):
 
 
 def offline() -> bool:
-    """Return whether ``PEDZOO_OFFLINE`` forbids the network (set to anything but nothing, 0, false or no)."""
+    """Return whether ``PEDZOO_OFFLINE`` forbids the network (unless it is empty, 0, false or no)."""
     return os.environ.get("PEDZOO_OFFLINE", "").lower() not in ("", "0", "false", "no")
 
 

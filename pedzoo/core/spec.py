@@ -3,8 +3,8 @@
 A value with commas is written in quotes: ``goals:map='/a,b/plan.yaml'``.
 
 A class may take settings in groups. A group is an argument whose default is a frozen dataclass: that default
-has the defaults of the class's settings. Texts and files of weights name settings without groups, configs
-with them.
+has the defaults of the class's settings. Texts and weights
+name settings without their groups, configs with them.
 """
 
 import inspect
@@ -21,7 +21,7 @@ _ADDRESS = re.compile(r"(hf|https?|file)://[^/:]*(:\d+(?=/))?[^:]*")
 """An address on the net: the colons of its scheme and its port are its own."""
 
 _SHORT = 200
-"""Letters of a setting that cannot be too much YAML, unless it has references."""
+"""Characters: shorter settings without a ``*`` (a YAML reference) need no size check."""
 
 _QUOTES = "'\""
 _BEGINS = ("", *"=[,:+")

@@ -1,4 +1,4 @@
-"""Units of an evaluation: doing one, its cache key, a file of finished ones, and progress."""
+"""Runs one unit of an evaluation; has its cache key, the file of finished units and progress."""
 
 import ast
 import hashlib
@@ -28,10 +28,10 @@ Rows = list[dict[str, Any]]
 _CODE_FILES = (".py", ".csv", ".yaml", ".png")
 _INSTALLED = (Path(sysconfig.get_path(kind)) for kind in ("stdlib", "purelib", "platlib"))
 _OF_OTHERS = tuple(path.resolve() for path in (ROOT / "pedzoo", *_INSTALLED))
-"""Folders whose code is no user's: versions stand for it."""
+"""Folders of pedzoo and of installed packages. Their files are not hashed as user code."""
 
 _IGNORED_PACKAGES = ("cli", "train", "viz", "configs")
-"""Packages whose code changes no number of an evaluation."""
+"""Packages whose code cannot change a result, so the cache key leaves it out."""
 
 
 def work(unit: WorkUnit, tell: ShareDone | None = None) -> Rows:

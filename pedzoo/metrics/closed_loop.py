@@ -1,4 +1,4 @@
-"""All closed-loop metrics of a rollout, each as a ratio of two sums over episodes."""
+"""Collects the closed-loop metrics of a rollout, which `arrival`, `contacts`, `door` and others define."""
 
 from collections.abc import Callable, Sequence
 from functools import wraps

@@ -1,7 +1,7 @@
 """How bodies move: velocities of every 0.1 s from what is commanded, and paths along walls.
 
 Pure, differentiable, on any device, and without a look back at the host. Agents come last, (2, ..., B, A):
-on a CPU several times faster than pairs.
+on a CPU several times faster than pairs. `pedzoo.sim.physics.compiled` has the same in loops: change both.
 """
 
 from __future__ import annotations

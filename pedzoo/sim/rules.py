@@ -1,4 +1,4 @@
-"""What holds for all scenes of a simulation: `kernel.step` reads it; when goals are reached, and how late.
+"""Constants of a simulation: goals, deadlines, sub-steps. How people yield is in `pedzoo.policies`.
 
 Goals are reached on the 0.1 s trace and not only at decisions.
 """

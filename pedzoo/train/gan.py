@@ -1,4 +1,4 @@
-"""Adversarial training as in Social GAN (Gupta et al., CVPR 2018): a discriminator and a generator step."""
+"""Training as in Social GAN (Gupta et al., CVPR 2018); its variety loss is in `models/blocks/variety.py`."""
 
 from typing import Any, cast
 

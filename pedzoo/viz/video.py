@@ -44,7 +44,7 @@ def film(
     A panel whose episode is over stands still until the last one is.
 
     Args:
-        walked: What they did; their physics must not be closed.
+        walked: The rollouts; their ``physics.close()`` must not have been called.
         path: ``.webm`` or ``.mp4``.
         episode: Its number.
         view: ``perspective`` where the physics has one; else from the top.

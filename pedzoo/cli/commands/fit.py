@@ -1,4 +1,4 @@
-"""``pedzoo fit``."""
+"""``pedzoo fit``: train a model. The code is in `pedzoo.cli.training`."""
 
 from pedzoo.cli.training import train
 

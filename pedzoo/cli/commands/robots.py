@@ -12,7 +12,7 @@ LISTS = {
     "rewards": (ROBOT_REWARDS, "make_robot_env(reward={NAME: weight})"),
     "policies": (ROBOT_POLICIES, "pedzoo evaluate NAME --suite robots; policies of people drive robots, too"),
 }
-"""What is listed, and where its names are taken."""
+"""By kind: the registry that is listed, and the options that accept its names."""
 
 
 def run(pattern: str = "*", /, json: str | None = None) -> int:

@@ -1,1 +1,1 @@
-"""Drop-in folder: one file is one dataset."""
+"""One file per dataset: a subclass of `pedzoo.data.recordings.Dataset`, found by its file name."""

@@ -1,9 +1,9 @@
-"""Features and clips that compare walks: the one definition, for scores and for losses with gradients.
+"""Features of steps and clips (3.2 s pieces of a walk), by which scores and losses compare crowds.
 
 Recorded people are annotated every 0.4 s, so simulated ones are sampled every 0.4 s, too: a shorter step
 would compare interpolations. E episodes of A slots, S steps, P people numbered as in ``person``. Every scored
-step of a person is one of M rows. The change when a policy takes a person over counts: the velocity before is
-the recorded one.
+step of a person is one of M rows. The first step under a policy has an
+acceleration, too: from the recorded velocity.
 """
 
 import math

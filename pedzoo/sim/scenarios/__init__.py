@@ -1,1 +1,1 @@
-"""Scenarios: one file each, found by its name."""
+"""Scenarios, found by their file's name, or as classes of `encounters`. Interface: `pedzoo.sim.scenario`."""
