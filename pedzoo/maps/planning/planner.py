@@ -1,8 +1,8 @@
 """The planner: shortest paths through floor plans to goals, for all agents at once.
 
-A path bends only at corners of obstacles (`CornerGraph`). A goal costs one search of the corners, `CornerGraph.search`.
-The way of an agent costs a comparison of all corners, of which only the most promising are looked at.
-Another way of planning is another class with `Planner`'s public methods.
+A path bends only at corners of obstacles (`CornerGraph`). A goal costs one search of the
+corners, `CornerGraph.search`. The way of an agent costs a comparison of all corners, of which only the
+most promising are looked at. Another way of planning is another class with `Planner`'s public methods.
 """
 
 from __future__ import annotations
