@@ -14,13 +14,13 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "pedzoo"
 
-BUDGET = {"pedzoo": 53_400, "tests": 36_500, "tools": 8_600}
+BUDGET = {"pedzoo": 48_000, "tests": 34_200, "tools": 7_800}
 """Lines at most, which only fall: the aim is 38,000, 28,000 and 7,000."""
 
 LONGEST, TABLES = 400, 600
 """Lines of a file; of one table or one algorithm."""
 
-SLICES, LONELY_FOLDERS = 22, 6
+SLICES, LONELY_FOLDERS = 5, 5
 """Modules under 100 lines with one importer, and folders under 4 files, at most."""
 
 
@@ -84,7 +84,7 @@ def test_the_budget_of_lines_is_kept(folder: str) -> None:
 def test_files_are_as_large_as_an_idea() -> None:
     long = {file: count for file, count in lines_of("pedzoo").items() if count > LONGEST}
     assert {file: count for file, count in long.items() if count > TABLES} == {}
-    assert len(long) <= 11
+    assert len(long) <= 6
 
 
 def test_slices_and_small_folders_are_few() -> None:
