@@ -269,7 +269,7 @@ def test_environments_are_made_once_and_closed_whatever_happens() -> None:
         make_trainer(callback, End(), num_sanity_val_steps=0).fit(make_module(), make_data())
     again = make_trainer(callback, End(), max_epochs=1, num_sanity_val_steps=0)  # it can be used again
     again.fit(make_module(), make_data())
-    assert len(backends) == 2 and all(one._scenes._closed for one in backends) and not callback._envs
+    assert len(backends) == 2 and all(one._closed for one in backends) and not callback._envs
 
 
 @pytest.mark.parametrize(

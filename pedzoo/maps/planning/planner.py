@@ -23,6 +23,9 @@ from pedzoo.maps.planning.guidance import Guidance, ScenePose, Waypoints, differ
 _AT_ONCE = 1_000_000
 """Distances between agents and corners that are compared together: bounds the memory that it takes."""
 
+_MANY = 50
+"""Goals from which on a bar shows how far their searches are."""
+
 NO_PATH, STRAIGHT = -2, -1
 """Stand for the corner where a path bends first: none leads to the goal, and it is in sight."""
 
@@ -247,7 +250,9 @@ class Planner:
             self._rows = self._rows | rows
             self._maps, self._memory = self._of_maps(), Memory.empty()
         fresh = self._goals[len(self._searched) :]
-        for goal in tqdm(fresh, "ways to goals", delay=2.0, leave=False, disable=None):
+        if len(fresh) >= _MANY:  # a bar has a semaphore, which workers that are killed leave behind
+            fresh = tqdm(fresh, "ways to goals", delay=2.0, leave=False, disable=None)
+        for goal in fresh:
             if goal.row < 0:
                 self._searched.append((np.empty(0), np.empty(0, np.int32)))
                 continue
