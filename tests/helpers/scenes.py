@@ -30,7 +30,7 @@ def scene(
     kind: Any = None,
     controlled: Any = None,
     maps: MapBank | None = None,
-    pref_speed: float | None = None,
+    pref_speed: Any = None,
 ) -> TensorDict:
     """Return scenes (B, A) of agents who have come straight to where they are.
 
