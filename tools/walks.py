@@ -1,4 +1,4 @@
-"""Count what a reader meets on the way: the files of pedzoo that five walks enter, and changes of room.
+"""Count what a reader meets on the way: the files of pedzoo that five walks enter, and changes of package.
 
     python -m tools.walks            # each walk, then the files by room
     python -m tools.walks --files    # also their names, in the order in which they are entered
@@ -85,13 +85,14 @@ def plan_to_input() -> Trace:
     from pedzoo.core.geometry import identity_pose
     from pedzoo.maps.bank import MapBank
     from pedzoo.maps.plans import load_plan
+    from pedzoo.models.blocks.map_encoders import Viewpoints
 
     encoder = pedzoo.load(MODEL).map
     with Trace() as trace:
         grid = load_plan("apartment.7")
         bank = MapBank([grid])
         here, row = torch.tensor([[2.0, 2.0]]), torch.full((1,), bank.grids[0].map_id)
-        encoder(bank, here, torch.tensor([[1.0, 0.0]]), row, identity_pose(1))
+        encoder(Viewpoints(bank, here, torch.tensor([[1.0, 0.0]]), row, identity_pose(1)))
     return trace
 
 
@@ -143,7 +144,7 @@ def main() -> int:
             trace = walk()
         rooms = Counter(file.partition("/")[0] for file in trace.files)
         by_room = ", ".join(f"{room} {count}" for room, count in rooms.most_common())
-        print(f"{about}: {len(trace.files)} files, {trace.changes} changes of room; {by_room}", flush=True)
+        print(f"{about}: {len(trace.files)} files, {trace.changes} changes of package; {by_room}", flush=True)
         print("".join(f"    {file}\n" for file in trace.files if options.files), end="")
     return 0
 

@@ -60,9 +60,9 @@ def precedence(step: Tensor, away: Tensor, wait: Tensor, rank: Tensor | None, ve
     ahead = 0.5 * (away * (toward.unsqueeze(3) + toward.unsqueeze(2))).sum(0)
     forward = LEAD_SECONDS * (toward * velocity.movedim(-1, 0)).sum(0)
     ahead = ahead + forward.unsqueeze(2) - forward.unsqueeze(1)
-    tie = torch.zeros(()) if rank is None else (rank.unsqueeze(2) - rank.unsqueeze(1)).sign()
-    lead = torch.where(ahead.abs() < EVEN, BARELY * tie.to(ahead), ahead / AHEAD)
-    return torch.where(wait, ahead / TIE + tie.to(ahead), lead).clamp(-1, 1)
+    tie = torch.zeros_like(ahead) if rank is None else (rank.unsqueeze(2) - rank.unsqueeze(1)).sign()
+    lead = torch.where(ahead.abs() < EVEN, BARELY * tie, ahead / AHEAD)
+    return torch.where(wait, ahead / TIE + tie, lead).clamp(-1, 1)
 
 
 @torch.no_grad()
