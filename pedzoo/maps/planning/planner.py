@@ -140,7 +140,7 @@ class Memory(NamedTuple):
     @classmethod
     def empty(cls) -> Memory:
         """Return the memory of a planner that was not asked yet."""
-        key, tile = np.full(1 << 16, -1), np.full(1 << 12, -1)
+        key, tile = np.full(1 << 16, -1), np.full(1 << 14, -1)
         return cls(key, np.zeros(len(key), np.int32), tile, tile.copy(), np.zeros(len(tile)), tile.copy())
 
 

@@ -46,7 +46,8 @@ def clear_lines(leap, width, cells, origin, target, seen):
 
 @jit
 def _slot(key, slots):
-    return ((key * 2654435761) >> 12) & (slots - 1)
+    # bits that all of the key's have a part in: those of the goal are its highest
+    return ((key * -7046029254386353131) >> 32) & (slots - 1)
 
 
 @jit
