@@ -241,8 +241,6 @@ class Planner:
 
     def prepare(self) -> Ways:
         """Search the ways to all goals that have none yet, and return all; look-ups do so, too."""
-        from tqdm import tqdm
-
         if self._ways is not None and len(self._searched) == len(self._goals):
             return self._ways
         rows = {goal.row for goal in self._goals} - {-1}
@@ -251,6 +249,8 @@ class Planner:
             self._maps, self._memory = self._of_maps(), Memory.empty()
         fresh = self._goals[len(self._searched) :]
         if len(fresh) >= _MANY:  # a bar has a semaphore, which workers that are killed leave behind
+            from tqdm import tqdm
+
             fresh = tqdm(fresh, "ways to goals", delay=2.0, leave=False, disable=None)
         for goal in fresh:
             if goal.row < 0:
