@@ -10,6 +10,7 @@ Velocities to its left are permitted. Rows of L are in order of importance, wall
 direction (0, 0) constrains nothing: it pads people with fewer constraints.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -32,6 +33,15 @@ OF_PRESET: Any = None  # the value of the preset
 
 OFF_SPOT = 0.05
 """Of the way by which people leave the spot of others: so far off it they are seen."""
+
+
+def take_preset(settings: Any, what: str, presets: Mapping[str, Mapping[str, Any]]) -> None:
+    """Give settings that are missing, `OF_PRESET`, the values of their preset; a `UserError` names others."""
+    if settings.preset not in presets:
+        raise unknown(what, settings.preset, presets)
+    for name, value in presets[settings.preset].items():
+        if getattr(settings, name) is OF_PRESET:
+            object.__setattr__(settings, name, value)
 
 
 @dataclass(frozen=True)
@@ -70,11 +80,7 @@ class OrcaSettings:
         Raises:
             UserError: There is no such preset, or a value is out of its range.
         """
-        if self.preset not in PRESETS:
-            raise unknown("ORCA preset", self.preset, PRESETS)
-        for name, value in PRESETS[self.preset].items():
-            if getattr(self, name) is OF_PRESET:
-                object.__setattr__(self, name, value)
+        take_preset(self, "ORCA preset", PRESETS)
         lengths = "radius dt neighbor_dist time_horizon time_horizon_obst top_speed_ratio"
         check_range(self, "orca", lengths, "a number above 0", above=True)
         check_range(self, "orca", "jitter max_neighbors max_obstacles", "0 or more")

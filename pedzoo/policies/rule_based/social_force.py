@@ -21,7 +21,7 @@ from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
 from pedzoo.maps.segments import SegmentTable
 from pedzoo.policies.neighbours import nearest
 from pedzoo.policies.policy import Policy, deterministic, drawn_vectors
-from pedzoo.policies.rule_based.orca import OF_PRESET, cross, dot, left
+from pedzoo.policies.rule_based.orca import OF_PRESET, cross, dot, left, take_preset
 
 Anisotropy = Literal["view", "smooth", "none"]
 """How the weight of others depends on their direction; see `SocialForceSettings`."""
@@ -95,11 +95,7 @@ class SocialForceSettings:
         Raises:
             UserError: There is no such preset, or a value is out of its range.
         """
-        if self.preset not in PRESETS:
-            raise unknown("preset of social_force", self.preset, PRESETS)
-        for name, value in PRESETS[self.preset].items():
-            if getattr(self, name) is OF_PRESET:
-                object.__setattr__(self, name, value)
+        take_preset(self, "preset of social_force", PRESETS)
         kind, lengths = "social_force", "tau sigma wall_range top_speed_ratio neighbor_dist"
         check_range(self, kind, lengths, "a number above 0", above=True)
         check_range(self, kind, "strength step_time wall_strength fluctuation", "a number, 0 or more")
