@@ -71,7 +71,7 @@ OPERATORS = re.compile(
 
 EQUIVALENT = {
     "metrics/contacts.py": ("_AT_ONCE = 100001", "(closing < 0)"),
-    "metrics/displacement.py": ("split( 257)", "there.unsqueeze(1), 1).sum"),
+    "metrics/forecast.py": ("split( 257)", "there.unsqueeze(1), 1).sum"),
     "metrics/robots.py": ("clamp_min( 0), there.any",),
     "metrics/arrival.py": ("number.numel() else 1",),
     "metrics/realism/walks.py": ("scatter_reduce( -1",),

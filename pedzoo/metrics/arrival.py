@@ -1,11 +1,7 @@
-"""Whether and when people arrive, and by which way.
+"""Whether and when people arrive, and by which way: metrics, and functions of the fields of a `Rollout`.
 
-Pure functions over the 0.1 s trace of closed-loop episodes, and the metrics made of them. E episodes of A
-people (padded), T trace points; point t is the end of the t-th 0.1 s after the warm start. Functions take
-what `pedzoo.sim.rollout.Rollout` holds under the same names.
+E episodes of A people (padded), T trace points; point t is the end of the t-th 0.1 s after the warm start.
 """
-
-from __future__ import annotations
 
 from functools import partial
 from typing import NamedTuple
@@ -39,8 +35,7 @@ def finish_seconds(reached: Tensor, goals: int) -> Tensor:
 def seconds_per_goal(seconds: Tensor, reached: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
     """Return the time that all people of an episode walked (E,), seconds, and the goals they reached (E,).
 
-    0 and 0 unless all finished in time, after ``seconds`` (E,), see `episode_seconds`. People who finish
-    early walk on to further goals: their time and those goals count.
+    0 and 0 unless all finished in time, after ``seconds`` (E,). Goals beyond the last one count, too.
     """
     known = seconds.isfinite()
     goals = reached[..., -1].where(mask, 0).sum(1)
@@ -50,8 +45,7 @@ def seconds_per_goal(seconds: Tensor, reached: Tensor, mask: Tensor) -> tuple[Te
 def planned_metres(planned: Tensor, reached: Tensor, goals: int) -> Tensor:
     """Return the length of the planner's paths of all goals that each person had to reach (E, A), metres.
 
-    ``planned`` (E, A, T): all until the one being walked to. People who never reached all goals have theirs
-    until the goal they had at the end.
+    ``planned`` (E, A, T) has all until the one being walked to; for people who did not finish, the last one.
     """
     last = (reached < goals).sum(-1, keepdim=True).clamp_max(reached.shape[-1] - 1)
     return planned.gather(2, last).squeeze(2)
@@ -67,9 +61,8 @@ def walked_metres(path: Tensor, scored: Tensor, reached: Tensor, goals: int) -> 
 def weighted(success: Tensor, least: Tensor, taken: Tensor) -> Tensor:
     """Return each person's success weighted by effort (E, A): ``S * least / max(least, taken)``.
 
-    With lengths of the planned and of the walked path this is SPL (Anderson et al., "On evaluation of
-    embodied navigation agents", 2018, arXiv 1807.06757). With times it is STL: iGibson takes ORCA's time as
-    the least, pedzoo that of the planned path at the preferred speed.
+    With path lengths this is SPL (Anderson et al., "On evaluation of embodied navigation agents", 2018, arXiv
+    1807.06757). With times it is STL: iGibson's least time is ORCA's, ours the planned path's.
     """
     most = torch.maximum(least, taken)
     return torch.where(most > 0, least / most, 1.0).where(success, 0.0)
@@ -78,8 +71,7 @@ def weighted(success: Tensor, least: Tensor, taken: Tensor) -> Tensor:
 def stuck(trace: Tensor, goal: Tensor, scored: Tensor) -> Tensor:
     """Return where people have stayed within 0.1 m for 5 s, more than 0.5 m from the goal (E, A, T) bool.
 
-    They are ``scored`` all of the 5 s, and do not come back to a place within them. Current goals: (E, A, T,
-    2), metres; people are away from theirs when the 5 s begin, too, so that waiting at a goal is no deadlock.
+    They are ``scored`` and away from their current ``goal`` (E, A, T, 2), metres, when the 5 s begin and end.
     """
     result = torch.zeros_like(scored)
     if trace.shape[2] <= STILL_POINTS:
@@ -103,8 +95,7 @@ def stuck(trace: Tensor, goal: Tensor, scored: Tensor) -> Tensor:
 def over_spans(scored: Tensor, value: Tensor) -> Tensor:
     """Return the sums of values (E, A, T) over each time that a slot is ``scored`` without a gap (E, A, R).
 
-    In a replay a slot has one person after the other, each scored without a gap until they leave. The r-th of
-    R sums is of the r-th person; where a slot has fewer, the last ones are 0.
+    In a replay a slot has one person after the other: the r-th of R sums is of the r-th one, 0 without.
     """
     number = begins(scored).cumsum(2).where(scored, 0)
     spans = int(number.max()) if number.numel() else 0
@@ -112,19 +103,14 @@ def over_spans(scored: Tensor, value: Tensor) -> Tensor:
 
 
 class _Walks(NamedTuple):
-    """Times and paths of people to all goals; (E, A) each, or (E, A, R) for the spans of a replay's slots.
+    """People's walks to all goals; (E, A) each, or (E, A, R) of the spans of a replay, without seconds."""
 
-    Who is ``there`` does not stay where the episode begins. Lengths of the ``planned`` and of the ``walked``
-    paths, metres; seconds that are ``needed`` at the preferred speed, and ``taken``, infinite for people who
-    did not arrive. A replay has no seconds.
-    """
-
-    there: Tensor
+    there: Tensor  # not those who stay where the episode begins
     arrived: Tensor
-    planned: Tensor
+    planned: Tensor  # metres
     walked: Tensor
-    needed: Tensor
-    taken: Tensor
+    needed: Tensor  # seconds at the preferred speed
+    taken: Tensor  # infinite for people who did not arrive
 
 
 @once
@@ -271,9 +257,6 @@ def stl(rollout: Rollout) -> Ratio:
 
 
 def time_ratios(rollout: Rollout) -> tuple[Tensor, Tensor]:
-    """Return each person's time divided by that of free walking (E, A), and where it is known.
-
-    It is known of people who arrive in time. Time before they set out does not count.
-    """
+    """Return people's times divided by those of free walking (E, A), and who arrives: it is known of them."""
     walks = _walks(rollout)
     return walks.taken * rollout.pref_speed / walks.planned, walks.arrived & (walks.planned > 0)

@@ -1,7 +1,6 @@
 """Collects the closed-loop metrics of a rollout, which `arrival`, `contacts`, `door` and others define."""
 
 from collections.abc import Callable, Sequence
-from functools import wraps
 from inspect import unwrap
 from traceback import extract_tb
 from typing import Any
@@ -43,9 +42,8 @@ def named(metrics: Sequence[str]) -> dict[str, Callable[[Rollout], Any]]:
 def closed_loop(rollout: Rollout, metrics: Sequence[str] = ()) -> dict[str, Ratio]:
     """Return every metric that applies to a rollout, by its name, in the order of `NAMES`.
 
-    What each of them is says the function of that name in `pedzoo.metrics`. Episodes about which a metric
-    says nothing have 0 in both of its sums. In a replay, in which people come and go, people are scored from
-    when the policy takes over until they leave.
+    The function of that name in `pedzoo.metrics` says what it is. In a replay people are scored from when the
+    policy takes over until they leave.
 
     Args:
         rollout: Some episodes.
@@ -74,32 +72,29 @@ def own_metrics(rollout: Rollout, metrics: Sequence[str]) -> dict[str, Ratio]:
     Raises:
         UserError: As of `closed_loop`, or a function raises an error, which is its cause.
     """
-    return _results({name: _guarded(name, one) for name, one in named(metrics).items()}, rollout)
-
-
-def _guarded(name: str, function: Callable[[Rollout], Any]) -> Callable[[Rollout], Any]:
-    """Return a function of a file, whose errors become a `UserError` that says where they are."""
-
-    @wraps(function)
-    def call(rollout: Rollout) -> Any:
-        try:
-            return function(rollout)
-        except Exception as error:  # the code is not ours and may raise anything: that is the user's to mend
-            file = unwrap(function).__code__.co_filename
-            lines = [frame.lineno for frame in extract_tb(error.__traceback__) if frame.filename == file]
-            where = f"{file}, line {lines[-1]}" if lines else file
-            raise UserError(f"metric {name} ({where}) raised {type(error).__name__}: {error}") from error
-
-    return call
+    return _results(named(metrics), rollout)
 
 
 def _results(functions: dict[str, Callable[[Rollout], Any]], rollout: Rollout) -> dict[str, Ratio]:
     kinds = {"all"} if rollout.replayed else {"all", "ordinary"}
     if not rollout.replayed and rollout.gate is not None:
         kinds.add("doors")
-    known = {name: one for name, one in functions.items() if getattr(one, "scenes", "all") in kinds}
-    order = (name for name in (*NAMES, *functions) if name in known)
-    return {name: _checked(name, known[name](rollout), len(rollout.failed)) for name in order}
+    result = {}
+    for name in dict.fromkeys((*NAMES, *functions)):
+        function = functions.get(name)
+        if function is None or getattr(function, "scenes", "all") not in kinds:
+            continue
+        try:
+            sums = function(rollout)
+        except Exception as error:
+            if name in NAMES:  # a mistake of ours; a function from a file may raise anything
+                raise
+            file = unwrap(function).__code__.co_filename
+            lines = [frame.lineno for frame in extract_tb(error.__traceback__) if frame.filename == file]
+            where = f"{file}, line {lines[-1]}" if lines else file
+            raise UserError(f"metric {name} ({where}) raised {type(error).__name__}: {error}") from error
+        result[name] = _checked(name, sums, len(rollout.failed))
+    return result
 
 
 def _checked(name: str, result: Any, episodes: int) -> Ratio:
@@ -130,10 +125,9 @@ def _checked(name: str, result: Any, episodes: int) -> Ratio:
 
 
 def time_ratio_median(rollout: Rollout) -> tuple[dict[str, float], dict[str, Interval]]:
-    """Return ``time_ratio_median``, the median over people of `time_ratios`, and its 95 % interval.
+    """Return ``time_ratio_median``, the lower median over people of `time_ratios`, and its 95 % interval.
 
-    Of two middle ones the lower. Both are empty where no person arrives, as in `summarised`. A median is no
-    ratio of sums: it is not in `NAMES`, and belongs to all episodes together.
+    A median is no ratio of sums: it is not in `NAMES`. Both are empty where no person arrives.
     """
     value, known = time_ratios(rollout)
     if not known.any():

@@ -1,7 +1,6 @@
 """Contacts with people and walls, distances between people, and what a safety layer changes.
 
-Pure functions over the 0.1 s trace of closed-loop episodes, and the metrics made of them. E episodes of A
-people (padded), T trace points. Scored people (E, A, T) may come near all people who are present (E, A, T).
+E episodes of A people (padded), T trace points. Scored people (E, A, T) may come near all who are present.
 """
 
 from collections.abc import Callable
@@ -34,17 +33,13 @@ _AT_ONCE = 100_000
 
 
 def contact_events(contact: Tensor) -> Tensor:
-    """Return how often each person begins to touch (E, A) long, for touches in 0.1 s (E, A, T) bool.
-
-    A touch that lasts counts once. Two people who touch each other have one event each.
-    """
+    """Return how often each person begins to touch (E, A) long, for touches in 0.1 s (E, A, T) bool."""
     return begins(contact).sum(-1)
 
 
 def begins(when: Tensor) -> Tensor:
     """Return where something begins (E, A, T) bool, such as touches, given when it is so (E, A, T) bool."""
-    before = torch.cat((torch.zeros_like(when[..., :1]), when[..., :-1]), dim=-1)
-    return when & ~before
+    return when & ~torch.nn.functional.pad(when[..., :-1], (1, 0))
 
 
 def person_minutes(scored: Tensor) -> Tensor:
@@ -65,10 +60,9 @@ def nearest(trace: Tensor, present: Tensor) -> Tensor:
 def time_to_collision(
     position: Tensor, velocity: Tensor, there: Tensor, radius: Tensor | None = None
 ) -> Tensor:
-    """Return after how long each person would touch another if all kept their velocities (E, A, S), seconds.
+    """Return the least `collision_seconds` over all others ``there`` (E, A, S); infinite of people alone.
 
-    It is the least over all others ``there`` (E, A, S) of `collision_seconds`, infinite for people alone or
-    absent. Positions and velocities (E, A, S, 2), metres and m/s; radii (E, A), those of people if None.
+    Positions and velocities (E, A, S, 2), metres and m/s; radii (E, A), those of people if None.
     """
     own = position.new_full(position.shape[:2], BODY_RADIUS) if radius is None else radius.to(position)
 
@@ -93,10 +87,7 @@ def collision_seconds(away: Tensor, velocity: Tensor, reach: Tensor) -> Tensor:
 
 
 def touch_seconds(away: Tensor, velocity: Tensor, reach: Tensor | float) -> Tensor:
-    """Return `collision_seconds` with gradients of pairs that touch within `HORIZON`.
-
-    Times of those who only graze each other are a little too small.
-    """
+    """Return `collision_seconds` with gradients, of pairs that touch; a little less of who only graze."""
     closing, gap, under = _approach(away, velocity, reach)
     return gap / (under.clamp_min(GRAZING).sqrt() + closing.clamp_min(1e-3))
 
@@ -109,10 +100,7 @@ def _approach(away: Tensor, velocity: Tensor, reach: Tensor | float) -> tuple[Te
 
 
 def _least_over_others(of_pairs: Callable[..., Tensor], there: Tensor, *values: Tensor) -> Tensor:
-    """Return the least of values of pairs over the others that are there (E, A, T), infinite without any.
-
-    ``of_pairs`` gets the values (E, A, T, ...) as frames (F, A, ...), so many that their pairs fit a cache.
-    """
+    """Return the least of values of pairs (F, A, A) over the others that are there (E, A, T)."""
     episodes, agents, points = there.shape
     size, parts = max(1, _AT_ONCE // max(1, agents**2)), []
     frames = [one.transpose(1, 2).flatten(0, 1) for one in values]
@@ -134,8 +122,11 @@ def untouched(rollout: Rollout) -> Tensor:
     return ~touches.flatten(1).any(1)
 
 
-def _events(rollout: Rollout, contact: Tensor) -> Tensor:
-    return contact_events(contact & rollout.scored)
+@once
+def _touches(rollout: Rollout) -> tuple[Tensor, Tensor]:
+    """Return how often each scored person begins to touch people and walls (E, A) long."""
+    agents, walls = (one & rollout.scored for one in (rollout.agent_contact, rollout.wall_contact))
+    return contact_events(agents), contact_events(walls)
 
 
 @once
@@ -157,37 +148,37 @@ def contact_free(rollout: Rollout) -> Ratio:
 @metric()
 def agent_contacts_per_min(rollout: Rollout) -> Ratio:
     """Contacts with other people per minute that a person walks; one that lasts counts once."""
-    return ratio(_events(rollout, rollout.agent_contact), person_minutes(rollout.scored))
+    return ratio(_touches(rollout)[0], person_minutes(rollout.scored))
 
 
 @metric()
 def agent_contacts_per_episode(rollout: Rollout) -> Ratio:
     """Contacts with other people of all people."""
-    return ratio(_events(rollout, rollout.agent_contact).sum(1))
+    return ratio(_touches(rollout)[0].sum(1))
 
 
 @metric()
 def agent_contact_episodes(rollout: Rollout) -> Ratio:
     """Share of episodes with any contact with other people."""
-    return share((_events(rollout, rollout.agent_contact) > 0).any(1))
+    return share(_touches(rollout)[0].any(1))
 
 
 @metric()
 def wall_contacts_per_min(rollout: Rollout) -> Ratio:
     """Contacts with walls per minute that a person walks; one that lasts counts once."""
-    return ratio(_events(rollout, rollout.wall_contact), person_minutes(rollout.scored))
+    return ratio(_touches(rollout)[1], person_minutes(rollout.scored))
 
 
 @metric()
 def wall_contacts_per_episode(rollout: Rollout) -> Ratio:
     """Contacts with walls of all people."""
-    return ratio(_events(rollout, rollout.wall_contact).sum(1))
+    return ratio(_touches(rollout)[1].sum(1))
 
 
 @metric()
 def wall_contact_episodes(rollout: Rollout) -> Ratio:
     """Share of episodes with any contact with walls."""
-    return share((_events(rollout, rollout.wall_contact) > 0).any(1))
+    return share(_touches(rollout)[1].any(1))
 
 
 @metric()
@@ -200,8 +191,7 @@ def personal_space(rollout: Rollout) -> Ratio:
 def personal_space_igibson(rollout: Rollout) -> Ratio:
     """Personal space as iGibson counts it, mean over people.
 
-    ``1 - points with another person within 0.5 m / 500``, not below 0. 500 is the number of 0.1 s steps that
-    an episode of iGibson's social navigation may take, so short episodes look better.
+    ``1 - points with another person within 0.5 m / 500``, not below 0, however short the episode is.
     """
     intruded = (_nearest(rollout) < PERSONAL_SPACE) & rollout.scored
     kept = (1 - intruded.sum(-1) / IGIBSON_POINTS).clamp_min(0.0)

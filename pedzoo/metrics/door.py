@@ -1,14 +1,11 @@
 """Order and flow of people through a door: metrics, and pure functions over the trace of their episodes.
 
-E episodes of A people (padded), T trace points. Nothing here depends on which way a normal points, nor on how
-people are numbered. Arguments of many functions:
+E episodes of A people (padded), T trace points. Nothing depends on which way a normal points. Arguments:
 
 * ``path`` (E, A, 1 + T, 2): positions from where the episode begins, metres.
 * ``scored`` (E, A, T) bool: which people count at each point but the first.
 * ``gate`` (E, 5): the door's centre c, x and y, the unit normal of its wall, x and y, and its clear width.
-  The door line goes through c along the wall, jamb to jamb.
-* ``pair`` (E, 2) long: two people, one from each side, who are nearest to c when the episode begins. Where
-  all come from one side there is no pair.
+* ``pair`` (E, 2) long: one person from each side, those who are nearest to c when the episode begins.
 * ``seconds`` (E, A), of a pair (E, 2): when they passed the door, infinite for people not through.
 """
 
@@ -43,7 +40,6 @@ def passing_seconds(path: Tensor, scored: Tensor, gate: Tensor) -> Tensor:
     """Return when each person passed the door for good (E, A), seconds; infinite for people not through.
 
     That is the last of an odd number of crossings of the door line, interpolated between two trace points.
-    People who come back are not through.
     """
     ahead, beside = from_door(path, gate)
     side = ahead >= 0
@@ -66,11 +62,9 @@ def pair(start: Tensor, mask: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def index_of_symmetry(path: Tensor, scored: Tensor, gate: Tensor, pair: Tensor) -> tuple[Tensor, Tensor]:
-    """Return how far a pair is from walking point-symmetrically (E,), and where that is known (E,) bool.
+    """Return the `asymmetry` of a pair by its mean distance from c at the begin (E,), and where it is known.
 
-    `asymmetry` divided by the pair's mean distance from c when the episode begins. 0: they are mirror images
-    in c all the time, and neither yields (ORCA, started alike). About 1: one waits at the start until the
-    other is through.
+    0: they are mirror images in c (ORCA, started alike). About 1: one waits until the other is through.
     """
     metres, known = asymmetry(path, scored, gate, pair)
     size = (of_pair(path, pair)[:, :, 0] - gate[:, None, :2]).norm(dim=-1).mean(1)
@@ -93,7 +87,7 @@ def delay(seconds: Tensor) -> Tensor:
 def faster_is_first(seconds: Tensor, pref_speed: Tensor) -> tuple[Tensor, Tensor]:
     """Return where the person who prefers the higher speed passes first (E,) bool, and where that is known.
 
-    Known where both are through and their preferred speeds (E, 2) differ by more than 0.05 m/s.
+    That is where both are through and their preferred speeds (E, 2) differ by more than 0.05 m/s.
     """
     faster = pref_speed.diff(dim=1).squeeze(1)
     known = seconds.isfinite().all(1) & (faster.abs() > 0.05)
@@ -102,10 +96,9 @@ def faster_is_first(seconds: Tensor, pref_speed: Tensor) -> tuple[Tensor, Tensor
 
 
 def yielder_speed(velocity: Tensor, known: Tensor, seconds: Tensor) -> Tensor:
-    """Return the least speed of the second of a pair before passing the door (E,), m/s.
+    """Return the least speed of the second of a pair before passing the door (E,), m/s; infinite of none.
 
-    Infinite where not both are through, or the second is after less than a window. The pair's ``velocity``
-    (E, 2, S, 2), m/s, and ``known`` (E, 2, S) are of windows of 0.4 s, see `pedzoo.metrics.smoothness`.
+    The pair's ``velocity`` (E, 2, S, 2), m/s, and ``known`` (E, 2, S) are those of `smoothness.velocities`.
     """
     end = STEP_SECONDS * torch.arange(1, velocity.shape[2] + 1, device=velocity.device)
     before = known & (end <= seconds.unsqueeze(2))
@@ -117,9 +110,8 @@ def yielder_speed(velocity: Tensor, known: Tensor, seconds: Tensor) -> Tensor:
 def flow(seconds: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
     """Return how many people got through (E,) long, and the door's width times the time they took (E,), m s.
 
-    Their ratio is the specific flow from the first to the last passing, N / (T w): the flow of PedPy's
-    `compute_flow` for one interval, by the width. For N people it is N / (N - 1) times that of a steady
-    stream. 0 and 0 where fewer than two got through, or all in the same moment.
+    Their ratio is the specific flow from the first to the last passing, N / (T w), PedPy's `compute_flow` by
+    the width. 0 and 0 where fewer than two got through, or all in the same moment.
     """
     through = seconds.isfinite()
     last = seconds.where(through, -torch.inf).amax(1)
@@ -137,10 +129,7 @@ def headways(seconds: Tensor, at: float) -> Tensor:
 
 
 def wall_drift(path: Tensor, scored: Tensor, gate: Tensor, seconds: Tensor) -> tuple[Tensor, Tensor]:
-    """Return how far people go along the wall while they wait before a door (E, A), metres, and which wait.
-
-    People wait before they pass, within 1.5 m of the wall, while they come nearer to it by less than 0.2 m/s.
-    """
+    """Return how far people go along the wall while they wait for the door (E, A), metres, and who waits."""
     ahead, beside = from_door(path, gate)
     off = ahead * -ahead[..., :1].sign()  # below 0 on the side where a person begins
     now = TRACE_SECONDS * torch.arange(1, path.shape[2], device=path.device)
@@ -150,10 +139,7 @@ def wall_drift(path: Tensor, scored: Tensor, gate: Tensor, seconds: Tensor) -> t
 
 
 def sharp(path: Tensor, scored: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
-    """Return where people turn by more than 45 degrees within 0.4 s (E, A, S), and where they walk (E, A, S).
-
-    They walk if they are faster than 0.5 m/s both before and after, within 3 m of the door.
-    """
+    """Return where people turn by over 45 degrees in 0.4 s (E, A, S), and where they walk until then."""
     lag = round(STEP_SECONDS / TRACE_SECONDS)
     velocity = path.diff(dim=2) / TRACE_SECONDS
     about = scored & ((path[:, :, 1:] - gate[:, None, None, :2]).norm(dim=-1) < ABOUT)
@@ -177,8 +163,6 @@ def from_door(path: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
 
 
 class _Door(NamedTuple):
-    """The doors, when people passed, and the pairs that ``met`` (E,) there, with ``theirs``."""
-
     gate: Tensor
     passed: Tensor
     pair: Tensor

@@ -1,8 +1,4 @@
-"""Closed-loop metrics as ratios of two sums over episodes, which add up over rollouts, seeds and processes.
-
-A metric is a function of a rollout with the decorator `metric`, in any file of this folder: the registry
-finds it, and its name is the metric's. Its docstring is the legend of pages.
-"""
+"""Closed-loop metrics as ratios of two sums over episodes, which add up over rollouts and processes."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
@@ -22,19 +18,15 @@ Scenes = Literal["all", "ordinary", "doors"]
 
 
 class Ratio(NamedTuple):
-    """A metric: ``above.sum() / below.sum()``; episodes about which it says nothing have 0 in both.
-
-    Attributes:
-        above: Of each episode (E,) float64.
-        below: Likewise: how many episodes, people, frames, ... the sum above is over.
-        share: Whether it is a share of episodes or people.
-        part: Whether it is a share of anything else, such as steps: at most 1.
-    """
+    """A metric: ``above.sum() / below.sum()``, (E,) float64; an episode without a value has 0 in both."""
 
     above: Tensor
     below: Tensor
     share: bool = False
+    """Whether it is a share of episodes or people."""
+
     part: bool = False
+    """Whether it is a share of anything else, such as steps: at most 1."""
 
 
 Function = TypeVar(
@@ -43,9 +35,9 @@ Function = TypeVar(
 
 
 def metric(scenes: Scenes = "all") -> Callable[[Function], Function]:
-    """Declare a metric: a function of a rollout that returns a `Ratio`, or two sums per episode (E,).
+    """Declare a metric of rollouts of such ``scenes``: a function that returns a `Ratio`, or two sums (E,).
 
-    It is not called with rollouts that are not of its ``scenes``.
+    The registry finds it in any file of this folder. Its name is the metric's, its docstring the legend.
     """
 
     def declare(function: Function) -> Function:
@@ -105,16 +97,12 @@ def of_parts(parts: Sequence[Ratio]) -> Ratio:
 
 
 def summarised(ratios: Mapping[str, Ratio]) -> tuple[dict[str, float], dict[str, Interval]]:
-    """Return the values of metrics and their 95 % intervals over episodes.
-
-    A metric about which no episode says anything is in neither; one about which all say the same has no
-    interval, unless it is a share; nor do few episodes, see `ratio_interval`.
-    """
+    """Return the values of metrics and their 95 % intervals over episodes, where there are any."""
     metrics: dict[str, float] = {}
     intervals: dict[str, Interval] = {}
     for name, (above, below, is_share, part) in ratios.items():
-        if not float(below.sum()) > 0:
-            continue  # no person arrived, met another or walked
+        if not float(below.sum()) > 0:  # no person arrived, met another or walked
+            continue
         metrics[name] = float(above.sum() / below.sum())
         trials = int((below > 0).sum())
         interval = wilson(metrics[name], trials) if is_share else ratio_interval(above, below, part)

@@ -1,11 +1,8 @@
 """How people move: metrics, and pure functions over the 0.1 s trace of their closed-loop episodes.
 
-E episodes of A people (padded), T trace points. Speeds and their changes are taken over windows of 0.4 s:
-people of a learned model walk straight on between two decisions, so all of a change of velocity falls into
-one 0.1 s. Windows begin with the episode, as decisions do, and do not overlap: window s of S is from point
-``4 s`` to ``4 s + 4`` of the path. Missing values are left out, not counted as 0: windows in which a person
-is scored only in part, changes of velocity at their ends, headings of standing people. ``path`` (E, A, 1 + T,
-2) is in metres, ``velocity`` (E, A, S, 2) in m/s; ``known`` (E, A, S) are windows that count.
+E episodes of A people (padded), T trace points. Speeds and their changes are taken over windows of 0.4 s, as
+long as a model's decisions: window s of S is from point ``4 s`` to ``4 s + 4`` of the path. ``path`` (E, A,
+1 + T, 2) is in metres, ``velocity`` (E, A, S, 2) in m/s; ``known`` (E, A, S) are windows that count.
 """
 
 import math
@@ -44,20 +41,13 @@ def jerk(velocity: Tensor, known: Tensor, dt: float = STEP_SECONDS) -> tuple[Ten
 
 
 def heading_rate(velocity: Tensor, known: Tensor, dt: float = STEP_SECONDS) -> tuple[Tensor, Tensor]:
-    """Return how fast headings turn, left or right (E, A, S - 1), rad/s, and where it is known.
-
-    That is where a person walks, faster than 0.1 m/s, in both windows. Arguments as of `acceleration`.
-    """
+    """Return how fast headings turn, left or right (E, A, S - 1), rad/s, and where people walk all along."""
     angle, walks = _headings(velocity, known)
     return _wrapped(angle.diff(dim=2)) / dt, walks[..., 1:] & walks[..., :-1]
 
 
 def turning(velocity: Tensor, known: Tensor) -> Tensor:
-    """Return by how much each person turned in all (E, A), radians, left and right added up.
-
-    Divided by the `length` of the path this is path irregularity, rad/m. Corners of the planned path count:
-    they are the same for every policy. People who stop and walk on in another direction have turned.
-    """
+    """Return by how much each person turned in all (E, A), radians, to either side, also at stops."""
     angle, walks = _headings(velocity, known)
     number = torch.arange(walks.shape[2], device=walks.device).expand_as(walks)
     latest = torch.where(walks, number, -1).cummax(2).values[..., :-1]
@@ -74,12 +64,10 @@ def length(velocity: Tensor, known: Tensor, dt: float = STEP_SECONDS) -> Tensor:
 
 
 def _headings(velocity: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
-    """Return headings (E, A, S), radians, and which people have one."""
     return torch.atan2(velocity[..., 1], velocity[..., 0]), known & (velocity.norm(dim=-1) > STANDS)
 
 
 def _wrapped(angle: Tensor) -> Tensor:
-    """Return the amount of differences of angles, 0 to pi."""
     return torch.remainder(angle + math.pi, 2 * math.pi).sub(math.pi).abs()
 
 
@@ -122,10 +110,7 @@ def path_irregularity_rad_per_m(rollout: Rollout) -> Ratio:
 
 @metric("ordinary")
 def standing_drift_m(rollout: Rollout) -> Ratio:
-    """Greatest distance from the place where a person waits when the episode begins, mean over people.
-
-    It counts until they get another goal. People wait whose way to their first goal has no length.
-    """
+    """Greatest distance from the place where a person waits until another goal comes, mean over people."""
     place = rollout.goal[:, :, :1]
     there = ((rollout.goal == place).all(-1) & rollout.controlled).cummin(2).values
     off = (rollout.trace - place).norm(dim=-1).where(there, torch.zeros(()))

@@ -1,7 +1,6 @@
 """Quantiles and 95 % intervals of closed-loop numbers: episodes are independent, people in them are not.
 
-Quantiles do not add up, so whole groups are resampled. N values of G groups (episodes, people); R resamples
-are weights (R, G), how often each group counts.
+R resamples of G groups (episodes, people) are weights (R, G): how often each group counts.
 """
 
 import math
@@ -23,10 +22,7 @@ Interval = tuple[float, float]
 
 
 def wilson(share: float, trials: int) -> Interval:
-    """Return Wilson's score interval of a share; it has a width even where nothing or everything succeeded.
-
-    With episodes as trials it is on the safe side for shares of people, who meet each other in an episode.
-    """
+    """Return Wilson's score interval of a share; it has a width even where nothing or all succeeded."""
     square = _NORMAL_95**2
     middle = share + square / (2 * trials)
     half = _NORMAL_95 * math.sqrt(share * (1 - share) / trials + square / (4 * trials**2))
@@ -40,9 +36,8 @@ def ratio_interval(above: Tensor, below: Tensor, part: bool = False) -> Interval
     Student's t with the jackknife's standard error (HC3: MacKinnon and White, "Some heteroskedasticity-
     consistent covariance matrix estimators with improved finite sample properties", Journal of Econometrics
     29, 1985). Where no value is below 0 the upper end is that of the logarithm, which is larger: rare counts
-    and other skewed values are mostly too low. A bootstrap of few episodes is too narrow, and of rare counts
-    it knows but one or two. There is no interval for fewer than `FEWEST` episodes, nor where all say the
-    same: no event at all says nothing of how many come together.
+    and other skewed values are mostly too low. There is none for fewer than `FEWEST` episodes, nor where all
+    say the same.
 
     Args:
         above: Values; one sign or both.
@@ -75,13 +70,11 @@ def t_95(groups: int) -> float:
 
 
 def percentile_interval(values: Tensor, groups: int | None = None) -> Interval | None:
-    """Return the interval of a number, of its values (R,) in resamples of ``groups``; NaN where it has none.
+    """Return the interval of a number from its values (R,) in resamples; NaN where it has none.
 
-    Without ``groups`` it holds 95 % of the values.
-
-    The expanded percentile interval: wider, as Student's t is wider than the normal distribution
-    (Hesterberg, "What Teachers Should Know About the Bootstrap", The American Statistician 69, 2015). None
-    for fewer than `FEWEST_DRAWN` groups: their extremes cover less than 95 %. None where all are the same.
+    Of resamples of ``groups`` it is the expanded percentile interval, wider as Student's t is (Hesterberg,
+    "What Teachers Should Know About the Bootstrap", The American Statistician 69, 2015); else it holds 95 %.
+    None for fewer than `FEWEST_DRAWN` groups, or where all values are the same.
     """
     if not len(values) or (groups is not None and groups < FEWEST_DRAWN):
         return None
@@ -92,10 +85,7 @@ def percentile_interval(values: Tensor, groups: int | None = None) -> Interval |
 
 
 def bootstrap_quantile(value: Tensor, episode: Tensor, episodes: int, at: float) -> Interval | None:
-    """Return `percentile_interval` over episodes of the quantile ``at`` of values (N,).
-
-    ``episode`` (N,) is the episode of each value.
-    """
+    """Return `percentile_interval` of the quantile ``at`` of values (N,), each of an ``episode`` (N,)."""
     result = quantiles(value, episode, drawn_people(episodes), (at,))[:, 0]
     return percentile_interval(result, len(episode.unique()))
 
@@ -114,11 +104,7 @@ _AT_ONCE = 4_000_000
 
 
 def quantiles(value: Tensor, group: Tensor, weights: Tensor, at: Sequence[float]) -> Tensor:
-    """Return quantiles (R, Q) of values (N,) of groups (N,), float64; NaN for a resample without any.
-
-    Each is the least value at which the share of the values up to it is no smaller than asked for: the
-    inverse of the cumulative distribution. ``weights`` (R, G): how often each group counts.
-    """
+    """Return quantiles (R, Q) float64 of values (N,) of groups (N,), of the inverse distribution function."""
     shares = torch.tensor(at, dtype=torch.float64)
     if not len(value):
         return torch.full((len(weights), len(shares)), torch.nan, dtype=torch.float64)

@@ -17,7 +17,7 @@ from matplotlib.transforms import Affine2D
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import PLOTS, check_ending, write_atomically
 from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
-from pedzoo.metrics.displacement import positions
+from pedzoo.metrics.forecast import positions
 from pedzoo.models.base import Forecaster
 from pedzoo.viz.report import RARE, REAL
 

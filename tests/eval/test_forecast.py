@@ -16,8 +16,7 @@ from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
 from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.eval.forecast import BlockSums, blocks, forecast, forecast_row
-from pedzoo.metrics.displacement import displacement_error
-from pedzoo.metrics.forecast import ForecastScore, negative_log_likelihood
+from pedzoo.metrics.forecast import ForecastScore, displacement_error, negative_log_likelihood
 from pedzoo.metrics.statistics import ratio_interval
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.base import known_displacements, true_displacements

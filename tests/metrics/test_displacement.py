@@ -15,7 +15,7 @@ from torch import Tensor
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import rotate
 from pedzoo.data.datamodule import TrajectoryDataModule
-from pedzoo.metrics import displacement as d
+from pedzoo.metrics import forecast as d
 from pedzoo.metrics.forecast import ForecastScore, calibration_error, places
 from pedzoo.models.architectures.bent_line import BentLine
 from pedzoo.models.architectures.constant_velocity import ConstantVelocity

@@ -1,7 +1,6 @@
 """Two crowds of the same people against each other: every number of realism, for many resamples at once.
 
-A crowd is K rounds of P people. R resamples are weights (R, P), see `pedzoo.metrics.realism.distances`. How
-people stand, keep company and sort into lanes are two sums for every person, whose ratio is the measure.
+A crowd is K rounds of P people. R resamples are weights (R, P), see `pedzoo.metrics.realism.distances`.
 """
 
 from __future__ import annotations
@@ -45,25 +44,26 @@ MINUTES = TRACE_SECONDS / 60
 
 
 class CrowdSums(NamedTuple):
-    """Sums over the walks of P people in K rounds.
-
-    Attributes:
-        samples: Of every feature, all rounds together.
-        minutes: For how long each person was on the way (P,), all rounds together.
-        agent_contact: Minutes in contact with another person, and number of contacts that began (2, P).
-        wall_contact: Likewise a wall.
-        round: In which round each sample of speed was taken (N,) long.
-        speeds_at: Sums of speeds (P, C) by the number of others within `CLOSE`, m/s.
-        steps_at: How many steps these are (P, C).
-    """
+    """Sums over the walks of P people in K rounds."""
 
     samples: dict[str, Samples]
+    """Of every feature."""
+
     minutes: Tensor
+    """For how long each person was on the way (P,)."""
+
     agent_contact: Tensor
+    """Minutes in contact with another person, and number of contacts that began (2, P)."""
+
     wall_contact: Tensor
     round: Tensor
+    """In which round each sample of speed was taken (N,) long."""
+
     speeds_at: Tensor
+    """Sums of speeds (P, C) by the number of others within `CLOSE`, m/s."""
+
     steps_at: Tensor
+    """How many steps these are (P, C)."""
 
 
 def ratios(sums: Tensor, weights: Tensor) -> Tensor:
@@ -81,10 +81,10 @@ def crowd(
     start: Tensor,
     goal: Tensor,
 ) -> CrowdSums:
-    """Return the crowd of a rollout.
+    """Return the crowd of a rollout, episodes ``first``, ``first + 1``, ... of a replay.
 
     Args:
-        rollout: Episodes ``first``, ``first + 1``, ... of a replay.
+        rollout: The episodes.
         steps: The same every 0.4 s.
         around: The surroundings of its people.
         first: Number of the first one.
@@ -95,27 +95,21 @@ def crowd(
     people, underway = len(start), rollout.underway
     place = around.close.clamp(max=MOST_CLOSE) + (MOST_CLOSE + 1) * steps.person[steps.scored]
     speed = steps.velocity[steps.scored].norm(dim=1)
-    speeds, counts = (
+    at_density = [
         sums(place, value, people * (MOST_CLOSE + 1)).view(people, -1)
         for value in (speed, torch.ones_like(speed))
-    )
+    ]
 
     def points(when: Tensor) -> Tensor:
         return torch.bincount(rollout.person[when], minlength=people).double()
 
-    def contact(when: Tensor) -> Tensor:
-        when = when & underway
-        return torch.stack((points(when) * MINUTES, points(begins(when))))
-
-    return CrowdSums(
-        samples=features(steps, around, start, goal),
-        minutes=points(underway) * MINUTES,
-        agent_contact=contact(rollout.agent_contact),
-        wall_contact=contact(rollout.wall_contact),
-        round=(steps.scored.nonzero()[:, 0] + first) // scenes,
-        speeds_at=speeds,
-        steps_at=counts,
-    )
+    contacts = [
+        torch.stack((points(when & underway) * MINUTES, points(begins(when & underway))))
+        for when in (rollout.agent_contact, rollout.wall_contact)
+    ]
+    rounds = (steps.scored.nonzero()[:, 0] + first) // scenes
+    samples = features(steps, around, start, goal)
+    return CrowdSums(samples, points(underway) * MINUTES, *contacts, rounds, *at_density)
 
 
 def together(crowds: Sequence[CrowdSums]) -> CrowdSums:
@@ -139,18 +133,14 @@ def only(crowd: CrowdSums, seen: Tensor) -> CrowdSums:
 
 
 def spread(samples: Samples) -> float:
-    """Return the standard deviation of a feature in the real crowd, the unit of its distances.
-
-    It is NaN for fewer than two samples: a person who walks alone is near nobody.
-    """
+    """Return the standard deviation of a feature, the unit of its distances; NaN of fewer than two."""
     return float(samples.value.double().std()) if len(samples.value) > 1 else math.nan
 
 
 def distance(first: Samples, second: Samples, mine: Tensor, theirs: Tensor, exact: bool) -> Tensor:
-    """Return the Wasserstein-1 distance of a feature (R,), NaN without samples.
+    """Return the Wasserstein-1 distance of a feature (R,) for weights (R, P) and (R, Q), NaN without samples.
 
-    Weights of people are (R, P) for the first crowd, and (R, Q) for the second. ``exact``: the first weights
-    count each person once, and no grid is needed.
+    ``exact``: the first weights count each person once, and no grid is needed.
     """
     if not (len(first.value) and len(second.value)):
         return torch.full((len(mine),), torch.nan, dtype=torch.float64)
@@ -167,15 +157,12 @@ def compared(
 ) -> dict[str, Tensor]:
     """Return every number of a crowd beside the real one, of R resamples (R,) each, NaN for none.
 
-    * ``w1_speed_m_per_s``, ...: Wasserstein-1 distances. ``w1_speed``, ...: divided by the real crowd's
-      standard deviation. ``realism``: the mean of the latter over the features that both crowds have (a
-      person who never walks has no heading). Lower is better in all.
-    * ``agent_contact_share``: share of the time in contact with another person; ``agent_contacts_per_min``:
-      contacts that begin. ``agent_contact_excess``, ``agent_contact_excess_per_min``: less those of the real
-      crowd, which are not 0: friends touch, and people lean on walls. The same of ``wall_contact``.
-    * ``speed_std_m_per_s``: between people, of their mean speeds. Pooled distributions hide whether all
-      people walk at the same mixed speed.
-    * ``density_speed_rmse_m_per_s``: see `density_speed`.
+    * ``w1_speed_m_per_s``, ...: Wasserstein-1 distances; ``w1_speed``, ...: by the real crowd's standard
+      deviation; ``realism``: the mean of the latter. Lower is better.
+    * ``agent_contact_share``: of the time; ``agent_contacts_per_min``: contacts that begin. ``..._excess``:
+      less those of the real crowd, where friends touch. The same of ``wall_contact``.
+    * ``speed_std_m_per_s``: between people, of their mean speeds.
+    * ``density_speed_rmse_m_per_s``: of the curves of `density_speed`, weighted by the real crowd's steps.
     * ``acceleration_p95_m_per_s2``, ``acceleration_p99_m_per_s2``: quantiles of all samples; with ``_ratio``
       instead of the unit divided by those of the real crowd.
 
@@ -197,7 +184,7 @@ def compared(
         excess = own - theirs @ getattr(real, kind).T / (theirs @ real.minutes).unsqueeze(1)
         result[f"{kind}_share"], result[f"{kind}s_per_min"] = own.unbind(1)
         result[f"{kind}_excess"], result[f"{kind}_excess_per_min"] = excess.unbind(1)
-    result["speed_std_m_per_s"] = _between(_mean_speeds(crowd), mine)
+    result["speed_std_m_per_s"] = _speed_spread(crowd, mine)
     (speed, steps), (true, weight) = density_speed(crowd, mine), density_speed(real, theirs)
     both = (steps > 0) & (weight > 0)
     square = ((speed - true).square() * weight).where(both, 0.0).sum(1)
@@ -215,16 +202,10 @@ def compared(
 def contact_intervals(
     crowd: CrowdSums, real: CrowdSums, group: Tensor, groups: int
 ) -> dict[str, Interval | None]:
-    """Return the intervals of the numbers of contacts of `compared`, which are rare, over groups of people.
+    """Return the intervals of contacts, which are rare, as of `compared`, over groups of people.
 
-    Differences to the real crowd have none here where fewer than `FEW` people of both touch: a bootstrap
-    knows too little then. All others keep theirs.
-
-    Args:
-        crowd: The simulated one.
-        real: The recorded one.
-        group: Which group each person of the first is in (P,) long.
-        groups: How many there are.
+    Differences to the real crowd have none where fewer than `FEW` people of both touch. ``group`` (P,) long
+    is which of the ``groups`` each person of the first crowd is in.
     """
     result: dict[str, Interval | None] = {}
     for kind in ("agent_contact", "wall_contact"):
@@ -238,12 +219,9 @@ def contact_intervals(
 
 
 def density_speed(crowd: CrowdSums, weights: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the mean speed (R, C) at every density, m/s, NaN for a density without people, and the steps.
+    """Return the mean speed (R, C) at each of the `densities`, m/s, NaN without people, and the steps.
 
-    The density is that of the circle of 2 m around a person, see `densities`, with a bin for every number of
-    others in it. Real and simulated people are counted alike: people outside the camera's view lower both. In
-    the RMSE of two curves a density weighs as much as it occurs in the real crowd. Densities that only one
-    crowd has do not count. ``weights`` (R, P): how often each person counts.
+    The density is that of the circle of 2 m around a person. ``weights`` (R, P): how often each one counts.
     """
     steps = weights @ crowd.steps_at
     return weights @ crowd.speeds_at / steps, steps
@@ -254,19 +232,14 @@ def densities() -> Tensor:
     return torch.arange(1, MOST_CLOSE + 2) / (math.pi * CLOSE**2)
 
 
-def _mean_speeds(crowd: CrowdSums) -> Tensor:
-    """Return the mean speed of each person in each round (K, P), m/s, NaN where they were not scored."""
+def _speed_spread(crowd: CrowdSums, weights: Tensor) -> Tensor:
+    """Return the standard deviation between people (R,) of their mean speeds in a round, mean over rounds."""
     speed, people = crowd.samples["speed"], len(crowd.minutes)
     rounds = int(crowd.round.max()) + 1 if len(crowd.round) else 1
     place = crowd.round * people + speed.person
-    total = sums(place, speed.value, rounds * people)
-    return (total / torch.bincount(place, minlength=rounds * people)).view(rounds, people)
-
-
-def _between(value: Tensor, weights: Tensor) -> Tensor:
-    """Return the standard deviation between people (R,) of values (K, P), the mean over rounds."""
-    there = (~value.isnan()).double()
-    value = value.nan_to_num()
+    steps = torch.bincount(place, minlength=rounds * people)
+    value = (sums(place, speed.value, rounds * people) / steps).view(rounds, people)
+    there, value = (~value.isnan()).double(), value.nan_to_num()
     count = weights @ there.T
     mean = weights @ value.T / count
     variance = weights @ value.square().T / count - mean.square()
@@ -280,13 +253,7 @@ def measured(steps: SampledRollout, people: int, axis: Tensor) -> dict[str, Tens
     * ``company_share``: those with a companion, a person within 1.5 m in each of the last 8 steps (2.8 s)
       whose relative place has changed by less than 0.5 m meanwhile.
     * ``crowdes_collision``: those with a person nearer than 0.2 m.
-    * ``lane_order``: how much more often than in a mixed crowd two walkers in the same strip walk the same
-      way, see `lane_order`.
-
-    Args:
-        steps: Every 0.4 s.
-        people: P.
-        axis: Unit vector along which most people walk (2,).
+    * ``lane_order``: see `lane_order`, for the ``axis`` (2,) along which most people walk.
     """
     size = max(1, _AT_ONCE // (steps.person.shape[1] ** 2 * steps.person.shape[2]))
     some = (SampledRollout(*part) for part in zip(*(value.split(size) for value in steps), strict=True))
@@ -300,10 +267,9 @@ def added(parts: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
 
 def _measured(steps: SampledRollout, people: int, axis: Tensor) -> dict[str, Tensor]:
     """Return the measures of a few episodes E; pairs are (E, S, A, A)."""
-    scored, there = steps.scored, steps.person >= 0
-    person = steps.person[scored]
+    scored, person = steps.scored, steps.person[steps.scored]
     whole = sums(person, torch.ones(len(person)), people)
-    xy, here = steps.xy.transpose(1, 2), there.transpose(1, 2)
+    xy, here = steps.xy.transpose(1, 2), (steps.person >= 0).transpose(1, 2)
     apart = xy.unsqueeze(2) - xy.unsqueeze(3)
     pairs = here.unsqueeze(2) & here.unsqueeze(3) & ~torch.eye(here.shape[2], dtype=torch.bool)
     distance = apart.norm(dim=4).masked_fill(~pairs, torch.inf)
@@ -335,15 +301,9 @@ def _accompanied(steps: SampledRollout, apart: Tensor, distance: Tensor) -> Tens
 def lane_order(steps: SampledRollout, pairs: Tensor, axis: Tensor, people: int) -> tuple[Tensor, Tensor]:
     """Return how far walkers are sorted into lanes: 0 as in a mixed crowd, 1 if no strip has both ways.
 
-    Strips of 0.6 m lie along the axis. Of all pairs of people who walk in one strip at a moment, s walk the
-    same way; of all pairs of that moment, m do. The order is ``sum(s - m) / sum(1 - m)``. A crowd that walks
-    one way has none.
-
-    Args:
-        steps: Every 0.4 s.
-        pairs: Which two people are there at each moment (E, S, A, A) bool.
-        axis: Unit vector along which most people walk (2,).
-        people: P.
+    Strips of 0.6 m lie along the unit vector ``axis`` (2,). Of all ``pairs`` (E, S, A, A) bool who walk in
+    one strip at a moment, s walk the same way; of all pairs of that moment, m do. The order is
+    ``sum(s - m) / sum(1 - m)``. A crowd that walks one way has none.
     """
     xy, velocity = steps.xy.transpose(1, 2), steps.velocity.transpose(1, 2)
     walks = (steps.scored & (steps.velocity.norm(dim=3) > STANDS)).transpose(1, 2)

@@ -1,8 +1,7 @@
 """Distances of two crowds: of their distributions, which people resample, and of walk from walk.
 
-P people with N samples of a feature in all. Samples of one person are alike, so intervals come from drawing
-*people*, each with all of their samples: R resamples are R rows of weights (R, P), how often each person was
-drawn. Distances of all resamples at once are taken on a grid; the one that is reported is exact.
+P people with N samples of a feature in all. R resamples draw people with all of their samples: weights (R, P)
+say how often. Distances of resamples are taken on a grid; the one that is reported is exact.
 """
 
 from typing import NamedTuple
@@ -10,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 
 EDGES = 512
 """Points at which distributions are compared while they are resampled; half of them follow the samples."""
-
 
 _AT_ONCE = 4_000_000
 """Pairs of points of walks that are compared at once."""
@@ -34,9 +33,8 @@ def sums(place: Tensor, value: Tensor, size: int) -> Tensor:
 def wasserstein(first: Tensor, second: Tensor) -> Tensor:
     """Return the Wasserstein-1 distance () of two sets of values (N,) and (M,), in their unit; 0 of none.
 
-    How far a value has to be moved on average to make one set out of the other: the mean distance of the two
-    sorted, each value repeated until both are equally many. That is the area between the two inverse
-    distribution functions (Villani, "Optimal Transport", 2009, 2.18). Gradients flow through both.
+    It is the area between the two inverse distribution functions (Villani, "Optimal Transport", 2009, 2.18).
+    Gradients flow through both.
     """
     m, n = len(first), len(second)
     if not m or not n:
@@ -55,9 +53,7 @@ def wasserstein(first: Tensor, second: Tensor) -> Tensor:
 def grid(first: Tensor, second: Tensor, size: int = EDGES) -> Tensor:
     """Return edges (G,), G at most ``size``, float64, increasing, from the least value to the largest.
 
-    A quarter are evenly spaced over the range (they bound the error in tails), the others at even ranks of
-    the first (N,) and of the second values (M,). All values are edges where there are not more, which is
-    exact.
+    A quarter are evenly spaced, the others at even ranks of the values (N,), (M,). Few values are all edges.
     """
     values = torch.cat((first, second)).double().unique()
     if len(values) <= size:
@@ -79,16 +75,11 @@ def counted(samples: Samples, edges: Tensor, people: int) -> tuple[Tensor, Tenso
 
 
 def resampled(
-    first: tuple[Tensor, Tensor],
-    second: tuple[Tensor, Tensor],
-    edges: Tensor,
-    mine: Tensor,
-    theirs: Tensor,
+    first: tuple[Tensor, Tensor], second: tuple[Tensor, Tensor], edges: Tensor, mine: Tensor, theirs: Tensor
 ) -> Tensor:
-    """Return the Wasserstein-1 distance (R,) of two crowds, as `counted`, in every resample; NaN of none.
+    """Return the Wasserstein-1 distance (R,) of two crowds, as `counted`, for weights (R, P); NaN of none.
 
-    Between two edges the cumulative distributions are taken to differ evenly. The error is at most the larger
-    crowd's share between them. ``mine`` and ``theirs`` (R, P): how often each person counts.
+    Between two edges the cumulative distributions are taken to differ evenly.
     """
     until, before = (
         mine @ ours / (mine @ first[0][:, -1:]) - theirs @ real / (theirs @ second[0][:, -1:])
@@ -105,10 +96,7 @@ def halves(people: int, splits: int = 200) -> Tensor:
 
 
 def displacement(simulated: Tensor, true: Tensor, known: Tensor) -> Tensor:
-    """Return the mean distance of positions (..., S, 2) to the true ones (...), metres; NaN of none.
-
-    ``known`` (..., S) says which steps count.
-    """
+    """Return the mean distance of the ``known`` positions (..., S, 2) to the true ones (...), metres."""
     error = (simulated - true).norm(dim=-1).double()
     return error.where(known, 0.0).sum(-1) / known.sum(-1)
 
@@ -116,8 +104,7 @@ def displacement(simulated: Tensor, true: Tensor, known: Tensor) -> Tensor:
 def closed_loop_error(walk: Tensor, true: Tensor, shared: Tensor) -> Tensor:
     """Return each walk's mean distance (W,) to the recorded one at the same times, metres; NaN of none.
 
-    Nothing is ever set back to the recording: errors add up, as they do not in a forecast. Walks (W, L, 2)
-    and (W, M, 2) have ``shared`` (W,) points in common.
+    Walks (W, L, 2) and (W, M, 2) have ``shared`` (W,) points in common.
     """
     length = min(walk.shape[1], true.shape[1])
     within = torch.arange(length) < shared.unsqueeze(1)
@@ -127,12 +114,9 @@ def closed_loop_error(walk: Tensor, true: Tensor, shared: Tensor) -> Tensor:
 def padded(xy: Tensor, walk: Tensor, walks: int) -> tuple[Tensor, Tensor]:
     """Return all rows (N, D) as walks (W, L, D), zero after each one's end, and their lengths (W,)."""
     length = torch.bincount(walk, minlength=walks)
-    order = walk.argsort(stable=True)
-    first = length.cumsum(0) - length
-    place = torch.arange(len(walk)) - first[walk[order]]
-    result = xy.new_zeros(walks, int(length.max()) if walks else 0, *xy.shape[1:])
-    result[walk[order], place] = xy[order]
-    return result, length
+    if not walks:
+        return xy.new_zeros(0, 0, *xy.shape[1:]), length
+    return pad_sequence(xy[walk.argsort(stable=True)].split(length.tolist()), batch_first=True), length
 
 
 def dtw(
@@ -140,10 +124,9 @@ def dtw(
 ) -> Tensor:
     """Return the dynamic time warping distance of pairs of walks (Q,), metres; NaN where one has no points.
 
-    Points are matched in order, each at least once, so that the sum of distances is least. A match that goes
-    on in both walks counts twice: all weights add up to the number of points, by which the sum is divided.
     This is the symmetric form of Sakoe and Chiba ("Dynamic programming algorithm optimization for spoken word
-    recognition", 1978) without a window. The same path at another pace is near 0.
+    recognition", 1978) without a window: a match that goes on in both walks counts twice, and the sum is
+    divided by the number of points. The same path at another pace is near 0.
 
     Args:
         first: Walks (W, L, 2).

@@ -1,9 +1,7 @@
 """Features of steps and clips (3.2 s pieces of a walk), by which scores and losses compare crowds.
 
-Recorded people are annotated every 0.4 s, so simulated ones are sampled every 0.4 s, too: a shorter step
-would compare interpolations. E episodes of A slots, S steps, P people numbered as in ``person``. Every scored
-step of a person is one of M rows. The first step under a policy has an
-acceleration, too: from the recorded velocity.
+Recorded people are annotated every 0.4 s, so simulated ones are sampled every 0.4 s, too. E episodes of A
+slots, S steps, P people numbered as in ``person``. Every scored step of a person is one of M rows.
 """
 
 import math
@@ -78,19 +76,19 @@ class SampledRollout(NamedTuple):
 
 
 class Surroundings(NamedTuple):
-    """The others around people in M rows.
-
-    Attributes:
-        place: Places of the nearest two less one's own (M, 2, 2), metres; infinite for absent ones.
-        velocity: Their velocities less one's own (M, 2, 2), m/s; 0 for absent ones.
-        collision: Least time to a collision (M,), at most 10 s, see `collision_seconds`.
-        close: Others within `CLOSE` (M,) long.
-    """
+    """The others around people in M rows."""
 
     place: Tensor
+    """Places of the nearest two less one's own (M, 2, 2), metres; infinite for absent ones."""
+
     velocity: Tensor
+    """Their velocities less one's own (M, 2, 2), m/s; 0 for absent ones."""
+
     collision: Tensor
+    """Least time to a collision (M,), at most 10 s, see `collision_seconds`."""
+
     close: Tensor
+    """Others within `CLOSE` (M,) long."""
 
     @property
     def company(self) -> Tensor:
@@ -101,12 +99,8 @@ class Surroundings(NamedTuple):
 class Clips(NamedTuple):
     """W clips of `LENGTH` scored steps in a row of one person, by which a classifier tells crowds apart.
 
-    Positions and velocities are in the frame of a person's way: x points from where the policy took over to
-    the exit.
-
-    Attributes:
-        value: (W, LENGTH x C) float32, step after step.
-        person: Whose they are (W,) long.
+    Values are (W, LENGTH x C) float32, in the frame of a person's way: x points from where the policy took
+    over to the exit. ``person`` (W,) long is whose they are.
     """
 
     value: Tensor
@@ -130,8 +124,7 @@ def every_step(rollout: Rollout) -> SampledRollout:
 def coarse(steps: SampledRollout) -> SampledRollout:
     """Return the steps with every position averaged over three of them, so that annotation jitter is out.
 
-    A position is the mean of those before, at and after its step, of the same person. Steps next to a
-    person's first or last one have no such mean: others see them as they are, and they are not scored.
+    A person's first and last steps have no such mean: others see them as they are, and they are not scored.
     """
     person, same, xy = steps.person, torch.zeros_like(steps.known), steps.xy.clone()
     same[..., 1:-1] = steps.known[..., 1:-1] & steps.known[..., 2:]
@@ -148,12 +141,10 @@ def to_millimetres(steps: SampledRollout) -> SampledRollout:
 
 
 def _velocity(xy: Tensor) -> Tensor:
-    """Return velocities (E, A, S, 2) of positions, 0 in the first step."""
     return functional.pad(xy.diff(dim=2) / STEP_SECONDS, (0, 0, 1, 0))
 
 
 def _later(flags: Tensor, steps: int = 1) -> Tensor:
-    """Return flags (E, A, S) of the steps after the first ones, which have none."""
     return functional.pad(flags, (steps, 0))
 
 
@@ -223,12 +214,9 @@ def step_features(
     """Return the values of every feature of `FEATURES`, with gradients, and which rows have it (M,) bool.
 
     * ``speed`` and ``acceleration``, the amount of the change of velocity since the step before.
-    * ``heading_rate``, to either side, of people faster than 0.1 m/s in both steps: standing people have no
-      heading.
-    * ``nearest_distance`` to the centre of any other person, and ``time_to_collision``, at most 10 s; of
-      people who are not alone.
-    * ``lateral_deviation`` from the straight line between start and goal, positive to the left of it; of
-      people with `LINE` or more between them.
+    * ``heading_rate``, to either side, of people faster than 0.1 m/s in both steps.
+    * ``nearest_distance`` between centres, and ``time_to_collision``, at most 10 s; of people not alone.
+    * ``lateral_deviation``, to the left of the line between start and goal, if that is long enough.
 
     Args:
         now: Velocities (M, 2), m/s.
@@ -276,11 +264,7 @@ def turns(before: Tensor, now: Tensor) -> Tensor:
 def clips(steps: SampledRollout, around: Surroundings, start: Tensor, goal: Tensor) -> Clips:
     """Return the clips of people's walks; one begins with every scored step that has enough after it.
 
-    Args:
-        steps: Every 0.4 s.
-        around: The others.
-        start: Where the policy took each person over (P, 2), metres.
-        goal: Their exits (P, 2), metres.
+    ``start`` and ``goal`` (P, 2) are where the policy took each person over, and their exits, metres.
     """
     episode, slot, step = steps.scored.nonzero().unbind(1)
     person, now = steps.person[steps.scored], steps.velocity[steps.scored]

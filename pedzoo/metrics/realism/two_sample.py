@@ -4,8 +4,6 @@ Lopez-Paz and Oquab, "Revisiting classifier two-sample tests", ICLR 2017, with t
 (AUC) in place of the accuracy. 0.5: it cannot distinguish them; 1: always.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -38,7 +36,6 @@ TREES = {
 MOST = 12_000
 """Clips of either crowd that are used: larger crowds are thinned evenly."""
 
-
 _CLIPS = 16
 """Of each person, by which the nearest other is found."""
 
@@ -47,19 +44,19 @@ _SAME = 0.002
 
 
 class Verdict(NamedTuple):
-    """What the classifiers said of the W clips of both crowds, each of people whom they had not seen.
-
-    Attributes:
-        odds: Log-odds that the clip is simulated (W,).
-        simulated: Which clips are (W,) bool.
-        person: Whose they are (W,) long, in either crowd's own numbers.
-        gain: Share of each of `CHANNELS` in what the classifiers go by (C,), adds up to 1.
-    """
+    """What the classifiers said of the W clips of both crowds, each of people whom they had not seen."""
 
     odds: Tensor
+    """Log-odds that the clip is simulated (W,)."""
+
     simulated: Tensor
+    """Which clips are (W,) bool."""
+
     person: Tensor
+    """Whose they are (W,) long, in either crowd's own numbers."""
+
     gain: Tensor
+    """Share of each of `CHANNELS` in what the classifiers go by (C,), adds up to 1."""
 
     @property
     def telling(self) -> dict[str, float]:
@@ -71,12 +68,8 @@ class Verdict(NamedTuple):
 def two_sample(simulated: Clips, real: Clips, parts: Tensor, real_parts: Tensor) -> Verdict:
     """Return what classifiers say that are trained to tell two crowds apart; both crowds count the same.
 
-    Args:
-        simulated: Clips of one crowd.
-        real: Of the other.
-        parts: Part of each person of the first (P,) long, below `FOLDS`; no person is in two. People who are
-            in both crowds have to be in the same part.
-        real_parts: Of the second.
+    ``parts`` (P,) and ``real_parts`` (Q,) long, below `FOLDS`, are those of the people of each crowd: who is
+    in both has to be in the same part.
 
     Raises:
         UserError: scikit-learn is not installed.
@@ -105,15 +98,10 @@ def two_sample(simulated: Clips, real: Clips, parts: Tensor, real_parts: Tensor)
 def boosted(
     rows: np.ndarray, label: np.ndarray, weight: np.ndarray, test: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the log-odds (M,) of label 1 by boosted trees, in one thread, and features' gains (F,).
+    """Return the log-odds (M,) of label 1 of ``test`` (M, F) by boosted trees, and features' gains (F,).
 
-    Friedman, "Greedy function approximation: a gradient boosting machine", Annals of Statistics 29, 2001.
-
-    Args:
-        rows: To train on (N, F).
-        label: 0 or 1 (N,).
-        weight: How much each row counts (N,).
-        test: To judge (M, F).
+    Rows (N, F), with labels 0 or 1 and weights (N,), train them: Friedman, "Greedy function approximation: a
+    gradient boosting machine", Annals of Statistics 29, 2001.
     """
     from sklearn.ensemble import HistGradientBoostingClassifier
     from threadpoolctl import threadpool_limits
@@ -133,16 +121,9 @@ def nearest_parts(simulated: Clips, real: Clips, real_parts: Tensor, people: int
     """Return the part of each simulated person (P,): that of the recorded person whose walk is nearest.
 
     Else a copy of a recorded walk is in one part and the walk in another: classifiers learn that it is real.
-    Numbers, places, times and directions do not count. The distance of two people is the mean over the
-    clips of one of the least difference to a clip of the other, in how far apart the points of the way are.
-    Among those who are about as near decide the places of others and of the exit. No part gets more than
-    half of the people: the nearest walks come first.
-
-    Args:
-        simulated: Clips of P ``people``.
-        real: Clips of recorded people.
-        real_parts: Their parts (Q,), below `FOLDS`.
-        people: P.
+    The distance of two people is the mean over the clips of one of the least difference to a clip of the
+    other, in how far apart the points of the way are. Among those who are about as near decide the places of
+    others and of the exit. No part gets more than half of the people: the nearest walks come first.
     """
     (way, around), (true, theirs) = _shapes(simulated), _shapes(real)
     owner = real.person.expand(_CLIPS, -1)
@@ -166,10 +147,7 @@ def nearest_parts(simulated: Clips, real: Clips, real_parts: Tensor, people: int
 
 
 def _shapes(one: Clips) -> tuple[Tensor, Tensor]:
-    """Return what clips (W,) keep where a crowd is moved, turned or mirrored (W, 15) and (W, 40), metres.
-
-    Distances between the ends of each clip and its other points; the places of others and of the exit.
-    """
+    """Return distances along clips (W, 15), and of others and the exit (W, 40), metres, in whatever frame."""
     step = one.value.double().unflatten(1, (-1, len(CHANNELS)))
     place = STEP_SECONDS * step[..., :2].cumsum(1)
     ends = torch.cat((place, place[:, -1:] - place[:, :-1]), 1).norm(dim=2)
@@ -177,15 +155,9 @@ def _shapes(one: Clips) -> tuple[Tensor, Tensor]:
 
 
 def auc(verdict: Verdict, mine: Tensor, theirs: Tensor) -> Tensor:
-    """Return the area under the ROC curve (R,) of R resamples; NaN where one crowd has no clips.
+    """Return the area under the ROC curve (R,) for weights of people (R, P), (R, Q); NaN without clips.
 
-    The probability that the classifier finds a simulated clip more like simulation than a real one; ties
-    count half.
-
-    Args:
-        verdict: Of both crowds.
-        mine: How often each simulated person counts (R, P).
-        theirs: Each real one (R, Q).
+    The probability that the classifier finds a simulated clip more like simulation than a real one.
     """
     values, place = verdict.odds.unique(return_inverse=True)
     sums = []

@@ -1,7 +1,6 @@
 """Walks of people: beside recorded ones, with companions, through an opening, and by CrowdES's columns.
 
-P people, K rounds of the R scenes of a recording; E episodes, W walks: one for every person of an episode
-that the policy moves, or should have moved.
+P people, K rounds of the R scenes of a recording; W walks: one for each person and episode with a policy.
 """
 
 from __future__ import annotations
@@ -29,14 +28,7 @@ HEADWAYS = {"p5": 0.05, "p50": 0.5, "p95": 0.95}
 
 
 class ScoredSteps(NamedTuple):
-    """Scored steps of people, in the order of time for each.
-
-    Attributes:
-        round: (N,) long.
-        person: (N,) long.
-        frame: Steps of 0.4 s (N,) long, on one clock.
-        xy: (N, 2), metres.
-    """
+    """N scored steps of people, in the order of time for each: places in metres, frames of 0.4 s."""
 
     round: Tensor
     person: Tensor
@@ -55,41 +47,40 @@ class ScoredSteps(NamedTuple):
 
 
 class RecordedWalks(NamedTuple):
-    """The recorded walks of P people, from where a policy takes over.
-
-    Attributes:
-        scene: Scene of each person (P,) long, -1 for people that no policy moves.
-        seconds: Until they are within 0.3 m of their goal (P,), NaN likewise.
-        xy: Positions every 0.4 s (P, L, 2), metres.
-        points: How many (P,) long.
-    """
+    """The recorded walks of P people, from where a policy takes over."""
 
     scene: Tensor
+    """Scene of each person (P,) long, -1 for people that no policy moves."""
+
     seconds: Tensor
+    """Until they are within 0.3 m of their goal (P,), NaN likewise."""
+
     xy: Tensor
+    """Positions every 0.4 s (P, L, 2), metres."""
+
     points: Tensor
+    """How many (P,) long."""
 
 
 def tracks_of(parts: Sequence[Rollout], people: int) -> RecordedWalks:
     """Return the tracks of a recorded crowd of P ``people``, given as rollouts of scenes 0, 1, ..."""
     scene = torch.full((people,), -1)
     seconds = torch.full((people,), torch.nan, dtype=torch.float64)
-    positions, persons, before = [], [], 0
+    scored, before = [], 0
     for part in parts:
         steps = every_step(part)
         scene[part.person[part.controlled]] = part.controlled.nonzero()[:, 0] + before
         result = _seconds(part, torch.arange(people).expand(len(part.failed), people), people)
         seconds = torch.where(result.isnan(), seconds, result)
-        positions.append(steps.xy[steps.scored])
-        persons.append(steps.person[steps.scored])
+        scored.append((steps.xy[steps.scored], steps.person[steps.scored]))
         before += len(part.failed)
-    return RecordedWalks(scene, seconds, *padded(torch.cat(positions), torch.cat(persons), people))
+    return RecordedWalks(scene, seconds, *padded(*map(torch.cat, zip(*scored, strict=True)), people))
 
 
 def walks_of(
     rollout: Rollout, steps: SampledRollout, first: int, scenes: int, tracks: RecordedWalks
 ) -> dict[str, Tensor]:
-    """Return the walks of a rollout (W,); of several rollouts they can be put one after the other.
+    """Return the walks (W,) of episodes ``first``, ... of a replay; episode i is scene i modulo ``scenes``.
 
     * ``episode`` and ``person``: long.
     * ``seconds``: from when the policy took over until within 0.3 m of the goal; NaN for never, where
@@ -97,13 +88,6 @@ def walks_of(
     * ``deadlock``: whether the person was once `stuck`, see `pedzoo.metrics.arrival`.
     * ``ade``: mean distance to the recorded positions of the same times, metres; NaN without any.
     * ``dtw``: dynamic time warping distance to the recorded walk, metres; NaN likewise.
-
-    Args:
-        rollout: Episodes ``first``, ``first + 1``, ... of a replay; episode i is scene i modulo ``scenes``.
-        steps: The same every 0.4 s.
-        first: Number of the first one.
-        scenes: R.
-        tracks: The recorded walks.
     """
     scene = (first + torch.arange(len(rollout.failed))) % scenes
     episode, person = (scene.unsqueeze(1) == tracks.scene).nonzero().unbind(1)
@@ -117,15 +101,14 @@ def walks_of(
     xy, points = padded(steps.xy[steps.scored], walk, count)
     true, others = tracks.xy[person], tracks.points[person]
     seconds = _seconds(rollout, number, count)
-    ade = closed_loop_error(xy, true, torch.minimum(points, others))
-    warped = dtw(xy, points, true, others, torch.arange(count).expand(2, -1))
-    who = {"episode": episode + first, "person": person}
-    return who | {
+    return {
+        "episode": episode + first,
+        "person": person,
         "success": ~seconds.isnan(),
         "deadlock": deadlock,
         "seconds": seconds,
-        "ade": ade,
-        "dtw": warped,
+        "ade": closed_loop_error(xy, true, torch.minimum(points, others)),
+        "dtw": dtw(xy, points, true, others, torch.arange(count).expand(2, -1)),
     }
 
 
@@ -139,10 +122,7 @@ def by_person(walks: Mapping[str, Tensor], scenes: int, people: int) -> dict[str
 
 
 def of_people(tables: Mapping[str, Tensor], real_seconds: Tensor, weights: Tensor) -> dict[str, Tensor]:
-    """Return means and medians over people (R,), for weights (R, P).
-
-    ``tables`` are those of `by_person`; ``real_seconds`` (P,) is how long the recorded walks took.
-    """
+    """Return means and medians over people (R,) of `by_person`, for weights (R, P); real seconds are (P,)."""
     walks = weights @ (~tables["success"].isnan()).sum(0).double()
     result = {name: weights @ tables[name].nansum(0) / walks for name in ("success", "deadlock")}
     ratio = (tables["seconds"] / real_seconds).nanmedian(0).values
@@ -163,10 +143,7 @@ def person_errors(error: Tensor, weights: Tensor) -> dict[str, Tensor]:
 
 
 def _seconds(rollout: Rollout, number: Tensor, count: int) -> Tensor:
-    """Return the times at which people reached their goals (W,), seconds, NaN for never.
-
-    ``number`` (E, P) is the walk of each person in each episode.
-    """
+    """Return when people reached their goals (W,), s, NaN for never; ``number`` (E, P) is of their walks."""
     first = []
     for when in (rollout.controlled, rollout.controlled & (rollout.reached > 0)):
         episode, _, point = when.nonzero().unbind(1)
@@ -182,10 +159,7 @@ def person_mean(value: Tensor, weights: Tensor) -> Tensor:
 
 
 def companions(real: ScoredSteps) -> Tensor:
-    """Return the pairs of recorded people who keep company (Q, 2) long.
-
-    They are within 1.5 m of each other in at least 8 steps, and in four of five steps that they share.
-    """
+    """Return the pairs (Q, 2) long within 1.5 m in 8 steps or more, and in four of five that they share."""
     pair, near, count = meetings(real)
     both = torch.stack((near, count), 1)
     return pair[(both[:, 0] >= TOGETHER) & (both[:, 0] >= 0.8 * both[:, 1])]
@@ -214,18 +188,18 @@ def meetings(walks: ScoredSteps) -> tuple[Tensor, Tensor, Tensor]:
 def through(walks: ScoredSteps, opening: Tensor) -> dict[str, float]:
     """Return how people pass an opening, of several rounds the means; flow and headways of two and more.
 
-    * ``opening_through_share``: share of the scored people who end up on the other side: an odd number of
-      crossings. Without it flow says nothing, since it is of those who got out.
+    * ``opening_through_share``: share of the scored people who end up on the other side.
     * ``specific_flow_per_m_s``: as of rollouts, see `pedzoo.metrics.door.flow`.
     * ``opening_headway_p5_s``, ``_p50_s``, ``_p95_s``: quantiles of the times between two in a row.
 
-    Args:
-        walks: Scored steps; people who leave have to be seen behind the opening.
-        opening: Centre x and y, unit normal x and y of its wall, clear width (5,); metres.
+    The ``opening`` (5,) is like a gate in `pedzoo.metrics.door`. People have to be seen behind it.
     """
-    rounds = [_through(one, opening) for one in walks.rounds()]
+    return _over_rounds([_through(one, opening) for one in walks.rounds()])
+
+
+def _over_rounds(rounds: Sequence[Mapping[str, float]]) -> dict[str, float]:
     names = dict.fromkeys(name for one in rounds for name in one)
-    return {name: sum(one[name] for one in rounds if name in one) / len(rounds) for name in names}
+    return {name: sum(one.get(name, 0.0) for one in rounds) / len(rounds) for name in names}
 
 
 def _through(walks: ScoredSteps, opening: Tensor) -> dict[str, float]:
@@ -252,11 +226,9 @@ def columns(mine: ScoredSteps, real: ScoredSteps) -> dict[str, float]:
 
     Bae et al., "Continuous Locomotive Crowd Behavior Generation", CVPR 2025. A scene is the rectangle of the
     real crowd's places. With people of one kind its column "frequency" equals "coverage", and is left out.
-    ``crowdes_density``, ``crowdes_coverage``, ``crowdes_population``, ``crowdes_kinematics`` and
-    ``crowdes_dtw``: lower is better. ``crowdes_diversity``: higher is better.
+    Lower is better, but for ``crowdes_diversity``.
     """
-    rounds = [_columns(one, real) for one in mine.rounds()]
-    return {name: sum(one[name] for one in rounds) / len(rounds) for name in rounds[0]} if rounds else {}
+    return _over_rounds([_columns(one, real) for one in mine.rounds()])
 
 
 def _columns(mine: ScoredSteps, real: ScoredSteps) -> dict[str, float]:

@@ -5,8 +5,6 @@ lights. K rollouts of W windows of A people, S steps of 0.4 s. Values are (K, W,
 none.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 
@@ -45,7 +43,6 @@ MEASURED = tuple(name for name in WEIGHTS if name not in CONTACTS)
 Ranges = Mapping[str, tuple[float, float]]
 """Ends of the bins of each of `MEASURED`; values beyond count in the last bin."""
 
-
 LogSums = tuple[Tensor, Tensor]
 """Log likelihoods of a feature: the sum over people and steps of each window, and their number (W,)."""
 
@@ -53,12 +50,8 @@ LogSums = tuple[Tensor, Tensor]
 def step_values(steps: SampledRollout, wall: Tensor) -> dict[str, Tensor]:
     """Return the values (E, A, S) of `MEASURED` in every scored step, NaN elsewhere.
 
-    Acceleration is the change of the speed, so it has a sign, and turns are positive to the left. People
-    slower than 0.1 m/s have no heading. Of people alone there is no distance to others.
-
-    Args:
-        steps: Every 0.4 s.
-        wall: Distance to the nearest wall (E, A, S), metres; NaN without walls.
+    Acceleration is the change of the speed; turns are positive to the left, of people faster than 0.1 m/s.
+    ``wall``: distances to the nearest wall (E, A, S), metres, NaN without.
     """
     scored, known = steps.scored, steps.known
     speed = steps.velocity.norm(dim=3)
@@ -86,8 +79,8 @@ def step_values(steps: SampledRollout, wall: Tensor) -> dict[str, Tensor]:
 def measured_likelihood(simulated: Tensor, true: Tensor, ends: tuple[float, float]) -> LogSums:
     """Return how likely the true values (W, A, S) are under histograms of each person's simulated ones.
 
-    A histogram has all rollouts and steps (K, W, A, S) of one person in one window, in bins between ``ends``.
-    Fewer than `ROLLOUTS` rollouts count as if they were repeated: of a policy without noise all are equal.
+    A histogram has all rollouts and steps (K, W, A, S) of one person in one window, in bins between ``ends``,
+    and counts them as `ROLLOUTS` rollouts.
     """
     times = ROLLOUTS / len(simulated)
     bins, own = _bin(simulated, ends), _bin(true, ends)
@@ -100,10 +93,7 @@ def measured_likelihood(simulated: Tensor, true: Tensor, ends: tuple[float, floa
 
 
 def contact_likelihood(simulated: Tensor, true: Tensor, people: Tensor) -> LogSums:
-    """Return how likely it was that ``people`` (W, A) bool touched something.
-
-    They do in each rollout where ``simulated`` (K, W, A) says so, and did where ``true`` (W, A) does.
-    """
+    """Return how likely touches of ``people`` (W, A) bool were, true ones (W, A) by simulated (K, W, A)."""
     touches = simulated.double().mean(0) * ROLLOUTS + PSEUDO_COUNT
     share = touches / (ROLLOUTS + 2 * PSEUDO_COUNT)
     log = torch.where(true, share, 1 - share).log()
@@ -111,9 +101,9 @@ def contact_likelihood(simulated: Tensor, true: Tensor, people: Tensor) -> LogSu
 
 
 def composite(sums: Mapping[str, LogSums], weights: Tensor) -> dict[str, Tensor]:
-    """Return each feature's likelihood, and ``likelihood``, their weighted mean (R,), for weights (R, W).
+    """Return each feature's likelihood (R,), and ``likelihood``, their weighted mean, for weights (R, W).
 
-    The likelihood of a feature is ``exp`` of the mean of the logarithms. Features without values are out.
+    A likelihood is ``exp`` of the mean of the logarithms. Features without values are out.
     """
     values = {name: (weights @ total / (weights @ count)).exp() for name, (total, count) in sums.items()}
     share = torch.tensor([WEIGHTS[name] for name in values], dtype=torch.float64).unsqueeze(1)
@@ -124,7 +114,6 @@ def composite(sums: Mapping[str, LogSums], weights: Tensor) -> dict[str, Tensor]
 
 
 def _change(value: Tensor) -> Tensor:
-    """Return how fast values (E, A, S) change, NaN in the first step."""
     return torch.nn.functional.pad(value.diff(dim=2), (1, 0), value=math.nan) / STEP_SECONDS
 
 

@@ -34,7 +34,7 @@ API = {
     "data.datamodule.TrajectoryDataModule data.recordings data.tracks.Tracks",
     "maps": "Maps: maps.plans maps.grid.OccupancyGrid maps.formats maps.planning.planner.Planner",
     "eval": "Metrics and evaluation: metrics.arrival metrics.contacts metrics.door metrics.smoothness "
-    "metrics.displacement metrics.robots eval.suite eval.scoring.score",
+    "metrics.forecast metrics.robots eval.suite eval.scoring.score",
 }
 """Pages of the API by their names: title, and modules, classes and functions of pedzoo."""
 
