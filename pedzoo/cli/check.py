@@ -11,15 +11,10 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
-from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.paths import config_names
 from pedzoo.core.registry import MODELS, POLICIES, ROBOT_POLICIES, SCENARIOS, names_code
 from pedzoo.core.spec import name_of, split, unquoted
-from pedzoo.data.text_format import is_recording
-from pedzoo.models.zoo.store import ROBOTS as ROBOT_WEIGHTS
-from pedzoo.models.zoo.store import find, is_file, no_model, of_robots
-from pedzoo.policies.crowd_names import members, parts
 
 ROBOT_MODULES = "pedzoo.train.ppo.robots."
 """Where the classes are that train robots."""
@@ -35,7 +30,7 @@ _POLICIES = {"rollout": slice(None), "evaluate": slice(None), "score": slice(Non
 
 @cache
 def known() -> dict[str, list[str]]:
-    """Return the options of commands whose parsers are slow to make; see `tools.pages.command_options`."""
+    """Return the options of every command that pedzoo parses; `tools.pages.command_options` writes them."""
     return json.loads(Path(__file__).with_name("options.json").read_text())
 
 
@@ -51,6 +46,8 @@ def check_names(command: str, argv: list[str]) -> None:
         _check_options(command, argv)
     if command in TRAININGS and not any(word.startswith(_STARTS) for word in argv):
         raise no_model_chosen()
+    from pedzoo.data.text_format import is_recording
+
     words = list(takewhile(lambda word: not word.startswith("-"), argv))
     for name in words if command == "forecast" else []:
         check_model(name)
@@ -71,11 +68,13 @@ def check_names(command: str, argv: list[str]) -> None:
 
 def check_model(name: str, kind: str = "model", others: Sequence[str] = ()) -> None:
     """Refuse the name of a model that there is not; files are not looked for, but for checkpoints."""
+    from pedzoo.models.zoo.store import ROBOTS, find, is_file, no_model, of_robots
+
     name = name_of(name)
     if is_file(name) or _is_code(name):
         if name.endswith(".ckpt") and not Path(name).is_file():
             raise UserError(f"no checkpoint at {name!r}")
-    elif name.startswith(ROBOT_WEIGHTS) and find(name):
+    elif name.startswith(ROBOTS) and find(name):
         raise of_robots(name)
     elif name not in MODELS.names() and "://" not in name and find(name) is None:
         raise no_model(name, [*others, *known()["baselines"]], kind)
@@ -83,9 +82,12 @@ def check_model(name: str, kind: str = "model", others: Sequence[str] = ()) -> N
 
 def _check_policy(text: str, command: str = "") -> None:
     """Refuse the name of a policy, or of one of a crowd."""
+    from pedzoo.models.zoo.store import ROBOTS
+    from pedzoo.policies.crowd_names import members, parts
+
     for one in [part.policy for part in members(text)] if len(parts(text)) > 1 else [text]:
         name = name_of(one)
-        of_robot = name in ROBOT_POLICIES.names() or name.startswith(ROBOT_WEIGHTS)
+        of_robot = name in ROBOT_POLICIES.names() or name.startswith(ROBOTS)
         if not (_is_code(name) or name in POLICIES.names() or (command == "evaluate" and of_robot)):
             check_model(name, "policy", POLICIES.names())
 
@@ -113,6 +115,8 @@ def _check_options(command: str, argv: list[str]) -> None:
 
 def trained_class(argv: list[str]) -> str:
     """Return the class that a training's config names, or that of the run it resumes; '' where none does."""
+    from pedzoo.core.configs import load_config
+
     resumed = Path(given(argv, "--resume") or "", "config.yaml")
     name = resumed if given(argv, "--resume") else given(argv, "--config") or given(argv, "-c")
     model: Any = None

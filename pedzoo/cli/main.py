@@ -8,13 +8,13 @@ Exit codes: 0 done; 1 our fault (with a traceback); 2 the user's mistake (one li
 import errno
 import os
 import sys
-from importlib import import_module
 
 from pedzoo import __version__
 from pedzoo.cli.signals import EndedBySignal, exit_code, handle_signals
 from pedzoo.core.errors import NO_ROOM, UserError, lacks_memory, missing_extra
 from pedzoo.core.paths import config_names, weight_files
 from pedzoo.core.registry import (
+    COMMANDS,
     DATASETS,
     METRICS,
     MODELS,
@@ -23,10 +23,7 @@ from pedzoo.core.registry import (
     ROBOT_POLICIES,
     ROBOTS,
     SCENARIOS,
-    Registry,
 )
-
-COMMANDS = Registry("command", "pedzoo.cli.commands")
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -68,35 +65,34 @@ def _refusal(error: Exception) -> UserError | None:
 
 
 def _dispatch(argv: list[str]) -> int:
-    if not argv or argv[0] in ("-h", "--help", "help"):
+    name, *words = argv or ["--help"]
+    if name in ("-h", "--help", "help"):
         print(overview())
         return 0
-    if argv[0] in ("-V", "--version"):
+    if name in ("-V", "--version"):
         print(f"pedzoo {__version__}")
         return 0
-    name, rest = argv[0], argv[1:]
-    if (module := COMMANDS.module_of(name)) is None:
-        return COMMANDS.get(name)(rest)  # a plugin's function, or the error with the nearest name
+    if COMMANDS.module_of(name) is None:
+        return COMMANDS.get(name)(words)  # a plugin's function, or the error with the nearest name
     from pedzoo.cli.check import check_names
 
-    check_names(name, rest)
+    check_names(name, words)
     from pedzoo.cli.parsing import call
 
-    return call(import_module(module), rest)
+    return call(COMMANDS.get(name), words)
 
 
 def overview() -> str:
     """Return the text of ``pedzoo --help``: every command with an example, and what there is to use."""
-    names = COMMANDS.names()
+    names = sorted(COMMANDS.names())
     width = max(map(len, names))
     lines = ["pedzoo: train, share and evaluate learned pedestrian controllers", "", "commands:"]
     for name in names:
-        lines.append(f"  {name:<{width}}  {COMMANDS.constant(name, 'HELP') or 'plugin'}")
-        if example := COMMANDS.constant(name, "EXAMPLE"):
-            lines.append(f"  {'':<{width}}    $ {example}")
-    for title, result in (
+        lines.append(f"  {name:<{width}}  {COMMANDS.describe(name)}")
+        lines += [f"  {'':<{width}}    $ {example}" for example in COMMANDS.declared(name)]
+    for title, known in (
         ("models", MODELS.names()),
-        ("weights", list(weight_files())),
+        ("weights", weight_files()),
         ("policies (and every model)", POLICIES.names()),
         ("scenarios", SCENARIOS.names()),
         ("robots", ROBOTS.names()),
@@ -106,17 +102,13 @@ def overview() -> str:
         ("metrics", METRICS.names()),
         ("configs", config_names()),
     ):
-        lines += ["", f"{title}:", *_columns(result)]
+        rows = [""]
+        for name in known or ["none yet"]:
+            if len(rows[-1]) + len(name) + 2 > 96:
+                rows.append("")
+            rows[-1] += f"  {name}"
+        lines += ["", f"{title}:", *rows]
     return "\n".join([*lines, "", "`pedzoo COMMAND --help` lists a command's options."])
-
-
-def _columns(names: list[str], width: int = 96) -> list[str]:
-    rows = [""]
-    for name in names or ["none yet"]:
-        if len(rows[-1]) + len(name) + 2 > width:
-            rows.append("")
-        rows[-1] += f"  {name}"
-    return rows
 
 
 if __name__ == "__main__":

@@ -1,11 +1,12 @@
-"""Output that commands share: results as tables and as JSON."""
+"""What commands write and print: files whole or not at all, tables as wide as the terminal, progress."""
 
 from __future__ import annotations
 
 import json
 import os
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,18 +14,27 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.paths import CODECS, PAGES, PLOTS, REPORTS, check_ending, write_atomically
 
 if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress, TaskID
     from rich.table import Table
 
     from pedzoo.eval.results import ResultTable, SuiteColumns
-
+    from pedzoo.eval.work_units import ProgressReport
 
 _ENDINGS = {"json": REPORTS, "html": PAGES, "plot": PLOTS, "video": tuple(CODECS)}
 
+_NARROW = 120
+"""Characters: on a terminal with fewer, intervals are below their numbers."""
 
-def check_outputs(**files: str | None) -> None:
+
+def check_outputs(endings: Mapping[str, Sequence[str]] = _ENDINGS, /, **files: str | None) -> None:
     """Refuse files that cannot be written, before any work is done for them.
 
+    ``-`` stands for the terminal and passes. So does what is there and no file, as a pipe, but not for
+    pictures.
+
     Args:
+        endings: Those that the file of an option may have.
         files: Options and what was given; folders that are missing are made when the file is written.
 
     Raises:
@@ -33,25 +43,17 @@ def check_outputs(**files: str | None) -> None:
     for option, file in files.items():
         if not file or file == "-":
             continue
-        path = Path(file)
+        path, said = Path(file), f"--{option} {file}"
         if path.is_dir():
-            raise UserError(f"--{option} {file}: is a folder, expected a file")
+            raise UserError(f"{said}: is a folder, expected a file")
         above = next(folder for folder in path.absolute().parents if folder.exists())
         if not above.is_dir():
-            raise UserError(f"--{option} {file}: {str(above)!r} is a file, expected a folder")
+            raise UserError(f"{said}: {str(above)!r} is a file, expected a folder")
         if not os.access(path if path.exists() else above, os.W_OK):
-            raise UserError(f"--{option} {file}: nothing can be written there: permission denied")
-        check_output_ending(option, file, _ENDINGS.get(option, ()))
-
-
-def check_output_ending(option: str, file: str, endings: Sequence[str]) -> None:
-    """Refuse a file with another ending than these, if there are any; errors as of `check_ending`.
-
-    ``-`` for the terminal passes, and what is there and no file, as a pipe; pictures go to files alone.
-    """
-    pipe = file == "-" or (Path(file).exists() and not Path(file).is_file())
-    if endings and not (pipe and endings in (PAGES, REPORTS)):
-        check_ending(f"--{option} {file}", file, endings)
+            raise UserError(f"{said}: nothing can be written there: permission denied")
+        wanted = endings.get(option, ())
+        if wanted and not (wanted in (PAGES, REPORTS) and path.exists() and not path.is_file()):
+            check_ending(said, file, wanted)
 
 
 def write_json(file: str | Path, content: dict[str, Any]) -> None:
@@ -85,9 +87,6 @@ def write_and_print(report: dict[str, Any], file: str | None, show: Callable[[],
         report: What `write_json` takes.
         file: Where to; ``-`` for the terminal, after what is printed; None for nowhere.
         show: Prints it.
-
-    Raises:
-        UserError: The file cannot be written.
     """
     if file and file != "-":
         write_json(file, report)
@@ -96,25 +95,35 @@ def write_and_print(report: dict[str, Any], file: str | None, show: Callable[[],
         write_json(file, report)
 
 
+def plain_console(stderr: bool = False, width: int = 120) -> Console:
+    """Return a console that prints every text as it is, ``width`` characters wide without a terminal.
+
+    Rich would read brackets as styles and ``:door:`` as a picture: names, paths and settings have both.
+    """
+    from rich.console import Console
+
+    console = Console(stderr=stderr, markup=False, emoji=False, highlight=False)
+    if not console.is_terminal:
+        console.width = width
+    return console
+
+
 def print_report(report: dict[str, Any], only: Sequence[str] | None = None) -> None:
     """Print the rows of a report, with the metrics ``only``, in tables as wide as the terminal."""
-    from pedzoo.cli.progress import plain_console
     from pedzoo.eval.results import ResultTable
 
     known = dict.fromkeys(name for row in report["rows"] for name in row["metrics"])
     metrics, body = [name for name in only or known if name in known], []
     for row in report["rows"]:
         note = ", ".join(map(str, row["case"].values()))
-        label = f"{row['name']} ({note})" if note else row["name"]
         values = [f"{row['metrics'][name]:.3f}" if name in row["metrics"] else "-" for name in metrics]
-        body.append([label, str(row["n"]), *values])
+        body.append([f"{row['name']} ({note})" if note else row["name"], str(row["n"]), *values])
     plain_console().print(", ".join(f"{key} {value}" for key, value in report["protocol"].items()))
     print_tables([ResultTable("", ["name", "n", *metrics], body, 2)])
 
 
 def print_pages(report: dict[str, Any], shown: Mapping[str, SuiteColumns]) -> None:
     """Print the tables of an evaluation under its protocol, as `print_tables` does."""
-    from pedzoo.cli.progress import plain_console
     from pedzoo.eval.results import pages, protocol_line
 
     for line in [protocol_line(report, shown), *(f"note: {note}" for note in report["notes"])]:
@@ -127,8 +136,6 @@ def print_tables(pages: Iterable[ResultTable]) -> None:
 
     Where the terminal is narrow an interval is written below its number.
     """
-    from pedzoo.cli.progress import plain_console
-
     console = plain_console()
     for page in pages:
         if page.title:
@@ -140,10 +147,6 @@ def print_tables(pages: Iterable[ResultTable]) -> None:
         ]
         for table in min(layouts, key=len):
             console.print(table)
-
-
-_NARROW = 120
-"""Characters: on a terminal with fewer, intervals are below their numbers."""
 
 
 def _tables(page: ResultTable, width: int, least: int) -> list[Table]:
@@ -189,3 +192,55 @@ def _broken(name: str, width: int) -> str:
             lines.append("")
         lines[-1] += f"{part}_"
     return "\n".join(lines)[:-1]
+
+
+@contextmanager
+def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
+    """Yield a function ``(name, done, total)`` that draws one bar per name while the block runs."""
+    tasks: dict[str, TaskID] = {}
+    with _bars("text", None, "percent", "left") as bars:
+
+        def update(name: str, done: int, total: int) -> None:
+            if name not in tasks:
+                tasks[name] = bars.add_task(name)
+            bars.update(tasks[name], completed=done, total=total)
+
+        yield update
+
+
+@contextmanager
+def overall_bar() -> Iterator[Callable[[ProgressReport], None]]:
+    """Yield a function that draws one bar for a whole evaluation; without a terminal, a line per part."""
+    with _bars("percent", 30, "text") as bars:
+        task = bars.add_task("", total=1.0)
+
+        def update(step: ProgressReport) -> None:
+            left = "" if step.left is None else f", {duration(step.left)} left"
+            parts = f"{step.units}/{step.total}{left}"
+            bars.update(task, completed=step.done, description=f"{parts}  {step.label}")
+            if not bars.console.is_terminal and step.seconds is not None:
+                bars.console.print(f"{parts}  {step.label} ({duration(step.seconds)})", soft_wrap=True)
+
+        yield update
+
+
+def _bars(*columns: str | int | None) -> Progress:
+    """Return bars on a terminal; a column is a bar's width, or what is written."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = plain_console(stderr=True)
+    written = {
+        "text": TextColumn("{task.description}", markup=False),  # it has names in it
+        "percent": TextColumn("{task.percentage:>3.0f} %"),
+        "left": TimeRemainingColumn(),
+    }
+    shown = [written[one] if isinstance(one, str) else BarColumn(one or 40) for one in columns]
+    return Progress(*shown, console=console, transient=True, disable=not console.is_terminal)
+
+
+def duration(seconds: float) -> str:
+    """Return seconds as people say them."""
+    if seconds < 60:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"

@@ -11,8 +11,7 @@ from collections.abc import Callable, Iterable
 from difflib import get_close_matches
 from itertools import takewhile
 from pydoc import locate
-from types import ModuleType
-from typing import Any, get_args, get_origin
+from typing import Any, TypeVar, get_args, get_origin
 
 from docstring_parser import parse_from_object
 from jsonargparse import ArgumentParser, Namespace
@@ -21,7 +20,10 @@ from pedzoo.cli.check import no_model_chosen, shipped_configs, split_names, unkn
 from pedzoo.core.adapters import option_types
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import find_config
+from pedzoo.core.registry import COMMANDS
 from pedzoo.core.spec import groups_by_setting, split
+
+Function = TypeVar("Function", bound=Callable[..., int])
 
 PARSER_SETTINGS: dict[str, Any] = {"exit_on_error": False, "allow_abbrev": False}
 """For every parser used with `parse`: errors are raised, and ``--trainer.max_epoch`` is a misspelling."""
@@ -31,42 +33,46 @@ _TRUTH = ("true", "false", "yes", "no", "on", "off")
 _POSITIONAL = inspect.Parameter.POSITIONAL_ONLY
 
 
-def call(command: ModuleType, argv: list[str]) -> int:
-    """Run a command's ``run`` with a command line, and return its exit code.
+def command(example: str) -> Callable[[Function], Function]:
+    """Declare a function in `pedzoo.cli.commands` as the command of its name; it returns the exit code.
 
-    ``run(argv)`` parses the words itself. Of any other one the options are its arguments, with the texts of
-    its docstring: positional-only arguments are words, ``data_root`` is ``--data.root``, a list has commas
-    between its values, a tuple spaces. A further argument ``argv`` gets the words as they were typed.
+    A function of ``argv`` parses the words itself. Of any other one the options are the arguments, with the
+    texts of its docstring: positional-only arguments are words, ``data_root`` is ``--data.root``, a list has
+    commas between its values, a tuple spaces. A further argument ``argv`` gets the words as they were typed.
+    The first line of the docstring and the ``example``, both literals, are read without an import.
     """
-    arguments = inspect.signature(command.run, eval_str=True).parameters
+    return lambda function: function
+
+
+def call(function: Callable[..., int], argv: list[str]) -> int:
+    """Run the function of a command with a command line, and return its exit code."""
+    arguments = inspect.signature(function, eval_str=True).parameters
     if next(iter(arguments), "") == "argv":
-        return command.run(argv)
-    options = parse(parser_of(command), argv)
+        return function(argv)
+    options = parse(parser_of(function), argv)
     words = [options[name] for name, one in arguments.items() if one.kind is _POSITIONAL]
     settings = {name: options[_option(name)] for name in list(arguments)[len(words) :] if name != "argv"}
     if "argv" in arguments:
         settings["argv"] = argv
-    return command.run(*words, **settings)
+    return function(*words, **settings)
 
 
-def parser_of(command: ModuleType, function: Callable[..., Any] | None = None) -> ArgumentParser:
-    """Return the parser of a command's file; its options are the arguments of ``run``, or of ``function``."""
-    takes: Callable[..., Any] = function or command.run
-    name = command.__name__.rpartition(".")[2]
+def parser_of(function: Callable[..., Any]) -> ArgumentParser:
+    """Return a parser whose options are the arguments of a function, for the command of its name."""
+    name = function.__name__.lstrip("_")
     parser = ArgumentParser(
         prog=f"pedzoo {name}",
-        usage=f"%(prog)s %s[options]\nexample: {command.EXAMPLE}",
-        description=command.HELP,
+        usage="",
+        description=COMMANDS.describe(name),
         **PARSER_SETTINGS,
     )
-    about = {one.arg_name: one.description for one in parse_from_object(takes).params}
+    about = {one.arg_name: one.description for one in parse_from_object(function).params}
     words = ""
-    for item in inspect.signature(takes, eval_str=True).parameters.values():
-        kind = item.annotation
-        settings: dict[str, Any] = {"help": about.get(item.name)}
+    for item in inspect.signature(function, eval_str=True).parameters.values():
+        kind, required = item.annotation, item.default is item.empty
         if item.name == "argv" or item.kind is item.VAR_KEYWORD:
             continue
-        required = item.default is item.empty
+        settings: dict[str, Any] = {"help": about.get(item.name)}
         if item.kind is _POSITIONAL:
             several = get_origin(kind) is list
             settings |= {"nargs": "+" if required else "*"} if several else {} if required else {"nargs": "?"}
@@ -82,7 +88,7 @@ def parser_of(command: ModuleType, function: Callable[..., Any] | None = None) -
         if not required:
             settings["default"] = list(item.default) if item.default == () else item.default
         parser.add_argument(*names, type=kind, **settings)
-    parser.usage = str(parser.usage).replace("%s", words, 1)
+    parser.usage = f"%(prog)s {words}[options]\nexample: {COMMANDS.declared(name)[0]}"
     return parser
 
 
@@ -131,19 +137,10 @@ def _unrecognized(found: re.Match[str], path: str, options: list[str], known: li
     return unknown_option(given, known) if given.startswith("-") else f"unexpected argument {given!r}"
 
 
-def _no_option(found: re.Match[str], path: str, options: list[str], known: list[str]) -> str:
-    return unknown_option(_below(path, found[1]), options or known)
-
-
-def _no_subtype(found: re.Match[str], path: str, *_: object) -> str:
-    value = re.search(r"Given value: (.*)", found.string)
+def _mismatch(found: re.Match[str], path: str, *_: object) -> str:
     expected = " or ".join(_plain(part.strip()) for part in split(found[1]))
-    return _mismatch(path, expected, value[1] if value else "?")
-
-
-def _mismatch(option: str, expected: str, given: str) -> str:
-    near = get_close_matches(given, re.findall(r"'([^']*)'", expected), n=1)
-    return f"{option}: expected {expected}, not {given!r}" + (f": did you mean {near[0]!r}?" if near else "")
+    near = get_close_matches(found[2], re.findall(r"'([^']*)'", expected), n=1)
+    return f"{path}: expected {expected}, not {found[2]!r}" + (f": did you mean {near[0]!r}?" if near else "")
 
 
 def _plain(name: str) -> str:
@@ -168,11 +165,11 @@ _MESSAGES: tuple[tuple[str, str | Callable[..., str]], ...] = (
         r"Group '([^']*)' does not accept option '([^']*)'",
         lambda found, _, __, known: unknown_option("--" + ".".join(filter(None, found.groups())), known),
     ),
-    (r"Option '([^']*)' is not accepted", _no_option),
     (
-        r"Expected an? (.+?)\. Got value: (.*)",
-        lambda found, path, *_: _mismatch(path, _plain(found[1]), found[2]),
+        r"Option '([^']*)' is not accepted",
+        lambda found, path, options, known: unknown_option(_below(path, found[1]), options or known),
     ),
+    (r"Expected an? (.+?)\. Got value: (.*)", _mismatch),
     (
         r"Expected a dot import path string: (.*)",
         "{path}: no class {0!r}; PACKAGE.CLASS names any, and {path}.help CLASS explains one",
@@ -182,7 +179,7 @@ _MESSAGES: tuple[tuple[str, str | Callable[..., str]], ...] = (
         "{path} {0} needs {1}, too: start from --config NAME ({configs})",
     ),
     (rf"{_CLASS}(.*)", "{path} {0}: {1}"),
-    (r"Subtypes: \[(.*)\]", _no_subtype),
+    (r"Subtypes: \[(.*)\](?:.|\n)*Given value: (.*)", _mismatch),
 )
 """What jsonargparse says and what we say: a text, or a function of match, option, options there and all."""
 

@@ -19,9 +19,8 @@ from lightning.pytorch.callbacks import Callback
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 
 from pedzoo.cli.check import ROBOT_MODULES, trained_class
-from pedzoo.cli.output import check_outputs, write_json
+from pedzoo.cli.output import check_outputs, duration, write_json
 from pedzoo.cli.parsing import parse
-from pedzoo.cli.progress import duration
 from pedzoo.cli.starting import (
     Command,
     ConfigParser,
@@ -34,7 +33,7 @@ from pedzoo.cli.starting import (
 )
 from pedzoo.core.errors import NO_ROOM, UserError, at_least_one
 from pedzoo.core.machine import versions
-from pedzoo.core.registry import file_path, import_path, names_code
+from pedzoo.core.registry import COMMANDS, file_path, import_path, names_code
 from pedzoo.core.spec import setting_groups, with_settings
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.data.recordings import find_fold
@@ -59,7 +58,7 @@ _ROBOT_PLACE = ("scenarios", "people", "robot", "decision_dt")
 """Settings of a robot's training that its card has: where it was trained, among whom, and in which body."""
 
 
-def train(command: Command, argv: list[str], about: str, example: str) -> int:
+def train(command: Command, argv: list[str]) -> int:
     """Run one of the three commands and return the exit code."""
     for name in ("lightning.pytorch", "lightning.fabric"):
         logging.getLogger(name).setLevel(logging.WARNING)  # seeds, devices, tips
@@ -67,7 +66,7 @@ def train(command: Command, argv: list[str], about: str, example: str) -> int:
         for message in _EXPECTED:
             warnings.filterwarnings("ignore", f".*{message}")
         try:
-            cli = TrainingCLI(command, argv, about, example)
+            cli = TrainingCLI(command, argv)
             return cli.fit() if command == "fit" else cli.measure()
         except SystemExit as error:
             if isinstance(stop := error.__context__, KeyboardInterrupt):  # Lightning makes exit code 1 of it
@@ -90,7 +89,7 @@ class TrainingCLI(LightningCLI):
         run: The folder that the trainer writes into; None where there is none, or none yet.
     """
 
-    def __init__(self, command: Command, typed: list[str], about: str = "", example: str = "") -> None:
+    def __init__(self, command: Command, typed: list[str]) -> None:
         """Parse the command line as it was ``typed``, and build trainer, model and data."""
         self.robots = command == "fit" and trained_class(typed).startswith(ROBOT_MODULES)
         self.kinds: list[type] = [ForecastModule, TrajectoryDataModule]
@@ -116,8 +115,8 @@ class TrainingCLI(LightningCLI):
             trainer_defaults={"logger": None, "enable_model_summary": False},
             parser_kwargs={
                 "prog": f"pedzoo {command}",
-                "usage": f"pedzoo {command} {usage} [...]\nexample: {example}",
-                "description": about,
+                "usage": f"pedzoo {command} {usage} [...]\nexample: {COMMANDS.declared(command)[0]}",
+                "description": COMMANDS.describe(command),
             },
         )
 

@@ -5,7 +5,6 @@ A test fails where one is used elsewhere. Versions of these libraries are pinned
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -23,6 +22,8 @@ if TYPE_CHECKING:
 @contextmanager
 def pieces_as_they_come() -> Iterator[None]:
     """Let huggingface_hub write what it downloads at once, and quietly. Else 10 MB are waited for."""
+    import logging
+
     from huggingface_hub import constants
 
     logging.getLogger("huggingface_hub.file_download").setLevel(logging.ERROR)  # each new try

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable
 from difflib import get_close_matches
 from functools import cache, wraps
 from importlib.util import find_spec
-from inspect import Parameter, signature
 from operator import index
 from typing import Any, TypeVar, cast
 
@@ -51,6 +50,7 @@ def unknown(kind: str, given: str, known: Iterable[str]) -> UserError:
 
 def known_arguments(*further: Callable[..., Any]) -> Callable[[Function], Function]:
     """Let a function refuse keyword arguments that neither it has nor, optional, the ``further`` ones."""
+    from inspect import Parameter, signature
 
     def checked(function: Function) -> Function:
         own, *others = (signature(part).parameters.values() for part in (function, *further))

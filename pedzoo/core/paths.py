@@ -4,7 +4,6 @@ import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from secrets import token_hex
 
 from pedzoo.core.errors import UserError, unknown
 
@@ -107,7 +106,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
     of one. A missing folder is made.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.stem}.{token_hex(4)}.part{path.suffix}")
+    part = path.with_name(f".{path.stem}.{os.urandom(4).hex()}.part{path.suffix}")
     try:
         part.touch(exist_ok=False)  # no link of others, who cannot know its name beforehand
         yield part

@@ -9,17 +9,14 @@ entry point in the group ``pedzoo.plugins`` named ``<kind>.<name>``.
 
 import ast
 import importlib
-import importlib.util
-import inspect
 import os
 import re
 import sys
 from collections.abc import Callable
 from fnmatch import fnmatch
 from functools import cache
-from importlib.metadata import entry_points
 from pathlib import Path
-from types import ModuleType
+from types import FunctionType, ModuleType
 from typing import Any
 from zlib import crc32
 
@@ -27,6 +24,8 @@ from pedzoo.core.errors import UserError, unknown
 
 _OF_FILES = "pedzoo_user_"
 """The prefix of module names of users' files."""
+
+_PLUGINS = "pedzoo.plugins"
 
 ROOT = Path(__file__).parents[2]
 """The checkout, or where the wheel is installed."""
@@ -81,14 +80,16 @@ class Registry:
         else:
             node, wanted = self._node(name), name.replace("_", "")
         body = node.body if node else []
-        classes = (one for one in body if isinstance(one, ast.ClassDef))
-        for part in (body, *(one.body for one in classes if one.name.lower() == wanted.lower())):
-            if value := _assigned(part, variable):
+        inside = [
+            one.body for one in body if isinstance(one, ast.ClassDef) and one.name.lower() == wanted.lower()
+        ]
+        for one in [statement for part in (body, *inside) for statement in part]:
+            targets = getattr(one, "targets", None) or [getattr(one, "target", None)]
+            if isinstance(one, ast.Assign | ast.AnnAssign) and variable in map(ast.unparse, targets):
                 try:
-                    return ast.literal_eval(value)
+                    return ast.literal_eval(one.value or "None")
                 except ValueError as error:
-                    what = f"{self.kind} {name}: {variable}"
-                    raise UserError(f"{what} is no literal: write it out") from error
+                    raise UserError(f"{self.kind} {name}: {variable} is no literal: write it out") from error
         return None
 
     def get(self, name: str, base: type = object) -> type:
@@ -98,7 +99,7 @@ class Registry:
             UserError: No such name, file or class, with the nearest spelling; or no subclass of ``base``.
         """
         if names_code(name) or name.endswith(".py"):
-            found = _in_file(name, "class", inspect.isclass)
+            found = _in_file(name, type)
         elif not (found := self._loaded(name)):
             raise UserError(
                 f"{self.kind} file {name}.py has no class named like it (any capitals): "
@@ -122,7 +123,8 @@ class Registry:
         return self._find(vars(import_of_checkout(home)), name)
 
     def _find(self, inside: dict[str, Any], name: str) -> Any:
-        wanted, classes = name.replace("_", ""), filter(lambda one: isinstance(one[1], type), inside.items())
+        wanted = name.replace("_", "")
+        classes = (one for one in inside.items() if isinstance(one[1], type))
         return next((value for attribute, value in classes if attribute.lower() == wanted), None)
 
     def _homes(self) -> dict[str, str]:
@@ -156,14 +158,22 @@ class FunctionRegistry(Registry):
         """Return the function behind a name, a plugin or ``path/to/file.py:function``; errors as there."""
         return function_in_file(name) if names_code(name) or name.endswith(".py") else self._loaded(name)
 
+    def declared(self, name: str) -> list[Any]:
+        """Return the literals that the decorator of a function is given; none of plugins."""
+        call = self._functions().get(name, (None, None, None))[2]
+        return [ast.literal_eval(one) for one in call.args] if call else []
+
     def _find(self, inside: dict[str, Any], name: str) -> Any:
         return inside[name]
 
+    def _functions(self) -> dict[str, tuple[str, ast.FunctionDef, ast.Call]]:
+        return _decorated(self.package, self.kind)
+
     def _homes(self) -> dict[str, str]:
-        return {name: home for name, (home, _) in _functions(self.package, self.kind).items()}
+        return {name: home for name, (home, *_) in self._functions().items()}
 
     def _node(self, name: str) -> ast.FunctionDef | None:
-        return _functions(self.package, self.kind).get(name, (None, None))[1]
+        return self._functions().get(name, (None, None))[1]
 
 
 def name_of_class(name: str) -> str:
@@ -180,15 +190,16 @@ def _public_classes(module: str) -> dict[str, ast.ClassDef]:
 
 
 @cache
-def _functions(package: str, decorator: str) -> dict[str, tuple[str, ast.FunctionDef]]:
-    """Return the module and the definition of every function that a decorator declares, by name."""
+def _decorated(package: str, decorator: str) -> dict[str, tuple[str, ast.FunctionDef, ast.Call]]:
+    """Return module, definition and decorator of every function that a decorator declares, by name."""
     return {
-        node.name: (f"{package}.{path.stem}", node)
+        node.name: (f"{package}.{path.stem}", node, call)
         for path in sorted(folder_of(package).glob("[!_]*.py"))
         if f"@{decorator}(" in path.read_text()
         for node in _parsed(f"{package}.{path.stem}").body
         if isinstance(node, ast.FunctionDef)
-        and any(ast.unparse(one).startswith(f"{decorator}(") for one in node.decorator_list)
+        for call in node.decorator_list
+        if isinstance(call, ast.Call) and ast.unparse(call.func) == decorator
     }
 
 
@@ -204,36 +215,21 @@ def import_of_checkout(module: str) -> ModuleType:
     return importlib.import_module(module)
 
 
-def run_tool(command: str, package: str, argv: list[str]) -> int:
-    """Run a command whose code is in a package of ``tools/`` in a checkout; returns the exit code.
-
-    Raises:
-        UserError: This pedzoo was installed from a wheel.
-    """
-    if not (folder_of(package) / "command.py").is_file():
-        raise UserError(
-            f"{command}: needs a checkout of pedzoo's repository, and {ROOT} is none: "
-            f"git clone the repository, run tools/setup in it, then .venv/bin/pedzoo {command}"
-        )
-    return import_of_checkout(f"{package}.command").run(argv)
-
-
-def _assigned(body: list[ast.stmt], variable: str) -> ast.expr | None:
-    for node in body:
-        if isinstance(node, ast.Assign | ast.AnnAssign):
-            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
-            if any(isinstance(target, ast.Name) and target.id == variable for target in targets):
-                return node.value
-    return None
-
-
+@cache
 def _parsed(module: str) -> ast.Module:
     return ast.parse(folder_of(module).with_suffix(".py").read_text())
 
 
-@cache  # reading the metadata of everything installed takes 30 ms
+@cache
 def _entry_points() -> list[Any]:
-    return list(entry_points(group="pedzoo.plugins"))
+    """Return the plugins; `importlib.metadata` takes 50 ms, and is asked only where a package has some."""
+    for folder in dict.fromkeys(path or "." for path in sys.path):
+        files = Path(folder).glob("*-info/entry_points.txt")
+        if os.path.isfile(folder) or any(_PLUGINS.encode() in file.read_bytes() for file in files):
+            from importlib.metadata import entry_points
+
+            return list(entry_points(group=_PLUGINS))
+    return []
 
 
 def function_in_file(spec: str) -> Callable[..., Any]:
@@ -242,12 +238,12 @@ def function_in_file(spec: str) -> Callable[..., Any]:
     Raises:
         UserError: No such file or function.
     """
-    return _in_file(spec, "function", inspect.isfunction)
+    return _in_file(spec, FunctionType)
 
 
 def import_path(spec: str) -> str:
     """Return the import path of a class behind ``path/to/file.py:Class``; jsonargparse takes no other."""
-    cls = _in_file(spec, "class", inspect.isclass)
+    cls = _in_file(spec, type)
     return f"{cls.__module__}.{cls.__qualname__}"
 
 
@@ -263,13 +259,14 @@ def absolute_name(text: str) -> str:
     return f"{file_of_code(f'{file}.py') or f'{file}.py'}:{name}" if code else text
 
 
-def _in_file(spec: str, kind: str, wanted: Callable[[Any], bool]) -> Any:
-    """Return what ``path/to/file.py:name`` defines, of the ``wanted`` kind: a class or a function."""
+def _in_file(spec: str, wanted: type) -> Any:
+    """Return what ``path/to/file.py:name`` defines: a class for ``type``, or a function."""
+    kind = "class" if wanted is type else "function"
     file, _, name = spec.rpartition(":") if names_code(spec) else (spec, "", "")
     if (path := file_of_code(file)) is None:
         raise UserError(f"no file {file!r:.200} (from {spec!r:.200}): expected path/to/file.py:NAME")
     inside = _executed(path)
-    known = {key: value for key, value in inside.items() if wanted(value)}
+    known = {key: value for key, value in inside.items() if isinstance(value, wanted)}
     own = [key for key, value in known.items() if value.__module__ == inside["__name__"] and key[0] != "_"]
     if not name:
         such = " or ".join(f"{file}:{one}" for one in own[:5])
@@ -291,12 +288,13 @@ def file_of_code(path: str | Path) -> Path | None:
 
 @cache
 def _executed(path: Path) -> dict[str, Any]:
-    module_name = f"{_OF_FILES}{path.stem}_{crc32(str(path).encode())}"  # two files may share a name
-    module_spec = importlib.util.spec_from_file_location(module_name, path)
-    assert module_spec and module_spec.loader
-    module = importlib.util.module_from_spec(module_spec)
-    sys.modules[module_name] = module
-    module_spec.loader.exec_module(module)
+    from importlib.util import module_from_spec, spec_from_file_location
+
+    name = f"{_OF_FILES}{path.stem}_{crc32(str(path).encode())}"  # two files may share a name
+    spec = spec_from_file_location(name, path)
+    assert spec and spec.loader
+    sys.modules[name] = module = module_from_spec(spec)
+    spec.loader.exec_module(module)
     return vars(module)
 
 
@@ -311,6 +309,7 @@ SENSORS = Registry("sensor", "pedzoo.sim.robots.sensors")
 ROBOT_REWARDS = Registry("robot reward", "pedzoo.sim.robots.rewards")
 ROBOT_POLICIES = Registry("robot policy", "pedzoo.policies.robots", "pedzoo.policies.robots.baselines")
 METRICS = FunctionRegistry("metric", "pedzoo.metrics")
+COMMANDS = FunctionRegistry("command", "pedzoo.cli.commands")
 
 
 def datasets_of_folds() -> dict[str, str]:

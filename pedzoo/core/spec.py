@@ -15,7 +15,6 @@ from typing import Any, NamedTuple, get_args, get_type_hints
 
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.registry import Registry
-from pedzoo.core.size_limits import check_yaml
 
 _ADDRESS = re.compile(r"(hf|https?|file)://[^/:]*(:\d+(?=/))?[^:]*")
 """An address on the net: the colons of its scheme and its port are its own."""
@@ -128,6 +127,8 @@ def build(registry: Registry, what: str | Spec | SpecText, base: type, **given: 
 
 def make(cls: type, kind: str, spec: Spec | SpecText, **given: Any) -> Any:
     """Return ``cls`` built from the settings of ``spec`` and from ``given`` values; errors as in `build`."""
+    from pedzoo.core.size_limits import check_yaml  # imports YAML
+
     name, settings = spec
     if any("*" in (text := str(value)) or len(text) > _SHORT for value in settings.values()):
         check_yaml(dict(settings))

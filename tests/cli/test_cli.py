@@ -17,11 +17,12 @@ import torch
 from jsonargparse import ArgumentParser
 
 import pedzoo
-from pedzoo.cli.main import COMMANDS, main
+from pedzoo.cli.main import main
 from pedzoo.cli.output import write_json
 from pedzoo.cli.parsing import PARSER_SETTINGS, parse
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import config_names
+from pedzoo.core.registry import COMMANDS
 from pedzoo.models.zoo.card import read_config
 
 ROOT = Path(pedzoo.__file__).parents[1]
@@ -201,7 +202,7 @@ def fails(monkeypatch, error: BaseException) -> None:
     def run(argv):
         raise error
 
-    monkeypatch.setattr("pedzoo.cli.commands.models.run", run)
+    monkeypatch.setattr("pedzoo.cli.commands.lists.models", run)
 
 
 @pytest.mark.parametrize(
@@ -239,7 +240,7 @@ def test_what_the_machine_lacks_is_one_line(error, said, monkeypatch, capsys):
 
 def test_real_lacks_of_memory_and_room_are_told(monkeypatch, capsys, tmp_path):
     for make in (torch.zeros, np.zeros, bytearray):
-        monkeypatch.setattr("pedzoo.cli.commands.models.run", lambda argv, make=make: make(2**58))
+        monkeypatch.setattr("pedzoo.cli.commands.lists.models", lambda argv, make=make: make(2**58))
         assert refused(capsys, "models").startswith("pedzoo: not enough memory (")
     if sys.platform == "linux":  # a limit of the shell's, in a process of its own
         code = "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "

@@ -11,10 +11,9 @@ import pytest
 from rich.console import Console
 
 import pedzoo
-from pedzoo.cli import output, progress
+from pedzoo.cli import output
 from pedzoo.cli.main import main
-from pedzoo.cli.output import check_outputs, print_report, print_tables, write_and_print
-from pedzoo.cli.progress import plain_console
+from pedzoo.cli.output import check_outputs, plain_console, print_report, print_tables, write_and_print
 from pedzoo.core.errors import UserError
 from pedzoo.eval.results import ResultTable
 from pedzoo.eval.work_units import ProgressReport
@@ -51,10 +50,10 @@ def test_bars_show_text_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
         console = plain_console()
         return Console(file=screen, force_terminal=True, width=150, markup=console._markup, emoji=False)
 
-    monkeypatch.setattr(progress, "plain_console", terminal)
-    with progress.progress_bar() as update:
+    monkeypatch.setattr(output, "plain_console", terminal)
+    with output.progress_bar() as update:
         update(ODD, 1, 2)
-    with progress.overall_bar() as tell:
+    with output.overall_bar() as tell:
         tell(ProgressReport(f"goals {ODD}", 0.5, 1, 2, None, None))
     assert screen.getvalue().count(ODD) >= 2
 
@@ -62,10 +61,13 @@ def test_bars_show_text_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("words", "printer"),
     [
-        (["rollout", "go_to_goal", *WALK], "print_report"),
-        (["evaluate", "go_to_goal", "--suite", "door", *WALK[2:]], "print_pages"),
-        (["forecast", "constant_velocity", "--data.fold", "embedded", "--samples", "1"], "print_report"),
-        (["models", "sgan_goal.zara1"], "print_tables"),
+        (["rollout", "go_to_goal", *WALK], "walk.print_report"),
+        (["evaluate", "go_to_goal", "--suite", "door", *WALK[2:]], "evaluate.print_pages"),
+        (
+            ["forecast", "constant_velocity", "--data.fold", "embedded", "--samples", "1"],
+            "forecast.print_report",
+        ),
+        (["models", "sgan_goal.zara1"], "lists.print_tables"),
     ],
 )
 def test_results_are_written_before_they_are_printed(
@@ -74,7 +76,7 @@ def test_results_are_written_before_they_are_printed(
     def dies(*_: Any) -> None:
         raise BufferError
 
-    monkeypatch.setattr(f"pedzoo.cli.commands.{words[0]}.{printer}", dies)
+    monkeypatch.setattr(f"pedzoo.cli.commands.{printer}", dies)
     file = tmp_path / "report.json"
     more = ["--markdown", str(tmp_path / "page.md")] if words[0] == "evaluate" else []
     with pytest.raises(BufferError):

@@ -63,7 +63,7 @@ LESS = {
 }
 """Options by which commands take less time."""
 
-DEMO = [*demo.steps(), demo.compared(TUNED), demo.reported("demo")]
+DEMO = [*demo.steps(), *demo.last_steps(TUNED)]
 ELSEWHERE = [shlex.split(command) for _, command in DEMO]
 """Commands that other tests run: here those of tests/cli/test_demo.py."""
 ELSEWHERE += [

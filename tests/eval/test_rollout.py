@@ -176,7 +176,7 @@ def test_interrupted_command_prints_what_is_over(
         if name == "go_to_goal:dt=0.2" and done == 2:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr("pedzoo.cli.progress.progress_bar", lambda: nullcontext(interrupt))
+    monkeypatch.setattr("pedzoo.cli.commands.walk.progress_bar", lambda: nullcontext(interrupt))
     monkeypatch.setattr(Compiled, "scenes_at_once", 1)
     file = tmp_path / "out.json"
     words = ["rollout", "go_to_goal", "go_to_goal:dt=0.2", "orca", "--physics", "compiled", "--episodes", "2"]

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from pedzoo.cli.commands.bench import EXAMPLE, HELP
 from pedzoo.core.errors import UserError, unknown
+from pedzoo.core.registry import COMMANDS
 from tools.bench.programs import CASES, ROOT, Case, Program, checkout, git
 
 SECTIONS: dict[str, tuple[str, list[tuple[int, int]]]] = {
@@ -36,7 +36,8 @@ def run(argv: list[str]) -> int:
     about = "\n".join(f"  {name:<{width}}  {text}" for name, (text, _) in SECTIONS.items())
     parser = ArgumentParser(
         "pedzoo bench",
-        description=f"{HELP}\n\nsections:\n{about}\n\nexample: {EXAMPLE}",
+        description=f"{COMMANDS.describe('bench')}\n\nsections:\n{about}",
+        epilog=f"example: {COMMANDS.declared('bench')[0]}",
         formatter_class=RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
@@ -169,7 +170,7 @@ def show(report: Mapping[str, Any]) -> None:
     """Print a table for each section."""
     from rich.table import Table
 
-    from pedzoo.cli.progress import plain_console
+    from pedzoo.cli.output import plain_console
 
     for section in dict.fromkeys(row["section"] for row in report["rows"]):
         head = ("work", "size", "program", "ms", "agent-steps/s", "pedzoo is x times as fast")

@@ -7,8 +7,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from pedzoo.cli.commands.reproduce import EXAMPLE, HELP
 from pedzoo.core.errors import UserError, unknown
+from pedzoo.core.registry import COMMANDS
 
 if TYPE_CHECKING:
     from tools.paper.base import Reproduction
@@ -51,7 +51,8 @@ class Arguments(ArgumentParser):
 def _parser() -> ArgumentParser:
     parser = Arguments(
         "pedzoo reproduce",
-        description=f"{HELP}\n{_ABOUT}\n\nexample: {EXAMPLE}",
+        description=f"{COMMANDS.describe('reproduce')}\n{_ABOUT}",
+        epilog=f"example: {COMMANDS.declared('reproduce')[0]}",
         allow_abbrev=False,
         formatter_class=RawDescriptionHelpFormatter,
     )
@@ -75,8 +76,7 @@ def run(argv: list[str]) -> int:
     options = _parser().parse_args(argv)
 
     from pedzoo.cli.check import whole_numbers
-    from pedzoo.cli.output import check_outputs, print_tables, write_json, write_text
-    from pedzoo.cli.progress import overall_bar
+    from pedzoo.cli.output import check_outputs, overall_bar, print_tables, write_json, write_text
     from pedzoo.core.machine import versions
     from tools.paper.base import markdown
 

@@ -1,1 +1,1 @@
-"""One file per command: literals ``HELP`` and ``EXAMPLE``, and ``run``, whose arguments are the options."""
+"""The commands: functions with `@command`, whose arguments are the options; see `pedzoo.cli.parsing`."""

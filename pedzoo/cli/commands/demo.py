@@ -1,15 +1,12 @@
 """``pedzoo demo``: the first minutes with pretrained models. Its steps are commands to type."""
 
 import shlex
-from importlib import import_module
 from pathlib import Path
 
 from pedzoo.cli.output import check_outputs
-from pedzoo.cli.parsing import call
+from pedzoo.cli.parsing import call, command
 from pedzoo.core.errors import at_least_one, need
-
-HELP = "the first minutes: pretrained models walk beside ORCA and social force, one is fine-tuned"
-EXAMPLE = "pedzoo demo"
+from pedzoo.core.registry import COMMANDS
 
 CONTROLLER = "sgan_goal_map.indoor"
 """The best that there is to walk with, trained in the loop."""
@@ -22,12 +19,9 @@ METRICS = "success,deadlock,agent_contacts_per_min,wall_contacts_per_min,time_ra
 EPISODES = 10
 FILM_SECONDS = 8
 
-Step = tuple[str, str]
-"""What is shown, and what to type behind ``pedzoo``."""
 
-
-def steps(out: str = "demo", epochs: int = 20, physics: str = "bullet") -> list[Step]:
-    """Return the commands of the demo."""
+def steps(out: str = "demo", epochs: int = 20, physics: str = "bullet") -> list[tuple[str, str]]:
+    """Return what the first steps show, and what to type behind ``pedzoo`` for each."""
     common = f"--physics {physics} --episodes {EPISODES} --metrics {METRICS} --keep_episodes {EPISODES}"
     files = f"--plot {out}/door.png --json {out}/door.json"
     film = f"--video {out}/door.webm --video_seconds {FILM_SECONDS}"
@@ -50,20 +44,23 @@ def steps(out: str = "demo", epochs: int = 20, physics: str = "bullet") -> list[
     ]
 
 
-def compared(tuned: str) -> Step:
-    """Return the command whose model is known only after the others."""
-    title = "before and after fine-tuning, between the trivial baselines"
-    return title, f"forecast {NAME} {tuned} --data.fold embedded --samples 5"
+def last_steps(tuned: str, out: str = "demo") -> list[tuple[str, str]]:
+    """Return likewise the steps that begin with the tuned model's file."""
+    return [
+        (
+            "before and after fine-tuning, between the trivial baselines",
+            f"forecast {NAME} {tuned} --data.fold embedded --samples 5",
+        ),
+        (
+            "everything on one page: open it in a browser, click a number, a person, play",
+            f"report {out}/door.json {out}/apartment.json {out}/runs -o {out}/report.html",
+        ),
+    ]
 
 
-def reported(out: str) -> Step:
-    """Return the command that makes a page of all."""
-    title = "everything on one page: open it in a browser, click a number, a person, play"
-    return title, f"report {out}/door.json {out}/apartment.json {out}/runs -o {out}/report.html"
-
-
-def run(out: str = "demo", epochs: int = 20) -> int:
-    """Do all steps.
+@command("pedzoo demo")
+def demo(out: str = "demo", epochs: int = 20) -> int:
+    """The first minutes: pretrained models walk beside ORCA and social force, one is fine-tuned.
 
     Args:
         out: Where everything goes.
@@ -78,26 +75,26 @@ def run(out: str = "demo", epochs: int = 20) -> int:
     check_outputs(out=str(folder / "door.json"))
     commands = steps(written, epochs, usual_physics())
     total = len(commands) + 3
-    for number, step in enumerate(commands, start=1):
-        _do(number, total, step)
+    for number, (title, words) in enumerate(commands, start=1):
+        _do(f"{number}/{total} {title}", words)
     from pedzoo.train.run import RunFolder
 
     latest = max((folder / "runs").glob("*/*"), key=lambda run: run.stat().st_mtime)
     tuned = RunFolder(latest).best
-    _do(total - 2, total, compared(shlex.quote(str(tuned))))
+    (compared, words), (reported, last) = last_steps(shlex.quote(str(tuned)), written)
+    _do(f"{total - 2}/{total} {compared}", words)
     print(f"\n{total - 1}/{total} from Python: a controller for any simulator, and a picture of forecasts")
     _in_python(tuned, folder / "forecasts.png")
-    _do(total, total, reported(written))
+    _do(f"{total}/{total} {reported}", last)
     print(f"\neverything is in {folder}: report.html door.png door.webm apartment.png forecasts.png runs")
     return 0
 
 
-def _do(number: int, total: int, step: Step) -> None:
+def _do(title: str, words: str) -> None:
     """Print what a step shows and what to type, and do it."""
-    title, command = step
-    print(f"\n{number}/{total} {title}\n$ pedzoo {command}", flush=True)
-    name, *words = shlex.split(command)
-    call(import_module(f"pedzoo.cli.commands.{name}"), words)
+    print(f"\n{title}\n$ pedzoo {words}", flush=True)
+    name, *rest = shlex.split(words)
+    call(COMMANDS.get(name), rest)
 
 
 def _in_python(tuned: Path, picture: Path) -> None:

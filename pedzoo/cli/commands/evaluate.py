@@ -1,20 +1,36 @@
-"""``pedzoo evaluate``: the closed-loop table of policies on suites of cases."""
+"""``pedzoo evaluate``: policies on suites of cases, and with ``--from-card`` the numbers on a model card."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import groupby
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from pedzoo.cli.check import split_names, whole_numbers
-from pedzoo.cli.output import check_outputs, print_pages, write_and_print, write_text
-from pedzoo.core.errors import UserError, at_least_one
+from pedzoo.cli.output import (
+    check_outputs,
+    overall_bar,
+    print_pages,
+    print_tables,
+    progress_bar,
+    write_and_print,
+    write_json,
+    write_text,
+)
+from pedzoo.cli.parsing import command
+from pedzoo.core.errors import UserError, at_least_one, need
 from pedzoo.core.machine import versions
 
-HELP = "the closed-loop table: policies on suites of cases, with intervals"
-EXAMPLE = "pedzoo evaluate orca:radius=0.3 sgan_goal_map.zara1 --suite door,goals --quick --json out.json"
+if TYPE_CHECKING:
+    from pedzoo.eval.cards import ComparedNumber, RepeatedReport
 
 _WITH_CARD = ("--from_card", "--from-card", "--data.root", "--workers", "--json")
+_SAME = {True: "yes", False: "NO", None: "no interval"}
 
 
-def run(
+@command("pedzoo evaluate orca:radius=0.3 sgan_goal_map.zara1 --suite door,goals --quick --json out.json")
+def evaluate(
     policies: list[str],
     /,
     suite: str = "door,goals,encounters,replay",
@@ -48,7 +64,7 @@ def run(
     *,
     argv: list[str],
 ) -> int:
-    """Evaluate, print the tables and write files; exit code 1 where a card's number is another one.
+    """The closed-loop table: policies on suites of cases, with intervals.
 
     Args:
         policies: orca:radius=0.3, go_to_goal, or any model; mixed crowds: orca:share=0.5+sgan_goal.indoor.
@@ -78,32 +94,26 @@ def run(
         people: Who walks beside robots, between commas: orca,sgan_goal_map.indoor,replay:fold=zara1.
         data_root: Recordings for replay; by default PEDZOO_DATA.
         workers: Processes; the table stays the same.
-        from_card: Do what the models' cards say again, forecasts too.
+        from_card: Do what the models' cards say again, forecasts too. Exit code 1 where a number is another.
         json: Also write the report to this file.
         markdown: Also write the tables to this page.
         plot: Draw density and speed in replay into this .png, .pdf or .svg.
         argv: The command line.
     """
-    from pedzoo.cli.progress import overall_bar
     from pedzoo.eval.evaluate import Evaluation
     from pedzoo.eval.results import markdown as page
     from pedzoo.eval.suite import EvaluationOptions, OwnRecordings
 
     at_least_one("--workers", workers)
+    check_outputs(json=json, markdown=markdown, plot=plot, resume=resume)
     if from_card:
-        from pedzoo.cli.from_card import redo
-
         options = [word.partition("=")[0] for word in argv if word.startswith("--")]
         if said := [option for option in options if option not in _WITH_CARD]:
             raise UserError(f"{said[0]}: --from-card does what the card says; leave it out")
-        check_outputs(json=json)
-        return redo(policies, data_root, workers, json)
+        return _from_cards(policies, data_root, workers, json)
     suites = split_names(suite)
-    check_outputs(json=json, markdown=markdown, plot=plot, resume=resume)
     if plot:
-        from pedzoo.viz.plots import check_plot_path
-
-        check_plot_path(plot)
+        need("video", "--plot")
         if "replay" not in suites:
             raise UserError(f"--plot {plot}: draws what the suite replay finds, which is not asked for")
     # finished parts lie beside the report until it is written
@@ -116,8 +126,7 @@ def run(
     settings |= {"clearance": clearance, "deadline": deadline, "own": own if own.files else None}
     lists = {"maps": maps, "metrics": metrics, "folds": data_fold, "people": split_names(people)}
     settings |= {key: tuple(value or ()) for key, value in lists.items()}
-    options = EvaluationOptions(**settings)
-    numbers = whole_numbers("--seeds", seeds)
+    numbers, options = whole_numbers("--seeds", seeds), EvaluationOptions(**settings)
     evaluation = Evaluation(policies, suites, options, numbers, deterministic, resume or beside)
     if evaluation.resumed:
         print(f"{evaluation.resumed} of {len(evaluation.units)} parts were done before: {evaluation.journal}")
@@ -146,10 +155,92 @@ def run(
             print(f"not finished: {evaluation.done} of {len(evaluation.units)} parts")
             tell(interrupted=True)
             place = f"is kept in {evaluation.journal}: the same command goes on from there"
-            kept = place if evaluation.journal else "would be kept with --json or --resume"
-            print(f"what is done {kept}")
+            print(f"what is done {place if evaluation.journal else 'would be kept with --json or --resume'}")
         raise
     tell()
     if beside and not resume and not evaluation.others:
         Path(beside).unlink(missing_ok=True)  # the report has all of it
     return 0
+
+
+def _from_cards(names: Sequence[str], root: str | None, workers: int, json: str | None) -> int:
+    """Do all that cards say again; returns 1 where a number is another one, or none could be looked at."""
+    from pedzoo.eval.cards import again, compare
+    from pedzoo.models.zoo.store import find, no_model
+
+    cards = {}
+    for name in names:
+        if (entry := find(name)) is None:
+            raise no_model(name, kind="model with a card")
+        cards[name] = entry.card
+    rows: list[dict[str, Any]] = []
+    agree = True
+    seeds = sorted({seed for card in cards.values() for one in card.evaluations for seed in one["seeds"]})
+    report = {"command": "evaluate", "protocol": {"from_card": list(cards)}, "seeds": seeds}
+    report |= {"versions": versions(), "rows": rows}
+    for name, card in cards.items():
+        with progress_bar() as progress:
+            result = again(card, name, root, workers, progress)
+        numbers = [number for one in result if one.now for number in compare(one.before, one.now)]
+        rows += _card_rows(name, result, numbers)
+        if json and json != "-":
+            write_json(json, report)
+        _print_card(name, result, numbers)
+        agree = agree and bool(numbers) and all(number.same is not False for number in numbers)
+    if json == "-":
+        write_json(json, report)
+    return int(not agree)
+
+
+def _print_card(name: str, result: Sequence[RepeatedReport], numbers: Sequence[ComparedNumber]) -> None:
+    """Print the table of a card, what a reader of it has to know, and the sum of it all."""
+    from pedzoo.eval.cards import about
+    from pedzoo.eval.results import ResultTable
+
+    def cell(value: float | None, interval: Sequence[float] | None = None) -> str:
+        if value is None:
+            return "-"
+        return f"{value:.4g}" + (f" [{interval[0]:.3g}, {interval[1]:.3g}]" if interval else "")
+
+    body = [
+        [one.case, one.metric, cell(one.card, one.interval), cell(one.now), _SAME[one.same]]
+        for one in numbers
+    ]
+    if body:
+        print_tables([ResultTable(name, ["case", "number", "card", "now", "same"], body, 2)])
+    for one in result:
+        what = about(one.before["protocol"])
+        if not one.now:
+            print(f"{what}: skipped, {one.why}")
+            continue
+        then, now = one.before["versions"], one.now["versions"]
+        packages = [key for key in then if key != "commit" and then[key] != now.get(key)]
+        if changed := [f"{key} {then[key]} (here {now.get(key, 'absent')})" for key in packages]:
+            print(f"{what}: the card was made with {', '.join(changed)}")
+    if not numbers:
+        print(f"{name}: nothing of its card could be done again")
+        return
+    same, unsure = (sum(one.same is which for one in numbers) for which in (True, None))
+    text = f"{name}: {same} of {len(numbers)} numbers are those of the card"
+    print(text + f"; {unsure} differ and have no interval to judge by" * bool(unsure))
+
+
+def _card_rows(
+    name: str, result: Sequence[RepeatedReport], numbers: Sequence[ComparedNumber]
+) -> list[dict[str, Any]]:
+    """Return a row for every case, with the card's numbers beside today's, and for what was skipped."""
+    from pedzoo.eval.cards import about
+
+    rows: list[dict[str, Any]] = []
+    for case, group in groupby(numbers, key=lambda number: number.case):
+        mine = {number.metric: number for number in group}
+        people = mine.pop("n")
+        now = {metric: number.now for metric, number in mine.items() if number.now is not None}
+        row = {"name": name, "case": {"evaluation": case}, "n": people.now, "metrics": now, "ci95": {}}
+        row["card"] = {metric: number.card for metric, number in mine.items()}
+        rows.append(row | {"same": {metric: number.same for metric, number in mine.items()}})
+    for one in result:
+        if not one.now:
+            case = {"evaluation": about(one.before["protocol"]), "skipped": one.why}
+            rows.append({"name": name, "case": case, "n": 0, "metrics": {}, "ci95": {}})
+    return rows

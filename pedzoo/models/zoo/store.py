@@ -11,7 +11,6 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote, unquote, urlsplit
-from urllib.request import url2pathname
 
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.fetch import fetch, sha256_of
@@ -56,6 +55,8 @@ def is_file(name: str) -> bool:
 def check_scheme(name: str) -> None:
     """Refuse the address of a file of this machine. Raises UserError: it is one, and its path would do."""
     if name.startswith("file:"):
+        from urllib.request import url2pathname  # imports a client of the web
+
         path = url2pathname(urlsplit(name).path) or "FOLDER/ARCH.TAG"
         raise UserError(f"{name!r}: expected a path for what is on this machine: {path}")
 

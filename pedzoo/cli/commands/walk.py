@@ -1,17 +1,16 @@
-"""``pedzoo rollout``: policies walk through the same scenes, and one can look at it."""
+"""``pedzoo rollout`` and ``view``: policies walk through scenes, and one can look at it."""
 
 from typing import Literal
 
-from pedzoo.cli.output import check_outputs, print_report, write_and_print
-from pedzoo.core.errors import UserError, need
+from pedzoo.cli.output import check_outputs, print_report, progress_bar, write_and_print
+from pedzoo.cli.parsing import command
+from pedzoo.core.errors import UserError, at_least_one, installed, need
 from pedzoo.core.machine import versions
 from pedzoo.core.registry import METRICS
 
-HELP = "policies walk through the same scenes: table, trajectories, video"
-EXAMPLE = "pedzoo rollout orca:radius=0.1 sgan_goal_map.zara1 --plot door.png --html door.html"
 
-
-def run(
+@command("pedzoo rollout orca:radius=0.1 sgan_goal_map.zara1 --plot door.png --html door.html")
+def rollout(
     policies: list[str],
     /,
     scenario: str = "door",
@@ -34,7 +33,7 @@ def run(
     video_seconds: float | None = None,
     show: int = 0,
 ) -> int:
-    """Walk, and print the table.
+    """Policies walk through the same scenes: table, trajectories, video.
 
     Args:
         policies: orca:radius=0.3, go_to_goal, or any model, one row each; or mixed:
@@ -68,16 +67,8 @@ def run(
     for option, file in (("--plot", plot), ("--video", video)):
         if file:
             need("video", option)
-    from pedzoo.cli.progress import progress_bar
     from pedzoo.eval.comparison import Comparison
-    from pedzoo.viz.video import check_video_path, film
 
-    if plot:
-        from pedzoo.viz.plots import check_plot_path
-
-        check_plot_path(plot)
-    if video:
-        check_video_path(video)
     metrics = metrics or []
     only = [METRICS.get(name).__name__ for name in metrics]
     if not 0 <= show < max(episodes, 1):
@@ -109,6 +100,8 @@ def run(
             plot_rollouts(comparison.walked, plot, show)
             print(f"plot:  {plot}")
         if video:
+            from pedzoo.viz.video import film
+
             with progress_bar() as progress:
                 size = (640, 480) if len(policies) == 1 else (480, 360)
                 film(comparison.walked, video, show, video_view, size, video_seconds, progress)
@@ -120,4 +113,54 @@ def run(
             print(f"page:  {html}")
         if comparison.refusal:
             raise comparison.refusal
+    return 0
+
+
+@command("pedzoo view door sgan_goal_map.indoor --serve")
+def view(
+    scenario: str,
+    policy: str,
+    /,
+    serve: bool = False,
+    port: int = 8010,
+    episodes: int | None = None,
+    seed: int = 0,
+    speed: float = 1.0,
+    physics: str = "compiled",
+) -> int:
+    """Watch people walk now: pybullet's window, or a page on this machine.
+
+    Args:
+        scenario: Its name with settings: door:width=0.9.
+        policy: orca:radius=0.3, or any model, or a mixed crowd.
+        serve: Serve the page, even where there is a display.
+        port: Of the page on 127.0.0.1; 0 for any.
+        episodes: End after so many; by default go on.
+        seed: Of the scenes.
+        speed: Of time.
+        physics: In which people walk.
+    """
+    from threading import Thread
+
+    from pedzoo.viz.live import HOST, BulletWindow, Live, has_display
+
+    if episodes is not None:
+        at_least_one("--episodes", episodes)
+    window = not serve and has_display() and installed("pybullet")
+    if not window and not serve:
+        why = "pybullet is not installed" if has_display() else "there is no display (DISPLAY is not set)"
+        print(f"no window: {why}; here is the page instead (--serve)")
+    live = Live(policy, scenario, physics, seed, speed)
+    if window:
+        live.walk(episodes, BulletWindow(live.env, speed))
+        return 0
+    server = live.server(port)
+    Thread(target=server.serve_forever, daemon=True).start()
+    print(f"open http://{HOST}:{server.server_address[1]}/ in a browser; Ctrl-C ends it", flush=True)
+    try:
+        live.walk(episodes)
+    finally:
+        server.shutdown()
+        server.server_close()
+        live.env.physics.close()
     return 0
