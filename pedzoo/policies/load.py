@@ -4,8 +4,6 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any, cast
 
-from torch import Tensor
-
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.machine import usable
 from pedzoo.core.registry import MODELS, POLICIES, ROBOT_POLICIES, SCENARIOS, names_code
@@ -13,18 +11,9 @@ from pedzoo.core.spec import Spec, SpecText, build, make, name_of, parse, settin
 from pedzoo.core.types import GoalProtocol
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.models.base import Forecaster, Noise
-from pedzoo.models.zoo.card import config_in, opened
-from pedzoo.models.zoo.loading import (
-    baselines,
-    check_settings,
-    check_shapes,
-    check_tensors,
-    list_models,
-    read_checkpoint,
-    untrained,
-)
+from pedzoo.models.zoo.loading import baselines, check_settings, filled, list_models, read_weights, untrained
 from pedzoo.models.zoo.loading import load as load_model
-from pedzoo.models.zoo.store import check_scheme, find, is_file, no_model, robots, weights_of
+from pedzoo.models.zoo.store import find, is_file, no_model, robots
 from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.crowd_names import is_crowd, is_policy, members, parts
 from pedzoo.policies.policy import NamedPolicy, Policy
@@ -40,9 +29,6 @@ from pedzoo.policies.walker import Walker
 
 ROBOT_SECONDS = 0.2
 """Seconds between two decisions of a robot, where nothing else is said."""
-
-PREFIX = "mean.policy."
-"""Of a robot's parameters in a checkpoint of its training."""
 
 
 def load(
@@ -252,39 +238,12 @@ def load_robot_weights(name: str) -> RobotPolicy | None:
     Raises:
         UserError: The weights cannot be read, or do not fit their architecture.
     """
-    check_scheme(name)
-    if names_code(name):
+    weights = read_weights(name)
+    if weights is None or weights.config["architecture"] not in ROBOT_POLICIES.names():
         return None
-    if name.endswith(".ckpt"):
-        checkpoint = read_checkpoint(name)
-        state = checkpoint["state_dict"]
-        state = {key.removeprefix(PREFIX): state[key] for key in state if key.startswith(PREFIX)}
-        return _filled(checkpoint["pedzoo"], state, name)
-    file = Path(name) if name.endswith(".safetensors") else None
-    if file is None:
-        entry = find(name)
-        if entry is None or entry.card.architecture not in ROBOT_POLICIES.names():
-            return None
-        file = weights_of(entry)
-    with opened(file, "pt") as weights:
-        state = {key: weights.get_tensor(key) for key in weights.keys()}
-        return _filled(config_in(weights, file), state, name)
-
-
-def _filled(config: dict[str, Any], state: dict[str, Tensor], name: str) -> RobotPolicy | None:
-    if config["architecture"] not in ROBOT_POLICIES.names():
-        return None
-    check_tensors(state, name)
-    cls = ROBOT_POLICIES.get(config["architecture"])
-    check_settings(cls, config["init"])
-    try:
-        check_shapes(lambda: cls(**config["init"]), state)
-        policy = cls(**config["init"])
-        policy.load_state_dict(state)
-    except (TypeError, RuntimeError) as error:
-        line = str(error).strip().splitlines()[0]
-        raise UserError(f"{name!r} holds weights of another architecture than it says: {line}") from error
-    return policy.eval()
+    cls, settings = ROBOT_POLICIES.get(weights.config["architecture"]), weights.config["init"]
+    check_settings(cls, settings)
+    return filled(weights, lambda: cls(**settings))
 
 
 def load_planner(name: str, time_step: float) -> LocalPlanner:

@@ -25,7 +25,7 @@ from pedzoo.core.fetch import sha256_of
 from pedzoo.core.paths import CARD, WEIGHTS, shipped, write_atomically
 from pedzoo.eval.cards import measure_robot
 from pedzoo.models.zoo.card import ModelCard, read_card, write_card
-from pedzoo.policies.load import PREFIX
+from pedzoo.models.zoo.loading import read_weights
 from pedzoo.train.run import RunFolder
 
 ROOMS = ["--config", "robot/rooms", "--model.people"]
@@ -103,12 +103,9 @@ def export(name: str, runs: Path) -> None:
     parts = [*sorted(run.path.glob("before-resume-*")), run.path]
     known = [yaml.safe_load((part / "config.yaml").read_text()) for part in parts]
     record, settings = json.loads((parts[0] / "versions.json").read_text()), known[-1]
-    config = checkpoint["pedzoo"]
-    state = {
-        key.removeprefix(PREFIX): value.contiguous()
-        for key, value in checkpoint["state_dict"].items()
-        if key.startswith(PREFIX)
-    }
+    weights = read_weights(str(run.best))
+    assert weights is not None
+    config, state = weights.config, {key: value.contiguous() for key, value in weights.state.items()}
     home = shipped("checkpoints") / f"robot_ppo.{name}"
     home.mkdir(exist_ok=True)
     earlier = read_card(home / CARD) if (home / CARD).is_file() else None

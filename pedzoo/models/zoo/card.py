@@ -87,45 +87,33 @@ class Evaluation(TypedDict):
     rows: list[Row]
 
 
+_PARTS = {"config": Config, "training": Training, "data": Data, "evaluations": list[Evaluation]}
+
+
 class ModelCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What is known about a file of weights. A card that contradicts itself cannot be made.
-
-    Attributes:
-        name: Zoo name, ``architecture.tag``.
-        architecture: Registered name of the model's class.
-        sha256: Of the weights.
-        size: Bytes of the weights.
-        config: As in the metadata of the weights, see `Config`: with it the model is built.
-        training: Which run made them, see `Training`.
-        data: What it was trained on, see `Data`.
-        evaluations: What was measured, see `Evaluation`.
-        versions: Of what it was trained with.
-        licence: Of the weights.
-        file: Name of the weights, ``weights.safetensors``.
-        url: Where to download them if they are not there; None: beside the place of the card.
 
     Raises:
         UserError: A value that cannot be.
     """
 
-    name: str
-    architecture: str
-    sha256: str
+    name: str  # zoo name, ``architecture.tag``
+    architecture: str  # registered name of the model's class
+    sha256: str  # of the weights, of ``size`` bytes
     size: int
-    config: dict[str, Any]
-    training: dict[str, Any]
-    data: dict[str, Any]
-    evaluations: list[dict[str, Any]]
-    versions: dict[str, str]
-    licence: str
+    config: dict[str, Any]  # as in the metadata of the weights: a `Config`
+    training: dict[str, Any]  # which run made them: a `Training`
+    data: dict[str, Any]  # what it was trained on: a `Data`
+    evaluations: list[dict[str, Any]]  # what was measured: `Evaluation`s
+    versions: dict[str, str]  # of what it was trained with
+    licence: str  # of the weights
     file: str = WEIGHTS
-    url: str | None = None
+    url: str | None = None  # where to download them if they are not there; None: beside the place of the card
 
     def __post_init__(self) -> None:
         """Check everything that others rely on."""
         check_plain(msgspec.structs.asdict(self))
-        parts = {"config": Config, "training": Training, "data": Data, "evaluations": list[Evaluation]}
-        for key, form in parts.items():
+        for key, form in _PARTS.items():
             check(getattr(self, key), form, key)
         for key, (pattern, expected) in _FORMS.items():
             value = getattr(self, key)
@@ -179,41 +167,32 @@ def card_files(folder: Path) -> dict[str, Path]:
     return {name: files[name] for name in sorted(files) if is_name(name)}
 
 
-def opened(path: Path, framework: str = "np") -> Any:
-    """Return an open file of weights whose tensors are of ``framework``.
+def read_config(path: str | Path) -> dict[str, Any]:
+    """Return the config in the metadata of a file of weights; errors as `read_file`."""
+    return read_file(path, tensors=False)[0]
+
+
+def read_file(path: str | Path, tensors: bool = True) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the config in the metadata of a file of weights, and its ``tensors`` by name, if wanted.
 
     Raises:
-        UserError: No such file, or it is damaged.
+        UserError: No such file, it is damaged, or pedzoo did not write it.
     """
-    if not path.is_file():
+    what = f"weights {str(path)!r}"
+    if not Path(path).is_file():
         raise UserError(f"no weights at {str(path)!r}")
     try:
-        return safe_open(path, framework)
+        with safe_open(path, "pt" if tensors else "np") as file:
+            metadata = file.metadata() or {}
+            state = {key: file.get_tensor(key) for key in file.keys()} if tensors else {}
     except SafetensorError as error:
-        raise UserError(f"weights {str(path)!r} cannot be read ({error}): is the file cut off?") from error
-
-
-def config_in(file: Any, path: Path) -> dict[str, Any]:
-    """Return the config in the metadata of an open file.
-
-    Raises:
-        UserError: There is none that pedzoo wrote.
-    """
-    metadata = file.metadata() or {}
+        raise UserError(f"{what} cannot be read ({error}): is the file cut off?") from error
     if "config" not in metadata:
-        raise UserError(
-            f"weights {str(path)!r} have no pedzoo config in their metadata: not a file of this zoo"
-        )
+        raise UserError(f"{what} have no pedzoo config in their metadata: not a file of this zoo")
     try:
         config = json.loads(metadata["config"])
         check_plain(config)
         check(config, Config, "config")
     except (ValueError, RecursionError) as error:
-        raise UserError(f"weights {str(path)!r} have a pedzoo config that cannot be read: {error}") from error
-    return config
-
-
-def read_config(path: str | Path) -> dict[str, Any]:
-    """Return the config in a weight file's metadata; errors as `opened` and `config_in`."""
-    with opened(Path(path)) as file:
-        return config_in(file, Path(path))
+        raise UserError(f"{what} have a pedzoo config that cannot be read: {error}") from error
+    return config, state

@@ -24,17 +24,27 @@ TERMS_FILE = "LICENSE.md"
 LICENCES = ("mit", "apache-2.0", "bsd-3-clause", "cc-by-4.0", "cc-by-sa-4.0", "cc-by-nc-4.0", "cc0-1.0")
 """Licences that the hub knows by these names; all others are ``other`` there."""
 
-_OF_PEOPLE = (
-    "A pedestrian model of pedzoo: it forecasts trajectories, and one step at a time it walks.\n",
-    '```python\nimport pedzoo\n\nmodel = pedzoo.load("{}")\n```\n',
-    "```\npedzoo rollout {} --scenario door\n```\n",
-)
+_OF_PEOPLE = """A pedestrian model of pedzoo: it forecasts trajectories, and one step at a time it walks.
 
-_OF_ROBOT = (
-    "A robot that learned among simulated people.\n",
-    "```python\nfrom pedzoo.policies.load import load_robot_policy\n\n"
-    'policy = load_robot_policy("{}")\n```\n',
-)
+```python
+import pedzoo
+
+model = pedzoo.load("{0}")
+```
+
+```
+pedzoo rollout {0} --scenario door
+```
+"""
+
+_OF_ROBOT = """A robot that learned among simulated people.
+
+```python
+from pedzoo.policies.load import load_robot_policy
+
+policy = load_robot_policy("{0}")
+```
+"""
 
 _FROM_HERE = """## From this repository
 
@@ -48,7 +58,7 @@ Weights are plain safetensors: nothing in this repository is code. They are chec
 """
 
 
-_LEAKS = "The goal is where the person is at the window's end: it leaks the answer's last position"
+_LEAKS = ". The goal is where the person is at the window's end: it leaks the answer's last position"
 
 
 class Results(NamedTuple):
@@ -63,7 +73,7 @@ def page(card: ModelCard) -> str:
     """Return the card as a page of Markdown."""
     parts = [
         f"# {card.name}\n",
-        *(part.format(card.name) for part in (_OF_ROBOT if card.name.startswith(ROBOTS) else _OF_PEOPLE)),
+        (_OF_ROBOT if card.name.startswith(ROBOTS) else _OF_PEOPLE).format(card.name),
         "## Results\n",
         *(f"{result.said}\n\n{_table(result.head, result.rows)}" for result in results(card)),
         *([] if card.evaluations else ["Not measured yet.\n"]),
@@ -105,10 +115,7 @@ def results(card: ModelCard) -> list[Results]:
         cells = [["n", *(str(row["n"]) for row in rows)]]
         cells += [[metric, *(_number(row, metric) for row in rows)] for metric in metrics]
         said = f"{_said(report['command'])}: {_said(protocol)}; seeds {_said(report['seeds'])}"
-        if protocol.get("goal") == "window_end":
-            said += (
-                ". The goal is where the person is at the window's end: it leaks the answer's last position"
-            )
+        said += _LEAKS * (protocol.get("goal") == "window_end")
         tables.append(Results(said, ["", *(_case(row, card.name) for row in rows)], cells))
     return tables
 
@@ -134,7 +141,7 @@ def _number(row: Mapping[str, Any], metric: str) -> str:
     if metric not in row["metrics"]:
         return "-"
     interval = ", ".join(f"{end:.3f}" for end in row["ci95"].get(metric, []))
-    return f"{row['metrics'][metric]:.3f}" + (f" [{interval}]" if interval else "")
+    return f"{row['metrics'][metric]:.3f}" + f" [{interval}]" * bool(interval)
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -159,19 +166,19 @@ def write_hub(name: str, folder: str | Path) -> list[Path]:
     # the files of the folder belong together, wherever they were from
     card = msgspec.structs.replace(entry.card, url=None)
     there = set(card_files(folder))
-    if (own := folder / CARD).is_file():
-        there.add(read_card(own).name)
+    if (folder / CARD).is_file():
+        there.add(read_card(folder / CARD).name)
     if others := sorted(there - {card.name}):
         raise UserError(
             f"folder {str(folder)!r} holds {', '.join(others)} already: a repository of the hub is one "
             f"model's, so give {card.name} a folder of its own"
         )
-    files = [folder / WEIGHTS, own, folder / "README.md", folder / TERMS_FILE]
-    write_atomically(files[0], weights_of(entry).read_bytes())
-    write_card(card, own)
-    write_atomically(files[2], readme(card).encode())
-    write_atomically(files[3], terms(card).encode())
-    return files
+    pages = {"README.md": readme(card), TERMS_FILE: terms(card)}
+    write_atomically(folder / WEIGHTS, weights_of(entry).read_bytes())
+    write_card(card, folder / CARD)
+    for page_name, text in pages.items():
+        write_atomically(folder / page_name, text.encode())
+    return [folder / one for one in (WEIGHTS, CARD, *pages)]
 
 
 def readme(card: ModelCard) -> str:
@@ -182,21 +189,19 @@ def readme(card: ModelCard) -> str:
         slug = re.sub(r"[^a-z0-9.]+", "-", licence).strip("-")
         front = {"license": "other", "license_name": slug, "license_link": TERMS_FILE}
     front |= {"library_name": "pedzoo", "model_name": card.name, "tags": [*TAGS, card.architecture]}
-    if measured := [_for_hub(report, row) for report in card.evaluations for row in report["rows"]]:
+    measured = []
+    for report, row in ((one, row) for one in card.evaluations for row in one["rows"]):
+        task = {"forecast": "trajectory-forecasting"}.get(report["command"], "closed-loop-simulation")
+        case = " ".join(str(value) for value in row["case"].values()) or str(row.get("table", task))
+        if "goal" in report["protocol"]:  # without it numbers of several protocols would be compared
+            case += f", goal {report['protocol']['goal']}"
+        metrics = [{"type": key, "value": value} for key, value in row["metrics"].items()]
+        dataset = {"type": re.sub(r"[^a-z0-9]+", "-", case.lower()).strip("-"), "name": case}
+        measured.append({"task": {"type": task}, "dataset": dataset, "metrics": metrics})
+    if measured:
         front["model-index"] = [{"name": card.name, "results": measured}]
     head = yaml.safe_dump(front, sort_keys=False, allow_unicode=True, width=110)
     return f"---\n{head}---\n\n{page(card)}\n{_FROM_HERE}"
-
-
-def _for_hub(report: dict[str, Any], row: dict[str, Any]) -> dict[str, Any]:
-    """Return a row of a report as the hub's ``model-index`` has it: a task, a dataset and metrics."""
-    task = {"forecast": "trajectory-forecasting"}.get(report["command"], "closed-loop-simulation")
-    case = " ".join(str(value) for value in row["case"].values()) or str(row.get("table", task))
-    if "goal" in report["protocol"]:  # a number without it would be compared with others of another protocol
-        case += f", goal {report['protocol']['goal']}"
-    metrics = [{"type": key, "value": value} for key, value in row["metrics"].items()]
-    dataset = {"type": re.sub(r"[^a-z0-9]+", "-", case.lower()).strip("-"), "name": case}
-    return {"task": {"type": task}, "dataset": dataset, "metrics": metrics}
 
 
 def terms(card: ModelCard) -> str:

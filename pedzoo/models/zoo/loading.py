@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Mapping
 from fnmatch import fnmatch
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 from zipfile import ZIP_STORED, ZipFile
 
 import torch
@@ -22,11 +22,11 @@ from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.forms import check, check_plain, refuse_code
 from pedzoo.core.paths import config_names, write_atomically
 from pedzoo.core.registry import MODELS, ROBOT_POLICIES, names_code
-from pedzoo.core.spec import grouped, make, parse, plain, setting_groups, setting_types, unquoted
+from pedzoo.core.spec import Spec, grouped, make, parse, plain, setting_groups, setting_types, unquoted
 from pedzoo.core.types import GoalProtocol
 from pedzoo.models.base import Forecaster, has_parameters
 from pedzoo.models.zoo import store
-from pedzoo.models.zoo.card import Config, ModelCard, config_in, opened, read_config
+from pedzoo.models.zoo.card import Config, ModelCard, read_file
 from pedzoo.models.zoo.store import find, no_model, of_robots, weights_of
 
 HALVED = 1000
@@ -35,12 +35,22 @@ HALVED = 1000
 LARGEST = 1e3
 """Of a weight. Those that ship are below 20; steps from layers of ten times as large ones are no numbers."""
 
+Module = TypeVar("Module", bound=nn.Module)
+
+
+class Weights(NamedTuple):
+    """What is in a file of weights."""
+
+    source: str  # its name, for messages
+    config: dict[str, Any]  # as of `config_of`
+    state: dict[str, Tensor]
+    card: ModelCard | None = None
+
 
 def list_models(pattern: str = "*") -> list[str]:
     """Return the names of all models on this machine that match ``pattern``, as ``architecture.tag``.
 
     Those are the shipped ones, those in folders of the variable ``PEDZOO_ZOO``, and those fetched before.
-    Those that move robots are not among them, see `pedzoo.policies.load.list_robot_policies`.
     """
     return [name for name in store.names() if fnmatch(name, pattern) and not name.startswith(store.ROBOTS)]
 
@@ -67,30 +77,77 @@ def load(
         UserError: No such model, its files are damaged or cannot be had, or they are not what its card says.
     """
     name = str(name)
-    if entry := find(name):
-        if entry.card.architecture in ROBOT_POLICIES.names():
-            raise of_robots(name)
-        model = _from_safetensors(weights_of(entry), entry.card)
-        model.name, model.card = entry.card.name, entry.card
+    if weights := read_weights(name):
+        model = filled(weights, lambda: build(weights.config, own, weights.source), on_meta=own is None)
+        model.card = weights.card
+        model.name = weights.card.name if weights.card else name
         return model
     if names_code(name):
         model = _own(name, goal)
-    elif name.endswith(".safetensors"):
-        model = _from_safetensors(Path(name), own=own)
-    elif name.endswith(".ckpt"):
-        checkpoint, prefix = read_checkpoint(name), "generator."
-        state = checkpoint["state_dict"]
-        state = {key.removeprefix(prefix): state[key] for key in state if key.startswith(prefix)}
-        model = _filled(checkpoint["pedzoo"], state, own, name)
     elif name not in MODELS.names():
         raise no_model(name, baselines())
     elif has_parameters(type(model := untrained(name, goal))):
-        weights = ", ".join(list_models(f"{name}*.*")) or "none yet"
+        known = ", ".join(list_models(f"{name}*.*")) or "none yet"
         raise UserError(
-            f"{name!r} is an architecture; name its weights: {weights}; or pretrained=False for new ones"
+            f"{name!r} is an architecture; name its weights: {known}; or pretrained=False for new ones"
         )
     model.name = model.name or name
     return model
+
+
+def read_weights(name: str) -> Weights | None:
+    """Return the weights behind a name, of a model or of a robot; None for a name without any.
+
+    Args:
+        name: As of `load`.
+
+    Raises:
+        UserError: They are damaged, cannot be had, or are not those of their card.
+    """
+    if store.is_file(name):
+        if names_code(name):
+            return None
+        if name.endswith(".safetensors"):
+            return Weights(name, *read_file(name))
+        checkpoint = read_checkpoint(name)
+        config, state = checkpoint["pedzoo"], checkpoint["state_dict"]
+        prefix = "mean.policy." if config["architecture"] in ROBOT_POLICIES.names() else "generator."
+        state = {key.removeprefix(prefix): state[key] for key in state if key.startswith(prefix)}
+        return Weights(name, config, state)
+    if (entry := find(name)) is None:
+        return None
+    card, path = entry.card, weights_of(entry)
+    config, state = read_file(path)
+    if card.config != config:
+        other = sorted(k for k in card.config | config if card.config.get(k) != config.get(k))
+        raise UserError(
+            f"the card of {card.name!r} is not that of its weights: they differ in config {', '.join(other)}"
+        )
+    return Weights(str(path), config, state, card)
+
+
+def filled(weights: Weights, make: Callable[[], Module], on_meta: bool = True) -> Module:
+    """Return the network that ``make`` builds with weights in it, in eval mode.
+
+    Unless ``on_meta`` is false, it is built without memory at first, which finds out whether they fit.
+
+    Raises:
+        UserError: They are of another architecture, or are no finite numbers of a usual size.
+    """
+    name = weights.config["architecture"]
+    _check_tensors(weights.state, weights.source, names_code(name))
+    try:
+        if on_meta:  # a class of one's own may need real tensors to be built
+            with torch.device("meta"):
+                like = {key: value.to("meta") for key, value in weights.state.items()}
+                make().load_state_dict(like, assign=True)
+        model = make()
+        model.load_state_dict(weights.state)
+    except (TypeError, RuntimeError) as error:
+        raise UserError(
+            f"{weights.source!r} holds weights of another architecture than {name!r}: {_first(error)}"
+        ) from error
+    return model.eval()
 
 
 def _own(name: str, goal: GoalProtocol | None) -> Forecaster:
@@ -138,13 +195,10 @@ def untrained(name: str, goal: GoalProtocol | None = None, **settings: Any) -> F
     else:
         raise no_model(name, [*MODELS.names(), *config_names()])
     model, settings = MODELS.get(name, Forecaster), {key: plain(value) for key, value in settings.items()}
-    types = setting_types(model)
-    if wrong := sorted(settings.keys() - types.keys()):
-        raise unknown(f"setting of model {name}", wrong[0], types)
     if not names_code(name):  # what others take is their own
         check_settings(model, settings)
-    settings |= {"goal_protocol": goal} if goal and "goal_protocol" in types else {}
-    result = _made(model, init | settings, name).eval()
+    init |= {"goal_protocol": goal} if goal else {}
+    result = make(model, "model", Spec(name, settings), **init).eval()
     result.name = name
     return result
 
@@ -161,33 +215,26 @@ def build(config: dict[str, Any], own: type[Forecaster] | None = None, source: s
         UserError: There is no such architecture of people, it is in a file of code, or takes other arguments.
     """
     name, init = config["architecture"], config["init"]
-    if names_code(name) and own is not None and name.rpartition(":")[2] == own.__name__:
-        return _made(own, init, name)
-    refuse_code(name, f"{source}: architecture", f"name it yourself, as in {name}:weights={source}")
-    if name in ROBOT_POLICIES.names():
-        raise of_robots(source)
-    cls = MODELS.get(name, Forecaster)
+    cls = own if own and names_code(name) and name.rpartition(":")[2] == own.__name__ else None
+    if cls is None:
+        refuse_code(name, f"{source}: architecture", f"name it yourself, as in {name}:weights={source}")
+        if name in ROBOT_POLICIES.names():
+            raise of_robots(source)
+        cls = MODELS.get(name, Forecaster)
+        try:
+            check_settings(cls, init)
+        except UserError as error:
+            raise UserError(f"{source!r}: {name}: {error}") from error
     try:
-        check_settings(cls, init)
-    except UserError as error:
-        raise UserError(f"{source!r}: {name}: {error}") from error
-    try:
-        return _made(cls, init, name)
+        inspect.signature(cls).bind(**grouped(cls, init))
+        return cls.of(**init)
     except UserError:
         raise
     except (TypeError, ValueError, ArithmeticError, RuntimeError) as error:  # other kinds, impossible sizes
-        raise UserError(f"{name!r} cannot be built with the arguments {init}: {_first(error)}") from error
-
-
-def _made(model: type, init: dict[str, Any], name: str) -> Forecaster:
-    try:
-        inspect.signature(model).bind(**grouped(model, init))
-    except TypeError as error:
         raise UserError(
-            f"{name!r} cannot be built with the arguments {init!s:.2000}: {error!s:.200}; is it of another "
-            "version?"
+            f"{name!r} cannot be built with the arguments {init!s:.2000}: {_first(error):.200}; is it of "
+            "another version?"
         ) from error
-    return model.of(**init)
 
 
 def config_of(model: Forecaster, **more: Any) -> dict[str, Any]:
@@ -243,19 +290,13 @@ def save_weights(model: Forecaster, path: str | Path, half: bool = False, **know
 def saved_config(name: str) -> dict[str, Any]:
     """Return architecture, settings, ``protocol`` and, of published weights, ``training`` of a model.
 
-    Nothing is said of a model that was not trained: a baseline, or a class in a file. Names and errors as of
-    `load`.
+    Nothing is said of a baseline or a class in a file. Names and errors as of `load`.
     """
-    store.check_scheme(name)
     if names_code(name):
         name = unquoted(parse(name).settings.get("weights", ""))
         return saved_config(name) if name else {}
-    if name.endswith(".ckpt"):
-        return read_checkpoint(name)["pedzoo"]
-    if name.endswith(".safetensors") and not store.is_address(name):
-        return read_config(name)
-    if entry := find(name):
-        return read_config(weights_of(entry))
+    if weights := read_weights(name):
+        return weights.config
     if name in MODELS.names():
         return {}
     raise no_model(name)
@@ -267,7 +308,7 @@ def read_checkpoint(path: str | Path) -> dict[str, Any]:
     Raises:
         UserError: No such file, or it is damaged, compressed or of another program.
     """
-    path = Path(path)
+    path, what = Path(path), f"checkpoint {str(path)!r}"
     if not path.is_file():
         raise UserError(f"no checkpoint at {str(path)!r}")
     try:
@@ -276,59 +317,23 @@ def read_checkpoint(path: str | Path) -> dict[str, Any]:
         packed = any(entry.compress_type != ZIP_STORED for entry in entries)
         # unpacked it could be of any size
         if packed or sum(entry.file_size for entry in entries) > path.stat().st_size:
-            raise UserError(
-                f"checkpoint {str(path)!r} is compressed, and torch does not compress: is it one?"
-            )
+            raise UserError(f"{what} is compressed, and torch does not compress: is it one?")
         checkpoint = torch.load(path, map_location="cpu", weights_only=True)
     except UserError:
         raise
     except Exception as error:  # a pickle that was tampered with can end in any
-        raise UserError(
-            f"checkpoint {str(path)!r} cannot be read ({_first(error)}): is it cut off?"
-        ) from error
+        raise UserError(f"{what} cannot be read ({_first(error)}): is it cut off?") from error
     if not isinstance(checkpoint, dict) or "pedzoo" not in checkpoint:
-        raise UserError(f"checkpoint {str(path)!r} was not written by pedzoo fit")
+        raise UserError(f"{what} was not written by pedzoo fit")
     try:
         check_plain(checkpoint["pedzoo"])
         check(checkpoint["pedzoo"], Config, "config")
     except UserError as error:
-        raise UserError(f"checkpoint {str(path)!r}: {error}") from error
+        raise UserError(f"{what}: {error}") from error
     state = checkpoint.get("state_dict")
     if not isinstance(state, dict) or not all(isinstance(key, str) for key in state):
-        raise UserError(f"checkpoint {str(path)!r} has no weights by name")
+        raise UserError(f"{what} has no weights by name")
     return checkpoint
-
-
-def _from_safetensors(
-    path: Path, card: ModelCard | None = None, own: type[Forecaster] | None = None
-) -> Forecaster:
-    with opened(path, "pt") as file:
-        config = config_in(file, path)
-        state = {key: file.get_tensor(key) for key in file.keys()}
-    if card and card.config != config:
-        other = sorted(k for k in card.config | config if card.config.get(k) != config.get(k))
-        raise UserError(
-            f"the card of {card.name!r} is not that of its weights: they differ in config {', '.join(other)}"
-        )
-    return _filled(config, state, own, str(path))
-
-
-def _filled(
-    config: dict[str, Any], state: dict[str, Tensor], own: type[Forecaster] | None, source: str
-) -> Forecaster:
-    """Return the model of a config with its weights, built only if they fit."""
-    name = config["architecture"]
-    check_tensors(state, source, names_code(name))
-    try:
-        if own is None:  # a class of one's own may need real tensors to be built
-            check_shapes(lambda: build(config, source=source), state)
-        model = build(config, own, source)
-        model.load_state_dict(state)
-    except RuntimeError as error:
-        raise UserError(
-            f"{source!r} holds weights of another architecture than {name!r}: {_first(error)}"
-        ) from error
-    return model.eval()
 
 
 def _first(error: Exception) -> str:
@@ -336,22 +341,14 @@ def _first(error: Exception) -> str:
 
 
 def check_settings(cls: type, init: Mapping[str, Any]) -> None:
-    """Check that settings of a file are of the kinds that a class takes; names are checked elsewhere.
-
-    Raises:
-        UserError: One is not, such as a text in the place of true or false.
-    """
+    """Check that settings of a file are of the kinds that a class takes. Raises UserError: one is not."""
     types = setting_types(cls)
     for key in init.keys() & types.keys():
         check(init[key], types[key], key)
 
 
-def check_tensors(state: Mapping[str, Any], source: str, own: bool = False) -> None:
-    """Check that a state from a source is one of weights: tensors of finite real numbers by name.
-
-    Raises:
-        UserError: It holds something else, or a weight above `LARGEST` that is not of a user's own class.
-    """
+def _check_tensors(state: Mapping[str, Any], source: str, own: bool) -> None:
+    """Check that a state has finite real numbers by name, of at most `LARGEST` but in a user's own class."""
     for key, value in state.items():
         wrong, largest = "", 0.0
         if not isinstance(value, Tensor) or value.layout != torch.strided:
@@ -366,13 +363,3 @@ def check_tensors(state: Mapping[str, Any], source: str, own: bool = False) -> N
             wrong = f"has a weight of {largest:.3g}, at most {LARGEST:g} are read: its training diverged"
         if wrong:
             raise UserError(f"{source!r}: {key:.80} {wrong}")
-
-
-def check_shapes(model: Callable[[], nn.Module], state: Mapping[str, Tensor]) -> None:
-    """Check that a model, which is a call away, would have tensors of just these names and shapes.
-
-    Raises:
-        RuntimeError: It would have others, as ``load_state_dict`` says it; no memory is taken for them.
-    """
-    with torch.device("meta"):
-        model().load_state_dict({key: value.to("meta") for key, value in state.items()}, assign=True)

@@ -70,9 +70,8 @@ def publish(
         checkpoint: ``RUN/checkpoints/best.ckpt`` of ``pedzoo fit``, in its run folder.
         folder: Where to write; made where it is missing.
         name: ``architecture.tag``; None for that of the config and the data (`zoo_name`).
-        measured: Reports of evaluations for the card; None keeps those of an existing card of the same
-            weights.
-        half: As of `save_weights`, for networks so large that the zoo would not be small.
+        measured: Reports of evaluations for the card; None keeps those of a card of the same weights.
+        half: As of `save_weights`.
 
     Raises:
         UserError: The checkpoint is none of ``pedzoo fit``'s or not in its run folder, the model is a class
@@ -120,7 +119,6 @@ def zoo_name(config: str, protocol: Mapping[str, Any]) -> str:
     clock is the benchmark's, and the true one for weights that saw every scene and for controllers. Those are
     ``.controller_open_zara1`` (``open_loop/``), ``.indoor_zara1`` and ``.styled_zara1`` (``closed_loop/``),
     without a scene if they saw all; of ``ppo/sgan_goal`` comes ``sgan_goal.eth_ucy_ppo``.
-    ``closed_loop/social_walker`` has no open-loop half, and always walks to destinations.
     """
     folder, _, config = config.rpartition("/")
     whole_walks = config in WHOLE_WALKS
@@ -162,11 +160,7 @@ def _trained_on(record: RunRecord, plans: bool) -> dict[str, Any]:
 
 
 def _read_run(checkpoint: Path, content: dict[str, Any]) -> RunRecord:
-    """Return the record of a checkpoint's run, given the checkpoint's content.
-
-    Raises:
-        UserError: It does not lie in the folder of a run, or the records there are damaged.
-    """
+    """Return the record of the run in whose folder a checkpoint with some content lies."""
     run = checkpoint.resolve().parent.parent
     if missing := [name for name in RECORDS if not (run / name).is_file()]:
         raise UserError(
@@ -195,16 +189,15 @@ def _record(run: Path, content: dict[str, Any]) -> RunRecord:
         if option.key not in _OF_THIS_MACHINE
     ]
     own = [one for one in options if one.key not in _SAID_ELSEWHERE and not one.key.startswith("rollout.")]
-    protocol, monitor = content["pedzoo"]["protocol"], config["monitor"]
-    seed, values = int(config["seed_everything"]), monitored(run, monitor)
+    protocol, values = content["pedzoo"]["protocol"], monitored(run, config["monitor"])
     training = {
         "config": config_name,
         "fold": protocol["fold"],
         "clock": protocol["clock"],
         "goal": content["pedzoo"]["goal"] or protocol["goal"],
-        "seed": seed,
-        "seeds": dict(sorted((_other_seeds(run, config, values) | _best(seed, values, config)).items())),
-        "chosen_by": monitor,
+        "seed": int(config["seed_everything"]),
+        "seeds": _best_by_seed(run, config, values),
+        "chosen_by": config["monitor"],
         "value": values.get(content["epoch"]),
         "step": content["global_step"],
         "epoch": content["epoch"],
@@ -242,26 +235,20 @@ def options_of(command: Sequence[str]) -> list[Option]:
     return result
 
 
-def _other_seeds(run: Path, config: dict[str, Any], own: dict[int, float]) -> dict[int, float]:
-    """Return the best validation value of every run beside this one that differs in its seed alone.
-
-    A run leaves no mark when it ends: one is finished that came as far as this one, by its ``own`` values.
-    """
-    result: dict[int, float] = {}
+def _best_by_seed(run: Path, config: dict[str, Any], own: dict[int, float]) -> dict[int, float]:
+    """Return the best validation value of a run, and of those beside it that differ in their seed alone."""
+    values_of = {}
     family = re.sub(r"-seed\d+(-\d+)?$", "", run.name)
     for other in sorted(run.parent.glob(f"{escape(family)}-seed*")):
         if other == run or not all((other / name).is_file() for name in RECORDS):
             continue
-        theirs = _config(other)
-        values = monitored(other, config["monitor"])
+        theirs, values = _config(other), monitored(other, config["monitor"])
+        # a run leaves no mark when it ends: one is finished that came as far as this one
         if _agree(theirs, config) and max(values, default=0) >= max(own, default=0):
-            result |= _best(int(theirs["seed_everything"]), values, config)
-    return result
-
-
-def _best(seed: int, values: dict[int, float], config: dict[str, Any]) -> dict[int, float]:
+            values_of[int(theirs["seed_everything"])] = values
+    values_of[int(config["seed_everything"])] = own
     choose = max if config.get("monitor_mode") == "max" else min
-    return {seed: choose(values.values())} if values else {}
+    return {seed: choose(values.values()) for seed, values in sorted(values_of.items()) if values}
 
 
 def _agree(one: Any, other: Any) -> bool:

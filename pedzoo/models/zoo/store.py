@@ -47,26 +47,24 @@ def is_address(name: str) -> bool:
 
 
 def is_file(name: str) -> bool:
-    """Return whether a name is that of a file: weights, a checkpoint, or a class in a file of one's own."""
-    check_scheme(name)
-    return not is_address(name) and (names_code(name) or name.endswith((".ckpt", ".safetensors")))
+    """Return whether a name is that of a file: weights, a checkpoint, or a class in a file of one's own.
 
-
-def check_scheme(name: str) -> None:
-    """Refuse the address of a file of this machine. Raises UserError: it is one, and its path would do."""
+    Raises:
+        UserError: It is the address of a file of this machine, and its path would do.
+    """
     if name.startswith("file:"):
         from urllib.request import url2pathname  # imports a client of the web
 
         path = url2pathname(urlsplit(name).path) or "FOLDER/ARCH.TAG"
         raise UserError(f"{name!r}: expected a path for what is on this machine: {path}")
+    return not is_address(name) and (names_code(name) or name.endswith((".ckpt", ".safetensors")))
 
 
 def find(name: str) -> ZooEntry | None:
     """Return the model of a name; its card is fetched where it must, its weights are not.
 
     Args:
-        name: ``ARCH.TAG``; ``FOLDER/ARCH.TAG``, or a ``FOLDER`` of one model; an address:
-            ``hf://OWNER/REPO[@REVISION][/ARCH.TAG]`` or ``https://HOST/FOLDER/ARCH.TAG``.
+        name: ``ARCH.TAG``; ``FOLDER/ARCH.TAG``, or a ``FOLDER`` of one model; or an address.
 
     Returns:
         None for what has no card: a file of weights or of code, an architecture, a word that is nothing.
@@ -85,39 +83,36 @@ def find(name: str) -> ZooEntry | None:
                 return result
             if name in MODELS.names() or not ((path / CARD).is_file() or card_files(path)):
                 return None
-        if path.is_dir():
-            return _only_one(path)
-        raise unknown(f"model of {str(path.parent)!r}", path.name, card_files(path.parent))
+        if not path.is_dir():
+            raise unknown(f"model of {str(path.parent)!r}", path.name, card_files(path.parent))
+        if (path / CARD).is_file():
+            return ZooEntry(read_card(path / CARD), path / CARD)
+        if len(cards := card_files(path)) != 1:
+            which = f"say which: {', '.join(str(path / one) for one in cards)}" if cards else "no card in it"
+            raise UserError(f"folder {str(path)!r} is not that of one model: {which}")
+        return _named(*cards.values())
     except OSError as error:  # longer than names of files may be, a folder that others may not read
         raise UserError(f"no model {name!r:.100}: {error.strerror}") from error
 
 
 def _by_name(name: str) -> ZooEntry | None:
-    for folder in _folders():
+    folders, addresses = _sources()
+    for folder in folders:
         if (path := folder / name / CARD).is_file():
             return _named(path)
     if len(stored := _addresses_fetched().get(name, [])) > 1:
         raise UserError(f"{name!r} was fetched from {len(stored)} places, say which: {' or '.join(stored)}")
     if stored:
         return _fetched(stored[0])
-    failed = [f"no folder {str(folder)!r}" for folder in _folders() if not folder.is_dir()]
-    for source in filter(is_address, _sources()):
+    failed = [f"no folder {str(folder)!r}" for folder in folders if not folder.is_dir()]
+    for address in addresses:
         try:
-            return _fetched(f"{source}/{name}")
+            return _fetched(f"{address}/{name}")
         except UserError as error:
             failed.append(str(error))
     if failed:
         raise UserError(f"{no_model(name)}; {SOURCES}: {'; '.join(failed)}")
     return None
-
-
-def _only_one(folder: Path) -> ZooEntry:
-    if (own := folder / CARD).is_file():
-        return ZooEntry(read_card(own), own)
-    if len(cards := card_files(folder)) != 1:
-        remedy = f"say which: {', '.join(str(folder / name) for name in cards)}" if cards else "no card in it"
-        raise UserError(f"folder {str(folder)!r} is not that of one model: {remedy}")
-    return _named(*cards.values())
 
 
 def _named(path: Path) -> ZooEntry:
@@ -144,20 +139,16 @@ def _fetched(name: str) -> ZooEntry:
 
 
 def _on_hub(name: str) -> tuple[str, str]:
-    """Return where the model of an address is: an address, and the folder of the cache, which has its name.
-
-    A repository without the name of a model is one model's: the front matter of its README says which.
-    """
+    """Return the address of a model on the hub, and its folder in the cache, which has its name."""
     match = _HUB.fullmatch(name)
     if not match:
         raise UserError(f"{name!r}: expected hf://OWNER/REPO, with @REVISION and /ARCH.TAG where wanted")
     owner, repo, revision, model = match.groups(default="")
     url = f"{_hub()}/{owner}/{repo}/resolve/{revision or 'main'}"
     place = f"hf/{owner}/{repo}/{revision or 'main'}"
-    return url, f"{place}/{check_name(model) if model else _only_model(name, url, place)}"
-
-
-def _only_model(name: str, url: str, place: str) -> str:
+    if model:
+        return url, f"{place}/{check_name(model)}"
+    # the repository is one model's: the front matter of its README says which
     page = download([f"{url}/README.md"], f"{FETCHED}/{place}/README.md")
     front = _FRONT.match(page.read_text("utf-8", errors="replace"))
     try:
@@ -167,11 +158,11 @@ def _only_model(name: str, url: str, place: str) -> str:
     model = said.get("model_name") if isinstance(said, dict) else None
     if not isinstance(model, str) or not is_name(model):
         raise UserError(f"{name}: its README does not say which model it is (model_name); add /ARCH.TAG")
-    return model
+    return url, f"{place}/{model}"
 
 
 def _on_web(name: str) -> tuple[str, str]:
-    """Return the same of an address of the web."""
+    """Return the same of a model on the web."""
     try:
         parts = urlsplit(name)
     except ValueError as error:  # brackets that do not close
@@ -274,7 +265,7 @@ def of_robots(name: str) -> UserError:
 
 def names() -> list[str]:
     """Return the names of all models on this machine: shipped, in the user's folders, and fetched."""
-    return sorted({*(name for folder in _folders() for name in card_files(folder)), *_addresses_fetched()})
+    return sorted({*(name for folder in _sources()[0] for name in card_files(folder)), *_addresses_fetched()})
 
 
 def robots() -> list[str]:
@@ -282,11 +273,8 @@ def robots() -> list[str]:
     return [name for name in names() if name.startswith(ROBOTS)]
 
 
-def _sources() -> list[str]:
-    """Return the user's own folders and addresses."""
-    sources = (source.strip().rstrip("/") for source in os.environ.get(SOURCES, "").split(","))
-    return [source for source in sources if source]
-
-
-def _folders() -> list[Path]:
-    return [shipped("checkpoints"), *(expanded(one) for one in _sources() if not is_address(one))]
+def _sources() -> tuple[list[Path], list[str]]:
+    """Return the folders, ours first, and the addresses in which names are looked up."""
+    given = [one.strip().rstrip("/") for one in os.environ.get(SOURCES, "").split(",")]
+    folders = [expanded(one) for one in given if one and not is_address(one)]
+    return [shipped("checkpoints"), *folders], [one for one in given if is_address(one)]
