@@ -35,38 +35,22 @@ class Walking:
 
 
 class Forecaster(nn.Module):
-    """A model of the zoo.
+    """A model of the zoo."""
 
-    Attributes:
-        name: As it was loaded: ``sgan_goal.zara1``, a file, an architecture.
-        card: Its `pedzoo.models.zoo.card.ModelCard`, of weights that have one.
-        config: The settings that it was built with, as plain values without groups.
-        needs: Inputs besides histories: ``goal``, ``map``.
-        goal_protocol: The goal protocol that it was trained on; None where it does not matter.
-        stochastic: Whether its samples differ.
-        noise_dim: Width of the noise of one person that `next_steps` takes; 0 where it takes none.
-        noise_periods: How often each number of it is drawn when it walks, seconds, see
-            `pedzoo.models.blocks.timed_noise`; empty where `walking_noise` says it for all.
-        mode_at_zero: The most likely future is that of noise zero.
-        walking: How it walks, by default.
-        walking_noise: How often its noise is drawn when it walks, by default.
-        remembers: Whether its policy keeps how people began, see `pedzoo.policies.memory`.
-        keeps_distance: Whether its people keep so much room that the safety layer adds none to their bodies.
-    """
-
-    name: str = ""
-    card: Any = None
-    config: dict[str, Any]
-    needs: frozenset[str] = frozenset()
-    goal_protocol: GoalProtocol | None = None
-    stochastic: ClassVar[bool] = True
-    noise_dim: int = 0
-    noise_periods: tuple[float, ...] = ()
-    mode_at_zero: ClassVar[bool] = False
-    walking: Walking = Walking()
-    walking_noise: Noise = "episode"
-    remembers: ClassVar[bool] = False
-    keeps_distance: bool = False
+    name: str = ""  # as it was loaded: ``sgan_goal.zara1``, a file, an architecture
+    card: Any = None  # its `pedzoo.models.zoo.card.ModelCard`, of weights that have one
+    config: dict[str, Any]  # the settings that it was built with, as plain values without groups
+    needs: frozenset[str] = frozenset()  # inputs besides histories: ``goal``, ``map``
+    goal_protocol: GoalProtocol | None = None  # that it was trained on; None where it does not matter
+    stochastic: ClassVar[bool] = True  # whether its samples differ
+    noise_dim: int = 0  # width of the noise of one person that `next_steps` takes; 0 where it takes none
+    # how often each number of it is drawn when it walks, seconds, see `pedzoo.models.blocks.timed_noise`
+    noise_periods: tuple[float, ...] = ()  # empty where `walking_noise` says it for all
+    mode_at_zero: ClassVar[bool] = False  # the most likely future is that of noise zero
+    walking: Walking = Walking()  # how it walks, by default
+    walking_noise: Noise = "episode"  # how often its noise is drawn when it walks, by default
+    remembers: ClassVar[bool] = False  # its policy keeps how people began, see `pedzoo.policies.memory`
+    keeps_distance: bool = False  # its people keep so much room that the safety layer adds none to bodies
 
     def __repr__(self) -> str:
         weights = sum(value.numel() for value in self.parameters())
@@ -92,10 +76,7 @@ class Forecaster(nn.Module):
     def candidates(
         self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
     ) -> Tensor:
-        """Return the futures (B, K, A, T, 2) of which a best of K takes the best.
-
-        These are random ones, unless a model has a set of futures that stand for all.
-        """
+        """Return futures (B, K, A, T, 2) for a best of K: random ones, or a set that stands for all."""
         return self.sample(batch, samples, steps, generator)
 
     def mode(self, batch: TensorDict, steps: int) -> Tensor:
@@ -120,10 +101,7 @@ class Forecaster(nn.Module):
         return step, step
 
     def prepare(self, batches: Iterable[TensorDict], seed: int = 0) -> None:
-        """Take from the training batches what is computed from them and not trained: nothing by default.
-
-        A training calls it once before its first step, with batches as recorded.
-        """
+        """Take from training batches, once before the first step, what is not trained: here nothing."""
 
     def loss(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor:
         """Return the training loss, summed over scenes. A forecaster without one cannot be trained."""
@@ -133,8 +111,7 @@ class Forecaster(nn.Module):
         """Return how likely each person's true future was (B, A), nats; None for a model without a density.
 
         Log densities, or a lower bound of them, of the displacements that `known_displacements` tells, all
-        steps of a person together; 0 where nothing is known. Where all are known, that is also the density of
-        the positions.
+        steps of a person together; 0 where nothing is known.
         """
         return None
 
@@ -149,6 +126,12 @@ def known_displacements(batch: TensorDict) -> Tensor:
     """Return which true displacements (B, A, T) are known: those with a known place at both ends."""
     valid = agents_of(batch)["future_valid"]
     return valid & functional.pad(valid[..., :-1], (1, 0), value=True)
+
+
+def normal(like: Tensor, generator: torch.Generator | None) -> Tensor:
+    """Return standard normal numbers of the shape of ``like``, drawn where ``generator`` lives."""
+    device = like.device if generator is None else generator.device
+    return torch.randn(like.shape, generator=generator, device=device, dtype=like.dtype).to(like.device)
 
 
 def for_all_samples(path: Tensor, batch: TensorDict, samples: int) -> Tensor:

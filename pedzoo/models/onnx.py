@@ -4,8 +4,7 @@ import io
 import json
 import logging
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stdout
+from contextlib import redirect_stdout
 from copy import deepcopy
 from pathlib import Path
 from typing import Any, NamedTuple, cast
@@ -34,6 +33,8 @@ from pedzoo.models.zoo.loading import config_of
 
 TOLERANCE = 1e-4
 """Metres per step by which a graph may differ from torch."""
+
+_ABOUT = "metres per step of 0.4 s, zero for padding: the first one over 0.4 s is the velocity to walk with"
 
 _SIZES = {"scenes": 3, "people": 5, "rows": 11, "columns": 13}
 """Sizes that a graph is traced with; it runs with all others, too."""
@@ -81,7 +82,13 @@ class Graph(nn.Module):
                 f"{type(model).__name__} draws its own noise, and a graph needs it as an input: give the "
                 "model a noise_dim and next_steps, see pedzoo.models.base.Forecaster"
             )
-        self.ports, self.outputs, self.steps = _inputs(model), _outputs(model, steps), steps
+        self.ports, self.steps = _inputs(model), steps
+        shape = "scenes", "people", steps, 2
+        self.outputs = {"displacements": Port(shape, _ABOUT)}
+        if model.noise_dim and model.mode_at_zero:
+            self.outputs["displacements"] = Port(shape, f"{_ABOUT}; noise zero gives the most likely future")
+        elif model.noise_dim:
+            self.outputs["most_likely"] = Port(shape, "the most likely future, for every noise")
         self.model = deepcopy(model).eval()
         for part in self.model.modules():
             if isinstance(part, AlexNetEncoder):
@@ -138,27 +145,13 @@ def _inputs(model: Forecaster) -> dict[str, Port]:
     return result
 
 
-def _outputs(model: Forecaster, steps: int) -> dict[str, Port]:
-    shape = "scenes", "people", steps, 2
-    about = (
-        "metres per step of 0.4 s, zero for padding: the first one over 0.4 s is the velocity to walk with"
-    )
-    if not model.noise_dim:
-        return {"displacements": Port(shape, about)}
-    if model.mode_at_zero:
-        return {"displacements": Port(shape, f"{about}; noise zero gives the most likely future")}
-    most_likely = Port(shape, "the most likely future, for every noise")
-    return {"displacements": Port(shape, about), "most_likely": most_likely}
-
-
 def export_onnx(
     model: Forecaster, path: str | Path, steps: int = PRED_LEN, about: dict[str, Any] | None = None
 ) -> Exported:
-    """Write a model as an ONNX graph that takes any number of scenes and people.
+    """Write a model as an ONNX graph that takes any number of scenes and people, see `Graph`.
 
-    Inputs and outputs are those of `Graph`. The file's metadata, JSON by key, say
-    what else must be known: ``config`` and ``goal_protocol`` of the model, ``step_seconds``, ``obs_len``,
-    ``pred_len``, and what each of ``inputs`` and ``outputs`` is.
+    The file's metadata, JSON by key, say what else must be known: ``config`` and ``goal_protocol`` of the
+    model, ``step_seconds``, ``obs_len``, ``pred_len``, and what each of ``inputs`` and ``outputs`` is.
 
     Args:
         model: The model.
@@ -198,9 +191,8 @@ def save_plan(model: Forecaster, grid: OccupancyGrid, path: str | Path) -> None:
     """
     if "map" not in model.needs:
         raise UserError(f"this {type(model).__name__} sees no floor plan: leave out {grid.name!r}")
-    arrays: dict[str, Any] = {**plan_inputs(model, MapBank([grid], "wall"), grid)}
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, **arrays)
+    np.savez_compressed(buffer, **cast("dict[str, Any]", plan_inputs(model, MapBank([grid], "wall"), grid)))
     write_atomically(Path(path), buffer.getvalue())
 
 
@@ -208,19 +200,15 @@ def _traced(graph: Graph, metadata: dict[str, str]) -> bytes:
     """Return the ONNX file of a graph."""
     from torch.fx.experimental.symbolic_shapes import GuardOnDataDependentSymNode
 
-    free = {name: torch.export.Dim(name) for name in _SIZES}
-    shapes = {
-        name: {i: free[side] for i, side in enumerate(port.shape) if isinstance(side, str)}
-        for name, port in graph.ports.items()
-    }
-    example = {
-        name: torch.ones([side if isinstance(side, int) else _SIZES[side] for side in port.shape]).to(
-            port.dtype
-        )
-        for name, port in graph.ports.items()
-    }
+    free, shapes, example = {name: torch.export.Dim(name) for name in _SIZES}, {}, {}
+    for name, port in graph.ports.items():
+        shapes[name] = {i: free[side] for i, side in enumerate(port.shape) if isinstance(side, str)}
+        sizes = [side if isinstance(side, int) else _SIZES[side] for side in port.shape]
+        example[name] = torch.ones(sizes).to(port.dtype)
+    before = logging.root.manager.disable
+    logging.disable(logging.WARNING)
     try:
-        with torch.no_grad(), _quiet():
+        with torch.no_grad(), warnings.catch_warnings(action="ignore"):
             # not by torch.onnx.export alone, which turns every LSTM into a loop
             program = torch.export.export(graph, (example,), dynamic_shapes={"inputs": shapes})
             onnx = torch.onnx.export(
@@ -237,6 +225,8 @@ def _traced(graph: Graph, metadata: dict[str, str]) -> bytes:
             "neither on the numbers in its inputs nor on how many people there are, and sizes must be taken "
             "from x.shape[0], not from len(x)"
         ) from error
+    finally:
+        logging.disable(before)
     assert onnx is not None
     proto = onnx.model_proto  # made anew each time it is asked for
     for part in (*proto.graph.node, *proto.graph.value_info, *proto.graph.input, *proto.graph.output):
@@ -244,17 +234,6 @@ def _traced(graph: Graph, metadata: dict[str, str]) -> bytes:
     for key, value in metadata.items():
         proto.metadata_props.add(key=key, value=value)
     return proto.SerializeToString(deterministic=True)
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    before = logging.root.manager.disable
-    logging.disable(logging.WARNING)
-    try:
-        with warnings.catch_warnings(action="ignore"):
-            yield
-    finally:
-        logging.disable(before)
 
 
 def plan_inputs(model: nn.Module, bank: MapBank, grid: OccupancyGrid) -> dict[str, NDArray[np.float32]]:
@@ -288,11 +267,7 @@ class PlanInput(MapBank):
         super().__init__()
         self._image, self._affine = image, affine
 
-    def __eq__(self, other: object) -> bool:
-        return self is other
-
-    def __hash__(self) -> int:
-        return id(self)
+    __eq__, __hash__ = object.__eq__, object.__hash__
 
     def to(self, device: torch.device | str) -> MapBank:
         """Return the bank itself."""
@@ -334,11 +309,23 @@ def parity(data: bytes, model: Forecaster, graph: Graph) -> list[Parity]:
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 4  # what goes wrong is said by the exception
     session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-    batch, plan = _embedded(model)
+    data_module = TrajectoryDataModule(
+        fold="embedded", goal="window_end" if "goal" in model.needs else "none"
+    )
+    with redirect_stdout(io.StringIO()):  # counts of windows and people, which say nothing here
+        data_module.setup("test")
+    bank, plan = data_module.bank, {}
+    if "map" in model.needs:
+        plan = plan_inputs(model, bank, bank.grids[0])
+    batch = next(iter(data_module.test_dataloader()))
+    first, agents = batch[:1], agents_of(batch)
+    everybody = {key: value.flatten(0, 1).unsqueeze(0) for key, value in agents.items()}
+    crowd = TensorDict(everybody, batch_size=(1, agents.numel()))  # padding stays in place
     generator = torch.Generator().manual_seed(0)
     checks, name = [], f"the ONNX graph of {type(model).__name__}"
-    for scenes in (_cut(batch, 1, 1), _cut(batch, 1), batch, _crowd(batch)):
-        agents = agents_of(scenes)
+    for some, people in ((first, agents[:1, :1]), (first, agents[:1]), (batch, agents), (first, crowd)):
+        scenes = cast("TensorDict", some.clone())
+        scenes["agents"] = agents = cast("TensorDict", people)
         noise = torch.randn(*agents.shape, model.noise_dim, generator=generator)
         given = plan | {key: value.numpy() for key, value in {**agents, "noise": noise}.items()}
         try:
@@ -360,27 +347,3 @@ def parity(data: bytes, model: Forecaster, graph: Graph) -> list[Parity]:
             f"{worst.people} people; at most {TOLERANCE:g} is rounding, so nothing was written"
         )
     return checks
-
-
-def _embedded(model: Forecaster) -> tuple[TensorDict, dict[str, Any]]:
-    """Return a batch of the embedded recording, and its floor plan as ``model`` sees it."""
-    data = TrajectoryDataModule(fold="embedded", goal="window_end" if "goal" in model.needs else "none")
-    with redirect_stdout(io.StringIO()):  # counts of windows and people, which say nothing here
-        data.setup("test")
-    plan = plan_inputs(model, data.bank, data.bank.grids[0]) if "map" in model.needs else {}
-    return next(iter(data.test_dataloader())), plan
-
-
-def _cut(batch: TensorDict, scenes: int, people: int | None = None) -> TensorDict:
-    """Return the first scenes of a batch, and the first people of each."""
-    some = cast("TensorDict", batch[:scenes].clone())
-    some["agents"] = agents_of(some)[:, :people]
-    return some
-
-
-def _crowd(batch: TensorDict) -> TensorDict:
-    """Return one scene with all people of a batch; padding stays in place."""
-    one, agents = _cut(batch, 1), agents_of(batch)
-    people = {key: value.flatten(0, 1).unsqueeze(0) for key, value in agents.items()}
-    one["agents"] = TensorDict(people, batch_size=(1, agents.numel()))
-    return one

@@ -49,7 +49,7 @@ class AnchorMLP(AnchorForecaster):
 
     def write(self, batch: TensorDict, seen: AnchorInputs) -> ModePredictions:
         """Return the anchors with their corrections."""
-        anchors = self.anchors(seen)
+        anchors = super().write(batch, seen)
         moved = seen.history.diff(dim=1) / seen.unit.unsqueeze(-1)
         speed = torch.stack((seen.speed, (seen.unit[:, 0] / UNIT).log()), -1)
         hidden = self.body(torch.cat((moved.flatten(1), speed), -1))

@@ -107,7 +107,7 @@ class AnchorNet(AnchorForecaster):
 
     def write(self, batch: TensorDict, seen: AnchorInputs) -> ModePredictions:
         """Return the modes: anchors with what the decoder adds to them."""
-        anchors, a = self.anchors(seen), self.architecture
+        anchors, a = super().write(batch, seen), self.architecture
         context = self._context(batch, seen)
         hidden = context.unsqueeze(1) + self.query
         if self.anchor is not None:

@@ -16,7 +16,7 @@ from torch.nn import functional
 from pedzoo.core.batch import agents_of, goals_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import PRED_LEN, STEP_SECONDS, TIMED, GoalProtocol
-from pedzoo.models.base import Forecaster, Walking
+from pedzoo.models.base import Forecaster, Walking, normal
 from pedzoo.models.blocks.map_encoders import ENCODERS, Viewpoints
 from pedzoo.models.blocks.mlp import init_like_sgan, init_with_zeros, mlp
 from pedzoo.models.blocks.people import ego_frame, linear_extrapolation
@@ -140,9 +140,8 @@ class SGAN(Forecaster):
         map_dim = a.map_dim if a.map else 0
         self.needs = frozenset(["goal"] * (a.goal_dim > 0) + ["map"] * (a.map is not None))
         self.encoder = DisplacementEncoder(a.embedding_dim, a.encoder_dim)
-        self.pooling = (
-            SocialPooling(a.encoder_dim, a.embedding_dim, 512, a.bottleneck_dim) if a.bottleneck_dim else None
-        )
+        pooled = a.encoder_dim, a.embedding_dim, 512, a.bottleneck_dim
+        self.pooling = SocialPooling(*pooled) if a.bottleneck_dim else None
         self.goal = nn.Linear(4, a.goal_dim) if a.goal_dim else None
         seen = a.encoder_dim + a.bottleneck_dim + a.goal_dim + map_dim + a.approach_dim
         self.to_decoder = mlp(seen, a.mlp_dim, a.decoder_dim - a.noise_dim)
@@ -155,9 +154,8 @@ class SGAN(Forecaster):
         if late := map_dim + a.approach_dim:
             # the untrained network looks at neither: they are listened to as far as they help
             nn.init.zeros_(cast("nn.Linear", self.to_decoder[0]).weight[:, -late:])
-        self.trait = (
-            ContextNoise(a.decoder_dim - a.noise_dim, a.noise_dim, a.trait_dim) if a.trait_dim else None
-        )
+        given = a.decoder_dim - a.noise_dim, a.noise_dim, a.trait_dim
+        self.trait = ContextNoise(*given) if a.trait_dim else None
         if a.residual != "none":
             # the untrained network is the trivial continuation itself
             init_with_zeros(self.decoder.output)
@@ -211,9 +209,7 @@ class SGAN(Forecaster):
         """Return noise (K, P, noise_dim), the same for all people of a scene or not, as ``noise`` says."""
         crowd, like = encoded.crowd, encoded.context
         rows = crowd.shape[0] if self.noise == "scene" else len(like)
-        device = like.device if generator is None else generator.device
-        size = samples, rows, self.noise_dim
-        z = torch.randn(size, generator=generator, device=device, dtype=like.dtype).to(like.device)
+        z = normal(like.new_empty(samples, rows, self.noise_dim), generator)
         return z[:, crowd.scene] if self.noise == "scene" else z
 
     def decode(self, encoded: Encoded, z: Tensor, steps: int) -> Tensor:
@@ -237,9 +233,8 @@ class SGAN(Forecaster):
     ) -> Tensor:
         """Return random futures (B, K, A, T, 2)."""
         encoded = self.encode(batch, steps)
-        return encoded.crowd.unpack_samples(
-            self.decode(encoded, self.draw(encoded, samples, generator), steps)
-        )
+        path = self.decode(encoded, self.draw(encoded, samples, generator), steps)
+        return encoded.crowd.unpack_samples(path)
 
     def mode(self, batch: TensorDict, steps: int) -> Tensor:
         """Return the future (B, 1, A, T, 2) at the mode of the noise, z = 0."""
@@ -288,8 +283,8 @@ class SGAN(Forecaster):
 def at_own_speed(step: Tensor, alone: Tensor, last: Tensor, wanted: Tensor) -> Tensor:
     """Return steps (P, 2) of people who would walk at their own speed if they were alone.
 
-    As much of a step as others leave of a step alone, they leave of it at that speed, too. Few recorded
-    people walk as slowly or as fast as hosts may want: a model's speed alone is off by -7 to +30 %.
+    As much of a step as others leave of a step alone, they leave of it at that speed, too. A model's speed
+    alone is off by -7 to +30 %.
 
     Args:
         step: What the model says (P, 2), metres, as all that follow.

@@ -1,15 +1,13 @@
 """Social-VRNN: a variational recurrent network whose output is a mixture of whole futures.
 
 Brito, Zhu, Pan and Alonso-Mora, "Social-VRNN: One-Shot Multi-modal Trajectory Prediction for Interacting
-Pedestrians", CoRL 2020, arXiv:2010.09056. As there, the inputs x are people's tracks, the occupancy map
-around them and the others' relative states. A latent z is inferred, and one pass gives a mixture of
-Gaussians over all future displacements y. Training maximises the evidence lower bound.
+Pedestrians", CoRL 2020, arXiv:2010.09056. The inputs x are people's tracks, the occupancy map around them
+and the others' relative states. One pass gives a mixture of Gaussians over all future displacements y.
 
 Beyond the paper: each person's own frame, displacements relative to the last one repeated, pooling instead
-of an LSTM over the others in order of distance, distances to walls instead of a pretrained autoencoder's
-features, and a loss of the most likely future alone. The posterior sees the future, q(z | x, y), as in
-conditional variational autoencoders (Sohn et al., NeurIPS 2015): with x alone, the bound is highest if z
-means nothing. As in the published code, its diversity term is not part of the loss.
+of an LSTM over the others, distances to walls instead of an autoencoder's features, and a loss of the most
+likely future alone. The posterior sees the future, q(z | x, y) (Sohn et al., NeurIPS 2015): with x alone,
+the bound is highest if the latent z means nothing. As in the published code, there is no diversity term.
 """
 
 import math
@@ -24,7 +22,7 @@ from torch.nn import functional
 
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
-from pedzoo.models.base import Forecaster, known_displacements, true_displacements
+from pedzoo.models.base import Forecaster, known_displacements, normal, true_displacements
 from pedzoo.models.blocks.map_encoders import PatchEncoder, Viewpoints
 from pedzoo.models.blocks.mixture import FutureMixture
 from pedzoo.models.blocks.people import ego_frame, linear_extrapolation
@@ -192,9 +190,9 @@ class SocialVRNN(Forecaster):
         seen = self.see(batch)
         z = _draw(seen.prior, samples, generator)
         mixture = self.mixture(seen, z, steps)
-        component = mixture.at_quantile(torch.special.ndtr(_normal(z[..., 0], generator)))
+        component = mixture.at_quantile(torch.special.ndtr(normal(z[..., 0], generator)))
         path, scale = mixture.mean_of(component), mixture.scale_of(component)
-        return self._world(seen, path + scale * _normal(path, generator))
+        return self._world(seen, path + scale * normal(path, generator))
 
     def mode(self, batch: TensorDict, steps: int) -> Tensor:
         """Return the mean (B, 1, A, T, 2) of the most likely component, at the mode of the latent."""
@@ -224,8 +222,7 @@ class SocialVRNN(Forecaster):
         with one draw of z, and ``mode_weight`` times the mean distance of `mode` from the truth.
         """
         seen = self.see(batch)
-        truth, known = self._truth(batch, seen)
-        posterior = self._infer(seen, truth, known)
+        truth, known, posterior = self._infer(batch, seen)
         mixture = self.mixture(seen, _draw(posterior, 1, generator), truth.shape[1])
         divergence = kl_divergence(posterior, seen.prior).sum(-1) * known.any(-1)
         cost = self.losses.kl_weight * divergence - mixture.log_prob(truth, known).squeeze(0)
@@ -249,8 +246,7 @@ class SocialVRNN(Forecaster):
             log 1/K sum_k p(y | z_k, x) p(z_k | x) / q(z_k | x, y),  z_k ~ q.
         """
         seen = self.see(batch)
-        truth, known = self._truth(batch, seen)
-        posterior = self._infer(seen, truth, known)
+        truth, known, posterior = self._infer(batch, seen)
         z = _draw(posterior, samples, generator)
         weight = (seen.prior.log_prob(z) - posterior.log_prob(z)).sum(-1)
         nats = self.mixture(seen, z, truth.shape[1]).log_prob(truth, known) + weight
@@ -262,15 +258,12 @@ class SocialVRNN(Forecaster):
         mixture = self.mixture(seen, seen.prior.mean.unsqueeze(0), steps)
         return mixture.mean_of(mixture.most_likely())
 
-    def _truth(self, batch: TensorDict, seen: EncodedPeople) -> tuple[Tensor, Tensor]:
-        """Return true displacements (P, T, 2) in each person's frame and which are known (P, T)."""
-        path = ego_frame.into(seen.heading, seen.crowd.pack(true_displacements(batch)))
-        return path, seen.crowd.pack(known_displacements(batch))
-
-    def _infer(self, seen: EncodedPeople, truth: Tensor, known: Tensor) -> Normal:
-        """Return the posterior q(z | x, y)."""
+    def _infer(self, batch: TensorDict, seen: EncodedPeople) -> tuple[Tensor, Tensor, Normal]:
+        """Return true displacements (P, T, 2) in people's frames, which are known, and the posterior."""
+        truth = ego_frame.into(seen.heading, seen.crowd.pack(true_displacements(batch)))
+        known = seen.crowd.pack(known_displacements(batch))
         surprise = (truth - seen.last.unsqueeze(1)) * known.unsqueeze(-1)
-        return self.posterior(seen.features, self.future(surprise))
+        return truth, known, self.posterior(seen.features, self.future(surprise))
 
     def _world(self, seen: EncodedPeople, path: Tensor) -> Tensor:
         """Return paths (K, P, T, 2) of each person's frame as displacements in the world (B, K, A, T, 2)."""
@@ -280,10 +273,4 @@ class SocialVRNN(Forecaster):
 def _draw(given: Normal, samples: int, generator: torch.Generator | None) -> Tensor:
     """Return draws (K, P, D) of a distribution (P, D), which pass gradients on to it."""
     like = given.mean.expand(samples, *given.mean.shape)
-    return given.mean + given.stddev * _normal(like, generator)
-
-
-def _normal(like: Tensor, generator: torch.Generator | None) -> Tensor:
-    """Return standard normal numbers of the shape of ``like``, drawn where ``generator`` lives."""
-    device = like.device if generator is None else generator.device
-    return torch.randn(like.shape, generator=generator, device=device, dtype=like.dtype).to(like.device)
+    return given.mean + given.stddev * normal(like, generator)

@@ -130,10 +130,7 @@ class SocialWalker(Forecaster):
             self.head.bias.zero_()
 
     def velocities(self, now: Situation, noise: Tensor) -> tuple[Tensor, Tensor]:
-        """Return velocities until the next decision (B, A, 2), m/s, and those that people wish for.
-
-        Noise is (B, A, Z).
-        """
+        """Return velocities until the next decision (B, A, 2), m/s, and wished ones, for noise (B, A, Z)."""
         a, z = self.architecture, noise
         frame = now.ahead.unsqueeze(2)
         past = unrotate(now.history.diff(dim=2), frame) / STEP_SECONDS
@@ -214,8 +211,10 @@ class SocialWalker(Forecaster):
             drawn = z[..., HALT_PERIOD] if a.lasting_halts else step[..., 3]
             going = RARE_HALT + WALKS_ON * confined - out[..., 16] + 1.7 * drawn + AT_ONCE * now.sets_out
             goes = _hard((going / 0.4).sigmoid()).unsqueeze(-1)
-            if a.lasting_halts:
-                result = torch.lerp(_braked(past[:, :, -1]), result, goes)
+            if a.lasting_halts:  # they brake first
+                speed = smooth_norm(past[:, :, -1]).unsqueeze(-1)
+                slower = past[:, :, -1] * (1 - BRAKING / speed.clamp_min(BRAKING))
+                result = torch.lerp(slower, result, goes)
             else:
                 result = goes * result
         wish = rotate(result, now.ahead)
@@ -280,12 +279,6 @@ class SocialWalker(Forecaster):
     def mode(self, batch: TensorDict, steps: int) -> Tensor:
         """Return the future (B, 1, A, T, 2) without noise."""
         return self.next_steps(batch, None, steps, steps).unsqueeze(1)
-
-
-def _braked(velocity: Tensor) -> Tensor:
-    """Return velocities (..., 2), m/s, after a step of braking; 0 for people who can stand by then."""
-    speed = smooth_norm(velocity).unsqueeze(-1)
-    return velocity * (1 - BRAKING / speed.clamp_min(BRAKING))
 
 
 def _hard(gate: Tensor) -> Tensor:

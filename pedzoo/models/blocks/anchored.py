@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from scipy.cluster.vq import kmeans2
 from tensordict import TensorDict
-from torch import Tensor, nn
+from torch import Generator, Tensor, nn
 from torch.nn import functional
 
 from pedzoo.core.batch import agents_of, goals_of
@@ -103,11 +103,7 @@ class AnchorForecaster(Forecaster):
         self.log_scale = nn.Parameter(torch.full((classes, modes, steps, 2), -2.0))
 
     def write(self, batch: TensorDict, seen: AnchorInputs) -> ModePredictions:
-        """Return what the model says; by default the anchors themselves."""
-        return self.anchors(seen)
-
-    def anchors(self, seen: AnchorInputs) -> ModePredictions:
-        """Return the anchors of people's speeds."""
+        """Return what the model says; by default the anchors of people's speeds."""
         which = _speed_class(seen)
         return ModePredictions(self.get_buffer("centroids")[which], self.logits[which], self.log_scale[which])
 
@@ -181,7 +177,7 @@ class AnchorForecaster(Forecaster):
         return FutureMixture(written.logits, _displacements(path), scale)
 
     def sample(
-        self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
+        self, batch: TensorDict, samples: int, steps: int, generator: Generator | None = None
     ) -> Tensor:
         """Return random futures (B, K, A, T, 2): modes by their probabilities.
 
@@ -190,10 +186,17 @@ class AnchorForecaster(Forecaster):
         futures = self._futures(batch)
         path = self._drawn(*futures, samples, steps, generator)
         again = self._drawn(*futures, samples, steps, generator)
-        return torch.where(_touching(batch, path)[..., None, None], again, path)
+        agents = agents_of(batch)
+        there = agents["mask"]
+        here = torch.where(there[..., None, None], agents["history"][:, :, -1:], 0.0)
+        place = (here.unsqueeze(1) + path.cumsum(3)).transpose(2, 3)
+        near = torch.cdist(place, place) < 2 * BODY_RADIUS
+        near &= (there.unsqueeze(1) & there.unsqueeze(2))[:, None, None]
+        near.diagonal(dim1=-2, dim2=-1).fill_(False)  # nobody touches themselves
+        return torch.where(near.any(-1).any(2)[..., None, None], again, path)
 
     def candidates(
-        self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
+        self, batch: TensorDict, samples: int, steps: int, generator: Generator | None = None
     ) -> Tensor:
         """Return the ``samples`` likeliest modes of each person (B, K, A, T, 2), and draws beyond all."""
         seen, mixture = self._futures(batch)
@@ -217,12 +220,8 @@ class AnchorForecaster(Forecaster):
         chosen = mixture.at_quantile(torch.special.ndtr(seen.crowd.pack(noise)[:, 0]))
         return self._world(seen, mixture.mean_of(chosen).unsqueeze(0), steps)[:, 0]
 
-    def loss(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor:
-        """Return the loss, summed over people.
-
-        The best average and final errors of the modes, the error of the best guess, the cross-entropy of the
-        mode that was best, and the likelihood of the truth, which moves nothing but the widths.
-        """
+    def loss(self, batch: TensorDict, generator: Generator | None = None) -> Tensor:
+        """Return the loss, summed over people: that of `AnchorLosses`, and the likelihood of the widths."""
         self.check(batch)
         if self.losses.reverse and torch.rand((), generator=generator) < 0.5:
             batch = reversed_in_time(batch, self.goal_protocol)
@@ -246,7 +245,7 @@ class AnchorForecaster(Forecaster):
         return ((cost + own.choice_weight * choice + nats) * known.any(-1)).sum()
 
     @torch.no_grad()
-    def log_likelihood(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor | None:
+    def log_likelihood(self, batch: TensorDict, generator: Generator | None = None) -> Tensor | None:
         """Return each person's log density (B, A), nats; None for other numbers of steps than trained."""
         if agents_of(batch)["future"].shape[2] != self.steps:
             return None
@@ -259,25 +258,17 @@ class AnchorForecaster(Forecaster):
         return seen, self.mixture(self.write(batch, seen), seen)
 
     def _drawn(
-        self,
-        seen: AnchorInputs,
-        mixture: FutureMixture,
-        samples: int,
-        steps: int,
-        random: torch.Generator | None,
+        self, seen: AnchorInputs, mixture: FutureMixture, samples: int, steps: int, random: Generator | None
     ) -> Tensor:
         device = mixture.logits.device
-        share = torch.rand(
-            samples, len(mixture.logits), generator=random, device=random.device if random else device
-        )
+        drawn_on = random.device if random else device
+        share = torch.rand(samples, len(mixture.logits), generator=random, device=drawn_on)
         many = FutureMixture(*(value.expand(samples, *value.shape) for value in mixture))
         return self._world(seen, many.mean_of(many.at_quantile(share.to(device))), steps)
 
     def _world(self, seen: AnchorInputs, path: Tensor, steps: int) -> Tensor:
-        """Return displacements (K, P, T, 2) in people's frames as (B, K, A, steps, 2) in the world.
-
-        Steps beyond those that the model was trained for repeat the last one.
-        """
+        """Return displacements (K, P, T, 2) in people's frames as (B, K, A, steps, 2) in the world."""
+        # beyond the steps of the training the last one is repeated
         more = path[:, :, -1:].expand(-1, -1, max(steps - self.steps, 0), -1)
         path = ego_frame.out_of(seen.heading, torch.cat((path, more), 2)[:, :, :steps])
         return seen.crowd.unpack_samples(path)
@@ -290,18 +281,6 @@ def _speed_class(seen: AnchorInputs) -> Tensor:
 def _displacements(path: Tensor) -> Tensor:
     """Return displacements of positions (..., T, 2) from the last observed one."""
     return torch.cat((path[..., :1, :], path.diff(dim=-2)), -2)
-
-
-def _touching(batch: TensorDict, path: Tensor) -> Tensor:
-    """Return who would touch another (B, K, A) bool on the paths (B, K, A, T, 2)."""
-    agents = agents_of(batch)
-    there = agents["mask"]
-    here = torch.where(there[..., None, None], agents["history"][:, :, -1:], 0.0)
-    place = (here.unsqueeze(1) + path.cumsum(3)).transpose(2, 3)
-    near = torch.cdist(place, place) < 2 * BODY_RADIUS
-    alone = torch.eye(there.shape[1], dtype=torch.bool, device=there.device)
-    others = (there.unsqueeze(1) & there.unsqueeze(2) & ~alone)[:, None, None]
-    return (near & others).any(-1).any(2)
 
 
 class Clusters(NamedTuple):

@@ -13,17 +13,11 @@ from torch import Tensor
 
 
 class FutureMixture(NamedTuple):
-    """A density over displacements (..., T, 2) for each of any number of people.
+    """A density over displacements (..., T, 2) for each of any number of people."""
 
-    Attributes:
-        logits: Unnormalised log weights (..., M).
-        mean: Means (..., M, T, 2), metres per step.
-        scale: Standard deviations (..., M, T, 2), metres per step.
-    """
-
-    logits: Tensor
-    mean: Tensor
-    scale: Tensor
+    logits: Tensor  # unnormalised log weights (..., M)
+    mean: Tensor  # means (..., M, T, 2), metres per step
+    scale: Tensor  # standard deviations (..., M, T, 2), metres per step
 
     def log_prob(self, path: Tensor, known: Tensor) -> Tensor:
         """Return log densities (...) of ``known`` steps of a path (..., T, 2) under the mixture, nats."""

@@ -11,8 +11,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 _CPU_CELLS = 2**19
-"""People x steps x width per LSTM call on a CPU. Beyond, its buffers pass 32 MB, which the C library takes
-from the system page by page at every call: 1.7 times slower (measured)."""
+"""People x steps x width per LSTM call on a CPU. Beyond, its buffers pass 32 MB: 1.7 times slower."""
 
 
 class DisplacementEncoder(nn.Module):
@@ -123,10 +122,7 @@ def _rows(cells: int, people: Tensor) -> int:
 def _lstm(
     inputs: Tensor, state: tuple[Tensor, Tensor], weights: list[Tensor], batch_first: bool = False
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Return all hidden states (T, P, H) of an LSTM, and the last hidden and cell state (1, P, H).
-
-    Inputs are (T, P, 2), or (P, T, 2) with ``batch_first``; ``weights`` are those of `_folded`.
-    """
+    """Return all hidden states (T, P, H) of an LSTM, and the last hidden and cell state (1, P, H)."""
     # has biases, layers, dropout, training, bidirectional, batch first
     options = True, 1, 0.0, torch.is_grad_enabled(), False, batch_first
     if not inputs.is_cuda:

@@ -78,14 +78,10 @@ class VarietyLoss:
         crowd: Crowd,
         sample: bool = True,
     ) -> tuple[Tensor, Tensor | None]:
-        """Return the loss, summed over scenes, and, if ``sample``, a random sample (P, T, 2).
+        """Return the loss, summed over scenes, and, if wanted, a random ``sample`` (P, T, 2).
 
-        Args:
-            decode: Returns displacements (K, P, T, 2) for noise (K, P, Z).
-            z: That noise, of ``best_k`` samples, at least two.
-            batch: Scenes with the truth.
-            crowd: Their packing.
-            sample: Whether a sample is wanted.
+        ``decode`` returns displacements (K, P, T, 2) for noise ``z`` (K, P, Z) of ``best_k`` samples, at
+        least two, of the scenes in a ``batch`` that ``crowd`` packs.
         """
         error = scene_error(self.error, batch, crowd)
         chosen = {"sample": z[-1]} if sample or self.energy_weight else {}
