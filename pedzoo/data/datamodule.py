@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -142,12 +143,16 @@ class TrajectoryDataModule(L.LightningDataModule):
         self.min_people = min_people
         self.loading, self.imitated = loading, imitated
         self.source = OwnFiles(files, dt, split, map, homography) if files else open_fold(fold, root, clock)
-        real = files or clock == "true"  # the source's own clock is the true one
-        self._real = self.source if real or not imitated.steps else open_fold(fold, root, "true")
         self._grids: dict[Path, OccupancyGrid] = {}
         self.bank = MapBank([])
         self.sets: dict[Split, SceneSet] = {}
         self.unrolled: SceneSet | None = None
+
+    @cached_property
+    def _real(self) -> OwnFiles | OpenFold:
+        """The source on the true clock."""
+        true = self.hparams["files"] or self.hparams["clock"] == "true"
+        return self.source if true else open_fold(self.fold, self.hparams["root"], "true")
 
     @property
     def protocol(self) -> dict:
@@ -205,20 +210,18 @@ class TrajectoryDataModule(L.LightningDataModule):
 
         Their frame is that of the floor plan in the bank, see `pedzoo.data.recordings.Scene`.
         """
-        true = self.hparams["files"] or self.hparams["clock"] == "true"
-        source = self.source if true else open_fold(self.fold, self.hparams["root"], "true")
-        scenes = [self._scene(one) for one in self._recordings(source, split)]
-        return [(one.tracks, one.grid.map_id if one.grid else -1) for one in scenes]
+        return [(one.tracks, map_id) for one, map_id in self._at_home(self._recordings(self._real, split))]
 
-    def _scene(self, recording: Recording) -> Scene:
-        return Scene.of(recording.tracks, self._grids[recording.plan] if recording.plan else None)
+    def _at_home(self, recordings: list[Recording]) -> list[tuple[Scene, int]]:
+        """Return the scene of every recording, and the ``map_id`` of its floor plan."""
+        scenes = [Scene.of(one.tracks, self._grids[one.plan] if one.plan else None) for one in recordings]
+        return [(scene, scene.grid.map_id if scene.grid else -1) for scene in scenes]
 
     def _scenes(
         self, recordings: list[Recording], steps: int, people: KeptPeople, min_people: int
     ) -> SceneSet:
-        scenes = [self._scene(one) for one in recordings]
-        ids = [one.grid.map_id if one.grid else -1 for one in scenes]
-        return SceneSet(scenes, ids, self.bank, self.obs_len, steps, people, min_people)
+        scenes, map_ids = zip(*self._at_home(recordings), strict=True)
+        return SceneSet(scenes, map_ids, self.bank, self.obs_len, steps, people, min_people)
 
     def train_dataloader(self) -> Any:
         """Return shuffled, augmented batches; with windows to imitate two loaders, which Lightning joins."""
@@ -269,10 +272,8 @@ class Draw(NamedTuple):
 class BucketSampler(DistributedSampler[Draw]):
     """Batches of scenes of similar crowd size, so that padding is small and pooling runs over few groups.
 
-    Scenes are ordered by size with ties in random order and cut into batches of at most ``batch_size``
-    scenes and ``max_pairs`` ordered pairs of people; the batches come in random order. An epoch depends
-    on nothing but ``seed`` and its number, so a resumed run sees what an uninterrupted one would. Without
-    ``shuffle`` all epochs are the same.
+    Scenes are ordered by size with ties in random order and cut into batches, which come in random order. An
+    epoch depends on nothing but ``seed`` and its number. Without ``shuffle`` all epochs are the same.
 
     It is a `DistributedSampler`, though nothing is inherited, so that Lightning leaves it alone: of others it
     takes each process's share, which would be a share of the share.
@@ -297,8 +298,8 @@ class BucketSampler(DistributedSampler[Draw]):
             max_pairs: Ordered pairs of people in a batch, at most.
             shuffle: Another order in every epoch.
             seed: Of the order.
-            rank: Of the process.
-            replicas: Processes, each of which gets its share.
+            rank: Of the process, one of ``replicas``, each of which gets its share.
+            replicas: Processes.
             groups: Which scenes may be in a batch together (S,) long: those of the same number; None for all.
         """
         self.sizes = sizes.numpy()
@@ -307,9 +308,16 @@ class BucketSampler(DistributedSampler[Draw]):
         self.epoch = 0
         self.cuts: list[tuple[int, int]] = []
         for group in np.unique(self.groups):
-            before = int((self.groups < group).sum())
-            group_cuts = _cuts(np.sort(self.sizes[self.groups == group]), batch_size, max_pairs)
-            self.cuts += [(before + start, before + stop) for start, stop in group_cuts]
+            start = int((self.groups < group).sum())
+            sizes_here = np.sort(self.sizes[self.groups == group])
+            end = start + len(sizes_here)
+            pairs = np.zeros(end + 1, dtype=np.int64)
+            pairs[start + 1 :] = np.cumsum(sizes_here.astype(np.int64) ** 2)
+            while start < end:  # a scene with more than ``max_pairs`` pairs stands alone
+                most = int(np.searchsorted(pairs, pairs[start] + max_pairs, side="right")) - 1
+                stop = min(max(most, start + 1), start + batch_size, end)
+                self.cuts.append((start, stop))
+                start = stop
 
     def set_epoch(self, epoch: int) -> None:
         """Choose the epoch; Lightning calls this."""
@@ -329,18 +337,6 @@ class BucketSampler(DistributedSampler[Draw]):
         for i in np.resize(batches, len(self) * self.replicas)[self.rank :: self.replicas]:
             start, stop = self.cuts[i]
             yield Draw(torch.from_numpy(order[start:stop]), int(seeds[i]))
-
-
-def _cuts(sizes: np.ndarray, batch_size: int, max_pairs: int) -> list[tuple[int, int]]:
-    """Return where to cut ascending ``sizes``; a scene with more than ``max_pairs`` pairs stands alone."""
-    pairs = np.concatenate(([0], np.cumsum(sizes.astype(np.int64) ** 2)))
-    cuts, start = [], 0
-    while start < len(sizes):
-        most = int(np.searchsorted(pairs, pairs[start] + max_pairs, side="right")) - 1
-        stop = min(max(most, start + 1), start + batch_size, len(sizes))
-        cuts.append((start, stop))
-        start = stop
-    return cuts
 
 
 class _Batches(Dataset[TensorDict]):

@@ -24,17 +24,11 @@ _LONGEST_VALUE = 1_000_000
 
 
 class Contents(NamedTuple):
-    """What is in a file.
+    """What is in a file."""
 
-    Attributes:
-        table: Rows (N, 4) of frame, agent, x, y; positions in metres where the unit is known.
-        place: Says where in the file a row is.
-        source: What the file says of itself.
-    """
-
-    table: np.ndarray
-    place: Callable[[int], str]
-    source: Source
+    table: np.ndarray  # rows (N, 4) of frame, agent, x, y; positions in metres where the unit is known
+    place: Callable[[int], str]  # says where in the file a row is
+    source: Source  # what the file says of itself
 
 
 def contents_of(path: Path) -> Contents:
@@ -91,10 +85,7 @@ def _seconds_per_frame(table: np.ndarray, unit: float | None) -> float | None:
 
 
 def _footsteps(table: np.ndarray, path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Return the places of people at begin and end of footsteps, and between in long ones, with their rows.
-
-    The table (N, 7) has time, agent, x and y of the begin, and time, x and y of the end.
-    """
+    """Return places of people at the ends of footsteps (N, 7), and between in long ones, with their rows."""
     last = table[:, 4] - table[:, 0]
     if not (np.isfinite(last).all() and (last >= 0).all()):
         row = int(np.flatnonzero(~(last >= 0) | np.isinf(last))[0])

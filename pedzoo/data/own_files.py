@@ -2,7 +2,6 @@
 
 import warnings
 from dataclasses import replace
-from functools import cached_property
 from pathlib import Path
 from typing import cast
 
@@ -39,8 +38,16 @@ class OwnFiles:
         if twice := [file for i, file in enumerate(files) if file in files[:i]]:
             raise UserError(f"files name {twice[0]!r} twice: its people would count twice; leave one out")
         self.files, self.dt, self.plan, self.option = files, dt, Path(plan) if plan else None, option
-        self.shares = _shares(split)
+        try:
+            train, val, test = (float(part) for part in split.split(","))
+        except ValueError as error:
+            raise UserError(f"--data.split {split!r}: expected three shares such as 0.7,0.15,0.15") from error
+        if not (min(train, val, test) >= 0 and np.isclose(train + val + test, 1)):
+            raise UserError(f"--data.split {split!r}: expected shares of at least 0 that add up to 1")
+        self._ranges: dict[Split, tuple[float, float]]  # shares of the time, begin and end
+        self._ranges = {"train": (0, train), "val": (train, train + val), "test": (train + val, 1)}
         self.homography = _homography(homography) if homography else None
+        self._resampled: list[Tracks] = []
 
     def recordings(self, split: Split) -> list[Recording]:
         """Return the part of every file that belongs to a split.
@@ -48,17 +55,19 @@ class OwnFiles:
         Raises:
             UserError: A file is refused, or the split has nothing.
         """
-        parts = [self._part(tracks, split) for tracks in self._resampled]
+        self._resampled = self._resampled or [self._read(file) for file in self.files]
+        parts, (begin, end) = [], self._ranges[split]
+        for tracks in self._resampled:
+            frame, steps = tracks.frame - tracks.frame.min(), np.ptp(tracks.frame) + 1
+            keep = (frame >= begin * steps) & (frame < end * steps)
+            part = replace(tracks, frame=tracks.frame[keep], agent=tracks.agent[keep], xy=tracks.xy[keep])
+            parts.append(part)
         if not any(len(part) for part in parts):
             raise UserError(
                 f"no person is recorded in the {split} part of {', '.join(self.files)}: it is the share "
-                f"{self.shares[split]:g} of the time; set --data.split (train,val,test)"
+                f"{end - begin:g} of the time; set --data.split (train,val,test)"
             )
         return [Recording(part, self.plan) for part in parts]
-
-    @cached_property
-    def _resampled(self) -> list[Tracks]:
-        return [self._read(file) for file in self.files]
 
     def _read(self, file: str) -> Tracks:
         tracks = Tracks.read(file)
@@ -85,11 +94,7 @@ class OwnFiles:
         return resampled
 
     def _seconds(self, tracks: Tracks, file: str) -> float:
-        """Return the seconds between two frame numbers of a file, and say what was found out of it.
-
-        Raises:
-            UserError: Neither the option nor the file has them, or the option cannot be true.
-        """
+        """Return the seconds between two frame numbers of a file, and say what was found out of it."""
         source, dt, stated = tracks.source, self.dt, tracks.source.seconds
         if dt is None:
             check_dt(stated, file, self.option)
@@ -113,24 +118,6 @@ class OwnFiles:
         if source.form or stated or source.metres != 1:
             say(f"{file} read as {source.form or 'a table'}: {clock}, {unit}")
         return seconds
-
-    def _part(self, tracks: Tracks, split: Split) -> Tracks:
-        start, steps = tracks.frame.min(), np.ptp(tracks.frame) + 1
-        after = np.cumsum([0.0, *self.shares.values()])
-        after[-1] = 1  # not a rounding error below
-        i = list(self.shares).index(split)
-        keep = (tracks.frame >= start + after[i] * steps) & (tracks.frame < start + after[i + 1] * steps)
-        return replace(tracks, frame=tracks.frame[keep], agent=tracks.agent[keep], xy=tracks.xy[keep])
-
-
-def _shares(text: str) -> dict[Split, float]:
-    try:
-        train, val, test = (float(part) for part in text.split(","))
-    except ValueError as error:
-        raise UserError(f"--data.split {text!r}: expected three shares such as 0.7,0.15,0.15") from error
-    if not (min(train, val, test) >= 0 and np.isclose(train + val + test, 1)):
-        raise UserError(f"--data.split {text!r}: expected shares of at least 0 that add up to 1")
-    return {"train": train, "val": val, "test": test}
 
 
 def _homography(path: str) -> np.ndarray:

@@ -31,24 +31,15 @@ class Recording:
 
 
 class Scene(NamedTuple):
-    """The tracks of a recording and its floor plan, both in a frame that has them near its origin.
-
-    Attributes:
-        tracks: The tracks.
-        grid: The floor plan, None where there is none.
-        home: Where that origin is in the recording's own frame (2,), metres.
-    """
+    """The tracks of a recording and its floor plan, both in a frame that has them near its origin."""
 
     tracks: Tracks
-    grid: OccupancyGrid | None
-    home: np.ndarray
+    grid: OccupancyGrid | None  # the floor plan, None where there is none
+    home: np.ndarray  # where that origin is in the recording's own frame (2,), metres
 
     @classmethod
     def of(cls, tracks: Tracks, grid: OccupancyGrid | None) -> "Scene":
-        """Return the scene of tracks and a floor plan: from here on single precision is enough.
-
-        A model or a walk then does not depend on where the scene is in the world.
-        """
+        """Return the scene of tracks and a floor plan: from here on single precision is enough."""
         home = np.zeros(2)
         if grid is not None:
             home = grid.home
@@ -139,15 +130,10 @@ _EXPECTED = "it has to return a list of pedzoo.data.recordings.Recording(Tracks.
 
 
 class Fold(NamedTuple):
-    """A fold by its dataset's name, or ``path/to/file.py:Class``, and its own name.
+    """A fold by its dataset's name, or ``path/to/file.py:Class``, and its own name."""
 
-    Attributes:
-        dataset: As `DATASETS` takes it.
-        name: One of the dataset's ``FOLDS``; that of the class where it declares none.
-    """
-
-    dataset: str
-    name: str
+    dataset: str  # as `DATASETS` takes it
+    name: str  # one of the dataset's ``FOLDS``; that of the class where it declares none
 
     def constant(self, name: str, default: Any) -> Any:
         """Return a constant of the dataset's class, see `Dataset`."""
@@ -214,8 +200,7 @@ _FREE, _NO_TRADE = "MIT, as pedzoo", "CC BY-NC 4.0"
 def provenance(fold: str | None, files: Sequence[str] | None = None, plans: bool = False) -> dict[str, Any]:
     """Return ``recordings``, ``source``, ``terms`` and ``citation`` of what a model was trained on.
 
-    The dataset's class says them, see `pedzoo.data.recordings.Dataset`; a file is read, and never run.
-    ``plans``: the model reads floor plans, too.
+    The dataset's class says them, see `Dataset`; its file is not run. ``plans``: it reads floor plans, too.
     """
     known = None if files else find_fold(fold)
     source = "recordings of one's own" if files else f"dataset {fold or 'unknown'}"
@@ -229,10 +214,7 @@ def provenance(fold: str | None, files: Sequence[str] | None = None, plans: bool
 
 
 def licence(terms: str) -> str:
-    """Return the licence of weights by the terms of what they were trained on.
-
-    Weights are pedzoo's to give away where nothing but its own recordings went into them.
-    """
+    """Return the licence of weights by the terms of what they were trained on."""
     if terms.replace(_FREE, "").strip("; ") == "":
         return "MIT"
     return "terms of the recordings" + f" and {_NO_TRADE}" * (_NO_TRADE in terms)

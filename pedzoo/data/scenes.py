@@ -1,7 +1,7 @@
 """Windows of recorded people, all of a split as tensors, and the scene batch of any of them.
 
 A window is a run of consecutive *distinct* frames of a file (holes in the frame numbers are not looked at),
-one for every frame, cut as Social GAN cuts them or keeping all people. It is rows of the tracks table.
+one for every frame, cut as Social GAN cuts them or keeping all people.
 
 Goal protocols are a forecaster's knowledge of where people go. ``window_end`` is the answer's own last
 position and leaks it: untrained interpolation to it scores FDE 0. It is the paper's Table I.
@@ -37,22 +37,12 @@ KeptPeople = Literal["complete", "present"]
 
 @dataclass(frozen=True)
 class WindowCounts:
-    """Windows and people kept and dropped.
+    """Windows and people kept and dropped; each person seen at the last observed step counts once."""
 
-    Each person seen at the last observed step of a window is counted once for it, as one of ``people``,
-    ``dropped_partial`` and ``dropped_lone``.
-
-    Attributes:
-        windows: Windows kept.
-        people: People in them.
-        dropped_partial: People not seen in enough of the window (see `cut_windows`).
-        dropped_lone: People with too few others beside them.
-    """
-
-    windows: int = 0
-    people: int = 0
-    dropped_lone: int = 0
-    dropped_partial: int = 0
+    windows: int = 0  # windows kept
+    people: int = 0  # people in them
+    dropped_lone: int = 0  # people with too few others beside them
+    dropped_partial: int = 0  # people not seen in enough of the window (see `cut_windows`)
 
     def __add__(self, other: WindowCounts) -> WindowCounts:
         """Return the counts of two recordings together."""
@@ -68,19 +58,13 @@ class WindowCounts:
 
 @dataclass(frozen=True)
 class Windows:
-    """Windows of one recording.
+    """Windows of one recording."""
 
-    Attributes:
-        rows: Rows of the tracks table (W, L) for each person of each window, -1 where they are not seen.
-        end: The last row of that person's track (W,).
-        offsets: Where each window's people start in ``rows`` (S + 1,).
-        counts: Kept and dropped windows and people.
-    """
-
+    # rows of the tracks table (W, L) for each person of each window, -1 where they are not seen
     rows: np.ndarray
-    end: np.ndarray
-    offsets: np.ndarray
-    counts: WindowCounts
+    end: np.ndarray  # the last row of that person's track (W,)
+    offsets: np.ndarray  # where each window's people start in ``rows`` (S + 1,)
+    counts: WindowCounts  # kept and dropped windows and people
 
 
 def cut_windows(
@@ -88,9 +72,8 @@ def cut_windows(
 ) -> Windows:
     """Return all windows of ``obs_len + pred_len`` frames, stride 1, people sorted by number.
 
-    ``people``: ``complete`` keeps people seen in all frames of a window (Social GAN), ``present`` those seen
-    in the last observed frame and in one before it. A window with fewer than ``min_people`` is dropped (2 in
-    Social GAN, whose own option says 1).
+    ``complete`` keeps ``people`` seen in all frames of a window (Social GAN), ``present`` those seen in the
+    last observed frame and in the one before. A window with fewer than ``min_people`` is dropped.
     """
     length = obs_len + pred_len
     frames, step = np.unique(tracks.frame, return_inverse=True)
@@ -188,15 +171,16 @@ class SceneSet:
             raise _why_empty([r.tracks for r in recordings], obs_len, pred_len, people, min_people)
         self.counts = [(r.tracks.name, w.counts) for r, w in zip(recordings, cut, strict=True)]
         # all recordings in one table: row numbers move up by the rows and people before
-        rows_before = np.cumsum([0] + [len(r.tracks) for r in recordings], dtype=np.int32)
-        people_before = np.cumsum([0] + [len(w.rows) for w in cut])
-        rows = [np.where(w.rows >= 0, w.rows + n, -1) for w, n in zip(cut, rows_before, strict=False)]
-        end = [w.end + n for w, n in zip(cut, rows_before, strict=False)]
-        offsets = [w.offsets[:-1] + n for w, n in zip(cut, people_before, strict=False)]
+        rows, end, offsets, before, people_before = [], [], [], 0, 0
+        for recording, window in zip(recordings, cut, strict=True):
+            rows.append(np.where(window.rows >= 0, window.rows + np.int32(before), -1))
+            end.append(window.end + np.int32(before))
+            offsets.append(window.offsets[:-1] + people_before)
+            before, people_before = before + len(recording.tracks), people_before + len(window.rows)
         self.xy = torch.from_numpy(np.concatenate([r.tracks.xy for r in recordings])).float()
         self.rows = torch.from_numpy(np.concatenate(rows))
         self.end = torch.from_numpy(np.concatenate(end))
-        self.offsets = torch.from_numpy(np.concatenate([*offsets, people_before[-1:]]))
+        self.offsets = torch.from_numpy(np.concatenate([*offsets, [people_before]]))
         windows = torch.tensor([w.counts.windows for w in cut])
         self.map_id = torch.repeat_interleave(torch.tensor(list(map_ids)), windows)
         self.recording = torch.repeat_interleave(torch.arange(len(windows)), windows)
@@ -276,10 +260,9 @@ def augmentation(
 
 def _filled(xy: Tensor, rows: Tensor, obs_len: int) -> Tensor:
     """Return positions (B, A, L, 2): the latest known at each step, before the first sighting the first."""
-    if bool((rows >= 0).all()):
+    steps, known = torch.arange(rows.shape[-1]), rows >= 0
+    if bool(known.all()):
         return xy[rows]
-    steps = torch.arange(rows.shape[-1])
-    known = rows >= 0
     latest = torch.where(known, steps, -1).cummax(-1).values
     # all people are seen at the last observed step, so the first sighting is there at the latest
     first = torch.where(known, steps, obs_len - 1).amin(-1, keepdim=True)

@@ -57,18 +57,13 @@ _NAME = re.compile(
 
 
 class Source(NamedTuple):
-    """What a file says of itself.
+    """What a file says of itself."""
 
-    Attributes:
-        form: What it was taken for, in words; empty for columns as ours.
-        seconds: Between two frame numbers, where the file says it; else None.
-        timed: Whether frame numbers were made of times in it, so that no option can change their unit.
-        metres: Of its unit of length, already applied to positions; 0 for pixels, which are as they were.
-    """
-
-    form: str = ""
-    seconds: float | None = None
+    form: str = ""  # what it was taken for, in words; empty for columns as ours
+    seconds: float | None = None  # between two frame numbers, where the file says it; else None
+    # whether frame numbers were made of times in it, so that no option can change their unit
     timed: bool = False
+    # of its unit of length, already applied to positions; 0 for pixels, which are as they were
     metres: float = 1.0
 
 
@@ -133,19 +128,6 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _encoding_of(path: Path) -> str:
-    """Return how the letters of a file are written, by its first bytes."""
-    with path.open("rb") as file:
-        begin = file.read(1024)
-    if begin.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return "utf-16"
-    packed = [kind for first, kind in _PACKED.items() if begin.startswith(first)]
-    if packed or b"\0" in begin:
-        kind = f"it is {packed[0]}: unpack or export it" if packed else "it has bytes of zero"
-        raise UserError(f"recording {str(path)!r} is not a text file ({kind})")
-    return "utf-8-sig"
-
-
 def is_recording(text: str) -> bool:
     """Return whether a text names a file of walks rather than a policy."""
     path = Path(text)
@@ -157,16 +139,16 @@ def is_recording(text: str) -> bool:
 def check_dt(
     dt: float | None, of: str = "--data.files", option: str = "--data.dt", files: Sequence[str | Path] = ()
 ) -> None:
-    """Refuse seconds between two frame numbers that are missing or cannot be.
+    """Refuse seconds between two frame numbers that are missing, not above 0, or 5 s or more.
 
     Args:
-        dt: The seconds.
+        dt: The seconds; None is fine where all ``files`` may say their own times.
         of: Whose frame numbers these are, for the message.
         option: The option that has them.
-        files: Where they are missing, these may all say their own times.
+        files: The recordings.
 
     Raises:
-        UserError: They are missing, not above 0, or 5 s or more.
+        UserError: They are.
     """
     if dt is None and files and all(_may_have_times(Path(file)) for file in files):
         return
@@ -194,32 +176,20 @@ def is_sqlite(path: Path) -> bool:
 
 @dataclass(frozen=True)
 class TextFormat:
-    """How a text file holds its table.
+    """How a text file holds its table."""
 
-    Attributes:
-        encoding: Of the text.
-        skip: Lines before the first row.
-        delimiter: Separator of two values; None for white space.
-        width: Columns.
-        columns: Where frame (or time), agent, x and y stand; behind them a time beside frames, or the ends of
-            footsteps (time, x, y).
-        names: What these are called in the file; empty where nothing says it.
-        time: Seconds of the unit of a time; 0 where it has none, None without such a column.
-        rate: Frames per second, by a comment; else None.
-        metres: See `Source`.
-        decimal: Whether fractions begin with a comma.
-    """
-
-    encoding: str
-    skip: int
-    delimiter: str | None
-    width: int
+    encoding: str  # of the text
+    skip: int  # lines before the first row
+    delimiter: str | None  # separator of two values; None for white space
+    width: int  # columns
+    # where frame (or time), agent, x and y stand; behind them a time beside frames, or the ends of footsteps
+    # (time, x, y)
     columns: tuple[int, ...]
-    names: tuple[str, ...]
-    time: float | None
-    rate: float | None
-    metres: float
-    decimal: bool
+    names: tuple[str, ...]  # what these are called in the file; empty where nothing says it
+    time: float | None  # seconds of the unit of a time; 0 where it has none, None without such a column
+    rate: float | None  # frames per second, by a comment; else None
+    metres: float  # see `Source`
+    decimal: bool  # whether fractions begin with a comma
 
     @classmethod
     def of(cls, path: Path) -> TextFormat:
@@ -230,7 +200,13 @@ class TextFormat:
         """
         what = f"recording {str(path)!r}"
         check_limit(path.stat().st_size, LARGEST_TABLE, what, "bytes", CUT)
-        encoding = _encoding_of(path)
+        with path.open("rb") as file:
+            begin = file.read(1024)
+        encoding = "utf-16" if begin.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
+        packed = [kind for first, kind in _PACKED.items() if begin.startswith(first)]
+        if packed or (b"\0" in begin and encoding != "utf-16"):
+            kind = f"it is {packed[0]}: unpack or export it" if packed else "it has bytes of zero"
+            raise UserError(f"{what} is not a text file ({kind})")
         with path.open(encoding=encoding) as file:
             comments, head = _until_text(what, file)
             named = bool(head) and not any(map(_is_number, cells_of(head, _separator_of(head), what)))
@@ -317,34 +293,19 @@ class TextFormat:
         """
         import numpy as np  # commands look at first lines before anything heavy is imported
 
-        table = self._loaded(path, None)
-        if table is not None and (not len(table) or table.shape[1] == self.width):
-            return table[:, self.columns] if len(table) else table
-        with path.open(encoding=self.encoding) as file:  # texts beside numbers, none with a separator inside
-            rows = (line for line in islice(file, self.skip, None) if line.strip())
-            even = all(
-                len(line) <= LONGEST_LINE and len(line.split(self.delimiter)) == self.width for line in rows
-            )
-        if even and (table := self._loaded(path, self.columns)) is not None:
-            return table
-        return np.fromiter(self._one_by_one(path), dtype=np.dtype((float, len(self.columns))))
-
-    def _loaded(self, path: Path, columns: tuple[int, ...] | None) -> np.ndarray | None:
-        """Return columns as numpy reads them, all for None; None where it cannot."""
-        import numpy as np
-
         try:
             # numpy unpacks archives where it is given a path; callers have words for empty files
             with path.open(encoding=self.encoding) as file, warnings.catch_warnings(action="ignore"):
                 lines = islice(file, self.skip, None)
                 texts = (line.replace(",", ".") for line in lines) if self.decimal else lines
-                return np.loadtxt(
-                    texts, ndmin=2, comments=None, quotechar='"', delimiter=self.delimiter, usecols=columns
-                )
+                table = np.loadtxt(texts, ndmin=2, comments=None, quotechar='"', delimiter=self.delimiter)
+            if not len(table) or table.shape[1] == self.width:
+                return table[:, self.columns] if len(table) else table
         except UnicodeDecodeError:
             raise
         except ValueError:
-            return None
+            pass  # a text beside numbers, or a mistake
+        return np.fromiter(self._one_by_one(path), dtype=np.dtype((float, len(self.columns))))
 
     def _one_by_one(self, path: Path) -> Iterator[list[float]]:
         """Yield the rows as Python reads them: more forgiving than `numpy.loadtxt`, and knows the line."""

@@ -46,20 +46,13 @@ _UNITS = {"centimetres": ("cm", 0.01), "millimetres": ("mm", 0.001), "feet": ("f
 
 @dataclass(frozen=True)
 class Tracks:
-    """One recording, sorted by agent, then by frame.
+    """One recording, sorted by agent, then by frame."""
 
-    Attributes:
-        name: For messages: the recording's file stem.
-        frame: Frame numbers (N,) int64.
-        agent: Agent numbers (N,) int64.
-        xy: Positions (N, 2) float64, metres in the world frame.
-        source: What the file said of itself, with the seconds between its frame numbers; see `Source`.
-    """
-
-    name: str
-    frame: np.ndarray
-    agent: np.ndarray
-    xy: np.ndarray
+    name: str  # for messages: the recording's file stem
+    frame: np.ndarray  # frame numbers (N,) int64
+    agent: np.ndarray  # agent numbers (N,) int64
+    xy: np.ndarray  # positions (N, 2) float64, metres in the world frame
+    # what the file said of itself, with the seconds between its frame numbers; see `Source`
     source: Source = PLAIN
 
     @classmethod
@@ -142,11 +135,11 @@ class Tracks:
 
         Positions are interpolated linearly between two rows of an agent. Where an agent was not seen for
         more than two of their usual intervals (and more than one step), the track ends and continues under a
-        new agent number, so that no rows are invented in a hole. Rows one step apart already stay bit-equal.
+        new agent number. Rows one step apart already stay bit-equal.
 
         Raises:
             UserError: It lasts longer than any recording, has more rows than are read, or nobody in it moves
-                as people do, see `check_walks`; ``option`` is what has the seconds, for the message.
+                as people do, see `check_walks`.
         """
         time = (self.frame - self.frame.min()) * seconds_per_frame
         what = f"recording {self.name!r} at {seconds_per_frame:g} s per frame number"
@@ -190,16 +183,11 @@ def rows_apart(tracks: Tracks) -> float:
 
 
 def check_walks(tracks: Tracks, seconds: float, option: str = "dt") -> None:
-    """Refuse tracks of which nobody walks as people do.
-
-    Args:
-        tracks: Positions in metres.
-        seconds: Between two frame numbers.
-        option: The option that has them, for messages.
+    """Refuse tracks of which nobody walks as people do, with ``seconds`` between two frame numbers.
 
     Raises:
         UserError: Rows are more than 0.8 s apart, the median speed of steps above 0.2 m/s is above 4 m/s, or
-            everybody is within 0.1 m. The message has what is likely right.
+            everybody is within 0.1 m. The message has what is likely right, and the ``option`` for it.
     """
     what, apart, moved = f"recording {tracks.name!r}", rows_apart(tracks), _speeds(tracks, seconds)
     usual, likely = _usual(moved), _likely(moved, apart, seconds)
@@ -216,7 +204,12 @@ def check_walks(tracks: Tracks, seconds: float, option: str = "dt") -> None:
             for unit, (name, factor) in _UNITS.items()
             if 0.5 < usual * factor < 2.5
         ][:1]
-        if _swapped(tracks):
+        order = np.lexsort((tracks.agent, tracks.frame))
+        steps = [
+            np.linalg.norm(np.diff(xy, axis=0), axis=1)[np.diff(same) == 0]
+            for xy, same in ((tracks.xy[order], tracks.frame[order]), (tracks.xy, tracks.agent))
+        ]
+        if all(map(len, steps)) and np.median(steps[0]) < 0.5 * np.median(steps[1]):
             remedies += ["a first line that names the columns: they look like agent, frame, x, y"]
         remedies += ["a homography from pixels to metres"]
         raise UserError(
@@ -257,16 +250,6 @@ def doubts(tracks: Tracks, seconds: float, option: str) -> list[str]:
 def say(line: str) -> None:
     """Print a line about a file on stderr, once in a process."""
     print(f"pedzoo: {line}", file=sys.stderr)
-
-
-def _swapped(tracks: Tracks) -> bool:
-    """Return whether frames and agents look as if they had changed places."""
-    order = np.lexsort((tracks.agent, tracks.frame))
-    steps = [
-        np.linalg.norm(np.diff(xy, axis=0), axis=1)[np.diff(same) == 0]
-        for xy, same in ((tracks.xy[order], tracks.frame[order]), (tracks.xy, tracks.agent))
-    ]
-    return all(map(len, steps)) and bool(np.median(steps[0]) < 0.5 * np.median(steps[1]))
 
 
 def brisk(tracks: Tracks, seconds: float) -> float:

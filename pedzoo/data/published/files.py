@@ -16,19 +16,12 @@ _FOLDER = Path(__file__).parent
 
 @dataclass(frozen=True)
 class PublishedFile:
-    """One file, the same in all its places.
+    """One file, the same in all its places."""
 
-    Attributes:
-        path: Below the folder of the dataset.
-        sha256: Its checksum.
-        size: Bytes.
-        places: Repository, commit and path in it, the best first.
-    """
-
-    path: str
-    sha256: str
-    size: int
-    places: tuple[tuple[str, str, str], ...]
+    path: str  # below the folder of the dataset
+    sha256: str  # its checksum
+    size: int  # bytes
+    places: tuple[tuple[str, str, str], ...]  # repository, commit and path in it, the best first
 
     def urls(self) -> list[str]:
         """Return the addresses of all mirrors in the order in which they are tried."""
