@@ -40,7 +40,7 @@ from pedzoo.data.recordings import find_fold
 from pedzoo.models.zoo.loading import architecture_of, read_checkpoint
 from pedzoo.train.module import ForecastModule, check_state, read_progress
 from pedzoo.train.run import RunFolder, Wandb, finish_wandb, rows_of, run_again, run_name
-from pedzoo.train.settings import DATA, check_unchanged, start_from, tell_changes
+from pedzoo.train.settings import DATA, check_unchanged, start_from
 from pedzoo.train.validation import ClosedLoopValidation
 
 _EXPECTED = (
@@ -158,9 +158,8 @@ class TrainingCLI(LightningCLI):
             given = f"{seed:d}" if abs(seed) < 2**63 else f"a number of {len(str(abs(seed)))} digits"
             raise UserError(f"--seed_everything is {given}, expected 0 to {2**32 - 1}")
         if self.command == "fit" and self.config["resume"] and self.run:
-            fixed = ("model.init_args", _ROBOT_PLACE) if self.robots else ("data", DATA)
+            fixed = ("model", _ROBOT_PLACE) if self.robots else ("data", DATA)
             check_unchanged(self.run.path, self.plain_config(), *fixed, self.kinds[-1])
-            tell_changes(self.run.path, self.plain_config())
 
     def instantiate_classes(self) -> None:
         """Build all objects; where a class refuses its options, the message is that of the class.

@@ -28,12 +28,9 @@ def is_own(model: Forecaster) -> bool:
 
 
 def check_model(model: Forecaster, batch: TensorDict, by_loss: bool) -> None:
-    """Let a copy of an untrained model predict and learn once; no random number is taken from torch's.
+    """Let a copy of an untrained model predict recorded scenes and, ``by_loss`` of its own, learn once.
 
-    Args:
-        model: The model; it stays as it is.
-        batch: Recorded scenes.
-        by_loss: Its own loss is what trains it.
+    No random number is taken from torch's.
 
     Raises:
         UserError: It takes other arguments or fails, its futures have another shape or are no numbers, its

@@ -69,12 +69,10 @@ class ForecastModule(L.LightningModule):
     def setup(self, stage: str) -> None:
         """Check the goal protocol of the data."""
         data: Any = getattr(self.trainer, "datamodule", None)
-        if data is None:
+        if data is None or stage != "fit" or "goal" not in self.generator.needs:
             return
         asked, own, cls = data.goal, self.generator.goal_protocol, type(self.generator)
-        if stage != "fit" or "goal" not in self.generator.needs or asked in (own, "random_future"):
-            return
-        if own is None and asked != "none":  # any will do
+        if asked in (own, "random_future") or (own is None and asked != "none"):  # for None any will do
             return
         if "goal_protocol" not in setting_types(cls):
             raise UserError(
@@ -160,23 +158,18 @@ class ForecastModule(L.LightningModule):
         """Add a batch to the scores, with the same noise in every epoch."""
         self.score.update(self.generator, batch, torch.Generator().manual_seed(batch_idx))
 
-    def on_validation_epoch_end(self) -> None:
-        """Log the scores as ``val/ade`` and so on."""
-        self._log_scores("val")
+    test_step = validation_step
 
-    def test_step(self, batch: TensorDict, batch_idx: int) -> None:
-        """Add a batch to the scores."""
-        self.validation_step(batch, batch_idx)
+    def on_validation_epoch_end(self, split: str = "val") -> None:
+        """Log the scores as ``val/ade`` and so on."""
+        for metric, value in self.score.compute().items():
+            name = metric.removesuffix("_m")
+            self.log(f"{split}/{name}", value, prog_bar=name in ("ade", "fde"), sync_dist=True)
+        self.score.reset()
 
     def on_test_epoch_end(self) -> None:
         """Log the scores as ``test/ade`` and so on."""
-        self._log_scores("test")
-
-    def _log_scores(self, split: str) -> None:
-        scores = {f"{split}/{name.removesuffix('_m')}": value for name, value in self.score.compute().items()}
-        self.score.reset()
-        for name, value in scores.items():
-            self.log(name, value, prog_bar=name in (f"{split}/ade", f"{split}/fde"), sync_dist=True)
+        self.on_validation_epoch_end("test")
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Write down which model this is, so that `pedzoo.load` can build it."""
@@ -233,11 +226,7 @@ class PlainModule(ForecastModule):
 
 
 def check_state(module: nn.Module, checkpoint: Mapping[str, Any]) -> None:
-    """Check that a checkpoint has the tensors of a training.
-
-    Raises:
-        UserError: It has others, or of other shapes.
-    """
+    """Check that a checkpoint has the tensors of a training. Raises UserError: others, or other shapes."""
     shapes, own = (
         {key: tuple(getattr(value, "shape", "?")) for key, value in state.items()}
         for state in (checkpoint["state_dict"], module.state_dict())

@@ -8,9 +8,10 @@ import json
 import os
 import shutil
 import subprocess
-from collections.abc import Iterable
+from collections.abc import Collection
 from datetime import datetime
 from difflib import get_close_matches
+from itertools import count
 from pathlib import Path
 from socket import gethostname
 from typing import Any, Literal
@@ -47,16 +48,11 @@ def run_name(config: Path) -> str:
 class RunFolder:
     """``runs/<config>/<data>-seed<seed>``, with ``-2``, ``-3``, ... where that exists.
 
-    Attributes:
-        path: The folder.
-        last: Checkpoint of the last epoch.
-        best: Checkpoint of the best validation.
-        goes_on: Whether an earlier run is continued.
-        metrics: The logger of ``metrics.csv``.
+    It has checkpoints of the ``last`` epoch and of the ``best`` validation, and the logger ``metrics``.
     """
 
     def __init__(self, path: Path, goes_on: bool = False) -> None:
-        """Stand for a folder, existing or not."""
+        """Stand for a folder, existing or not; an earlier run in it ``goes_on`` or not."""
         self.path, self.goes_on = path, goes_on
         self.last = path / "checkpoints" / "last.ckpt"
         self.best = path / "checkpoints" / "best.ckpt"
@@ -69,26 +65,23 @@ class RunFolder:
 
         A Slurm job that is run again gets the folder in which it was, to go on there.
         """
-        number, path = 1, base
         if rank_zero_only.rank:
             # a further process of a distributed run: the first one chooses, and it alone writes
             path = Path(os.environ.get("PEDZOO_RUN", base))
-            return cls(path, goes_on=_left_by_this_job(path))
-        while True:
+            return cls(path, _left_by_this_job(path))
+        for number in count(1):
+            path = base.with_name(f"{base.name}-{number}") if number > 1 else base
             try:
                 path.mkdir(parents=True)
-                goes_on = False
                 break
             except OSError as error:
                 if not isinstance(error, FileExistsError) or not path.parent.is_dir():
                     why = f"cannot make the run folder {str(path)!r} ({error.strerror})"
                     raise UserError(f"{why}: name another place as --runs") from error
-                if goes_on := _left_by_this_job(path):
+                if _left_by_this_job(path):
                     break
-                number += 1
-                path = base.with_name(f"{base.name}-{number}")
         os.environ["PEDZOO_RUN"] = str(path)
-        return cls(path, goes_on)
+        return cls(path, _left_by_this_job(path))
 
     @classmethod
     def resume(cls, path: str | Path) -> RunFolder:
@@ -204,9 +197,7 @@ class WholeCheckpoints(TorchCheckpointIO):
 class MetricsFile(Logger):
     """Writes ``metrics.csv`` whole or not at all. Lightning's own logger removes the file of an earlier run.
 
-    Attributes:
-        path: The file.
-        rows: Metrics by name, with ``epoch`` and ``step``.
+    Its ``rows`` are metrics by name, with ``epoch`` and ``step``.
     """
 
     def __init__(self, path: Path) -> None:
@@ -275,7 +266,7 @@ class RunRecorder(Callback):
     def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Take over the rows of a resumed run, which has no sanity check, and look for a misspelling."""
         self.run.metrics.rows = [row for row in self._earlier if int(row["epoch"]) < trainer.current_epoch]
-        self._refuse_misspelling({key for row in self._earlier for key in row})
+        self._check_monitor({key for row in self._earlier for key in row}, may_come=True)
 
     def on_train_epoch_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Let Lightning validate the last epoch, where it is known beforehand which one that is."""
@@ -294,26 +285,22 @@ class RunRecorder(Callback):
 
     def on_validation_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Look for a misspelling; after a training, for the metric itself."""
-        known = set(trainer.callback_metrics)
-        if trainer.sanity_checking:
-            self._refuse_misspelling(known)
-            return
-        self._validated = True
-        if (self.monitor or "").startswith(("val/", "rollout/")):
-            self._refuse_unknown(known)
+        self._validated |= not trainer.sanity_checking
+        if trainer.sanity_checking or (self.monitor or "").startswith(("val/", "rollout/")):
+            self._check_monitor(trainer.callback_metrics, may_come=trainer.sanity_checking)
 
     def on_train_epoch_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Look for a metric of the training, which is there behind the validation of an epoch."""
         if self._validated:
-            self._refuse_unknown(trainer.callback_metrics)
+            self._check_monitor(trainer.callback_metrics)
 
-    def _refuse_misspelling(self, known: Iterable[str]) -> None:
-        monitor = self.monitor or "rollout/"  # those are checked with their scenarios, which may be new ones
-        if not monitor.startswith("rollout/") and get_close_matches(monitor, known, n=1, cutoff=0.8):
-            self._refuse_unknown(known)
-
-    def _refuse_unknown(self, known: Iterable[str]) -> None:
-        if self.monitor and self.monitor not in known:
+    def _check_monitor(self, known: Collection[str], may_come: bool = False) -> None:
+        """Refuse a metric that is not among those known; if others may come, a misspelling alone."""
+        if self.monitor is None or self.monitor in known:
+            return
+        # those of rollouts are checked with their scenarios
+        new = self.monitor.startswith("rollout/") or not get_close_matches(self.monitor, known, 1, 0.8)
+        if not (may_come and new):
             raise unknown("metric to --monitor", self.monitor, known)
 
 

@@ -67,46 +67,32 @@ DATA = tuple(
 
 
 def check_unchanged(
-    run: Path, settings: Mapping[str, Any], path: str, names: Iterable[str], owner: type
+    run: Path, settings: Mapping[str, Any], group: str, names: Iterable[str], owner: type
 ) -> None:
     """Check that a run goes on with the data and the seed that it began with: its card has one of each.
+
+    What else is different is printed.
 
     Args:
         run: Its folder.
         settings: Those with which it is to go on.
-        path: Group of settings that are compared, such as ``model.init_args``.
+        group: Group of the settings that must be the same, ``data`` or ``model``.
         names: Of these settings.
         owner: Class that takes them: an earlier version may not have written what has a default.
 
     Raises:
         UserError: A setting has another value.
     """
-    earlier, defaults = load_config(run / "config.yaml"), signature(owner).parameters
-    pairs = [("seed_everything", earlier.get("seed_everything", 0), settings["seed_everything"])]
-    before, now = _group(earlier, path), _group(settings, path)
-    option = path.removesuffix(".init_args")
-    pairs += [
-        (f"{option}.{name}", before.get(name, defaults[name].default), now.get(name, defaults[name].default))
-        for name in names
-    ]
-    for name, old, new in pairs:
+    before, now = (_leaves(one) for one in (load_config(run / "config.yaml"), settings))
+    defaults = {f"{group}.{name}": signature(owner).parameters[name].default for name in names}
+    for name, default in {"seed_everything": 0, **defaults}.items():
+        old, new = before.get(name, default), now.get(name, default)
         if old != new:
             raise UserError(
                 f"--{name} {_typed(new)}: the run {str(run)!r} goes on with {_typed(old)}, with which it "
                 "began: leave it out, or begin another run without --resume"
             )
-
-
-@rank_zero_only
-def tell_changes(run: Path, settings: Mapping[str, Any]) -> None:
-    """Print every setting with which a run goes on that is another one than it began with.
-
-    Args:
-        run: Its folder.
-        settings: Those with which it goes on.
-    """
-    before, now = (_leaves(one) for one in (load_config(run / "config.yaml"), settings))
-    for name in before.keys() & now.keys() - _OF_A_PLACE:
+    for name in () if rank_zero_only.rank else before.keys() & now.keys() - _OF_A_PLACE:
         if before[name] != now[name]:
             print(f"note: goes on with --{name} {_typed(now[name])}, it was {_typed(before[name])}")
 
@@ -120,12 +106,6 @@ def _leaves(settings: Mapping[str, Any], above: str = "") -> dict[str, Any]:
     return result
 
 
-def _group(settings: Any, path: str) -> Mapping[str, Any]:
-    for key in path.split("."):
-        settings = settings.get(key) if isinstance(settings, Mapping) else None
-    return settings if isinstance(settings, Mapping) else {}
-
-
 def _typed(value: Any) -> str:
     """Return a value as people type it."""
     if isinstance(value, list):
@@ -134,14 +114,12 @@ def _typed(value: Any) -> str:
 
 
 def reusable_settings(settings: Mapping[str, Any], file: Path) -> dict[str, Any]:
-    """Return what a run's configuration lends to another command: model, data, schedule, measurements.
+    """Return what the ``settings`` of a run's configuration ``file`` lend to another command.
 
-    Args:
-        settings: All that the configuration says.
-        file: Where it is, for messages.
+    These are model, data, schedule and measurements.
 
     Raises:
-        UserError: What it lends names a file of code or a class of another package than pedzoo.
+        UserError: They name a file of code or a class of another package than pedzoo.
     """
     result: dict[str, Any] = {
         key: value for key in PLAIN if isinstance(value := settings.get(key), str | int | float)
@@ -159,10 +137,7 @@ def reusable_settings(settings: Mapping[str, Any], file: Path) -> dict[str, Any]
 def resumable_settings(settings: Mapping[str, Any], file: Path, typed: Set[str]) -> dict[str, Any]:
     """Return what a run's configuration says to the command that goes on with it: all but that of a call.
 
-    Args:
-        settings: All that the configuration says.
-        file: Where it is, for messages.
-        typed: What the command line names, as of `absolute_name`: code and classes of these may run.
+    Code and classes that the command line has ``typed`` may run; these are names as of `absolute_name`.
 
     Raises:
         UserError: It names other code, another class, or a place to write to.
@@ -288,8 +263,7 @@ def _classes(hint: Any) -> list[type]:
 def start_from(module: ForecastModule, weights: str) -> None:
     """Fill the generator of ``module`` with ``weights``, a name that `pedzoo.load` accepts.
 
-    All else of a training begins anew: the optimizers, the schedule and a discriminator, which zoo weights do
-    not have. The goal protocol, the noise and the losses may differ from theirs.
+    All else begins anew. The goal protocol, the noise and the losses may differ from theirs.
 
     Raises:
         UserError: No such weights, or they are of another architecture.

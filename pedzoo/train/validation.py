@@ -52,17 +52,14 @@ FILM_SECONDS = 20.0
 class ClosedLoopValidation(Callback):
     """Runs rollouts of the current weights after every n-th validation, logs ``rollout/SCENARIO/METRIC``.
 
-    The values stand in the same row of every logger as ``val/ade``. Episodes are always the first ones of
-    ``seed``, as in ``pedzoo rollout``. Several processes share them and add up their sums. A value without
-    data, such as the time of people none of whom arrived, is NaN.
+    Episodes are always the first ones of ``seed``, as in ``pedzoo rollout``. Several processes share them
+    and add up their sums. A value without data, such as the time of people none of whom arrived, is NaN.
 
-    In validations without a rollout nothing is logged, and other callbacks see the last values, as Lightning
-    does it: the checkpoint of the best value does not take the same for better. The first validation of a
-    process always has a rollout, also in a resumed run, so that there is a last value.
+    In validations without a rollout other callbacks see the last values, which are no better ones. The first
+    validation of a process always has a rollout, also in a resumed run, so that there is a last value.
 
-    Training is not affected: a copy of the model walks, on the CPU and with its own floor plans, and the
-    state of torch's generator is restored. The sanity check runs no episode, ``fast_dev_run`` one per
-    process, ``pedzoo validate`` all. ``pedzoo test`` runs none: recordings alone are tested there.
+    Training is not affected: a copy of the model walks on the CPU, and the state of torch's generator is
+    restored. The sanity check runs no episode, ``fast_dev_run`` one per process, ``pedzoo test`` none.
 
     Simulation is imported for the first walk, or at once where another one than `USUAL` is asked for.
     """
@@ -191,11 +188,11 @@ class ClosedLoopValidation(Callback):
             means = dict.fromkeys(MEANS, torch.tensor(0.0))
             for name in self.scenarios:
                 result = self._measure(name, trainer, pl_module.device)
-                values = {key: result.get(key, torch.tensor(math.nan)) for key in METRICS}
-                for key, value in values.items():
+                for key in METRICS:
+                    value = result.get(key, torch.tensor(math.nan))
                     pl_module.log(f"rollout/{name}/{key}", value, prog_bar=key == "success", sync_dist=True)
-                for key in means:
-                    means[key] = means[key] + values[key].float().cpu() / len(self.scenarios)
+                    if key in means:
+                        means[key] = means[key] + value.float().cpu() / len(self.scenarios)
             for key, value in means.items():
                 pl_module.log(f"rollout/{key}", value, sync_dist=True)
 
@@ -228,21 +225,13 @@ class ClosedLoopValidation(Callback):
             score.to(device)  # where processes talk to each other
         return score.compute()
 
-    def teardown(self, trainer: L.Trainer, pl_module: L.LightningModule, stage: str) -> None:
-        """Close the environments."""
-        self.close()
-
-    def on_exception(
-        self, trainer: L.Trainer, pl_module: L.LightningModule, exception: BaseException
-    ) -> None:
-        """Close the environments: Lightning calls no teardown after an error or Ctrl-C."""
-        self.close()
-
-    def close(self) -> None:
+    def close(self, *_: Any, **__: Any) -> None:
         """Let go of model and environments."""
         for env in self._envs.values():
             env.physics.close()
         self._walker, self._envs = None, {}
+
+    teardown = on_exception = close  # Lightning calls no teardown after an error or Ctrl-C
 
     def state_dict(self) -> dict[str, Any]:
         """Return how many validations there were: a resumed run keeps the rhythm."""
@@ -253,8 +242,7 @@ class ClosedLoopValidation(Callback):
         self._validations = state_dict["validations"]
 
     def __getstate__(self) -> dict[str, Any]:
-        """Copy and pickle without the state of a run."""
-        return self.__dict__ | {"_walker": None, "_envs": {}}
+        return self.__dict__ | {"_walker": None, "_envs": {}}  # copies are without the state of a run
 
 
 def share(episodes: int, rank: int, processes: int) -> tuple[int, int]:
@@ -272,11 +260,8 @@ def _walking_copy(model: Forecaster) -> Any:
 
 @contextmanager
 def _isolated(seed: int) -> Iterator[None]:
-    """Leave the state of a training as it is.
-
-    Outside of inference mode, in which Lightning validates: environments keep what they make from one
-    validation to the next. Random numbers that are not drawn by scene come from a state of their own.
-    """
+    """Leave the state of a training as it is; random numbers that are not drawn by scene have their own."""
+    # not in inference mode, as Lightning validates: environments keep what they make
     with torch.inference_mode(False), torch.no_grad(), torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         yield
@@ -284,11 +269,7 @@ def _isolated(seed: int) -> Iterator[None]:
 
 @rank_zero_only
 def _log_media(trainer: L.Trainer, scenario: str, walked: Any, picture: bool, video: bool) -> None:
-    """Send what can be seen to all loggers of Weights & Biases: ``rollout/SCENARIO/ways`` and ``/video``.
-
-    Without such a logger nothing is drawn. The picture has the paths of all episodes, the video is of the
-    first.
-    """
+    """Send paths and a video to Weights & Biases, where it logs: ``rollout/SCENARIO/ways`` and ``/video``."""
     loggers = [logger for logger in trainer.loggers if isinstance(logger, WandbLogger)]
     if not loggers:
         return

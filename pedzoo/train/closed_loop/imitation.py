@@ -43,30 +43,22 @@ _NEAR = 1e-6
 
 
 class Unrolled(NamedTuple):
-    """How the people of recorded windows walk on.
+    """How the people of recorded windows walk on."""
 
-    Attributes:
-        xy: Positions at the end of each step (B, A, N, 2), metres; the last one where they have left.
-        walked: Which people a policy moves in the step (B, A, N) bool; the step in which they arrive is the
-        last.
-        present: Which people are present meanwhile (B, A, N) bool: these, and played-back people.
-    """
-
-    xy: Tensor
+    xy: Tensor  # positions at the end of each step (B, A, N, 2), metres; the last one where they have left
+    # which people a policy moves in the step (B, A, N) bool; the step in which they arrive is the last
     walked: Tensor
-    present: Tensor
+    present: Tensor  # which people are present meanwhile (B, A, N) bool: these, and played-back people
 
 
 def unroll(walk: Walk, batch: TensorDict, steps: int, key: Tensor | None = None) -> Unrolled:
     """Return the result of ``walk`` when all people of recorded windows walk together.
 
-    In every step the goal is the point ``pref_speed`` x 3.2 s ahead on the straight line from a person to
-    their destination, and beyond it. ``pref_speed`` is that observed, at least 0.3 m/s. The top speed is that
-    of the scenario ``replay``. People leave within 0.3 m of their destination, at the latest when they
-    really left. People at their destination from the beginning are played back, not controlled. No person is
-    set back to their track. There are no walls.
-
-    Gradients flow through all that people see, others included, but not through times of leaving.
+    In every step the goal is the point ``pref_speed`` x 3.2 s ahead on the straight line to the destination.
+    ``pref_speed`` is that observed, at least 0.3 m/s; the top speed is that of the scenario ``replay``.
+    People leave within 0.3 m of their destination, at the latest when they really left. People who are there
+    from the beginning are played back. Gradients flow through all that people see, but not through times of
+    leaving.
 
     Args:
         walk: The policy.
@@ -115,10 +107,7 @@ def _straight(state: State) -> Guidance:
 
 
 def recorded(batch: TensorDict, steps: int) -> Unrolled:
-    """Return how they really went on, with ``walked`` as a policy that walks like them would have it.
-
-    They are ``present`` until they really leave, even if they stand about at their destination before.
-    """
+    """Return how they really went on, with ``walked`` as a policy that walks like them would have it."""
     agents, there = agents_of(batch), _known_to_be_there(batch)[..., :steps]
     destination, xy = goals_of(batch, "walking on")[0], agents["future"][:, :, :steps]
     before = torch.cat((agents["history"][:, :, -1:], xy[:, :, :-1]), 2)
@@ -206,9 +195,8 @@ def tail(first: Tensor, second: Tensor) -> Tensor:
 class Imitation(nn.Module):
     """Loss for walking unlike recorded people, each term in a unit of its own.
 
-    All people of recorded windows walk together (see `unroll`), and are
-    compared with their recorded tracks. Each person is compared by positions at equal times, the crowd by
-    speeds, accelerations, turns and distances between people.
+    All people of recorded windows walk together (see `unroll`). Each person is compared by positions at equal
+    times, the crowd by speeds, accelerations, turns and distances between people.
     """
 
     def __init__(
@@ -262,8 +250,7 @@ class Imitation(nn.Module):
     def walk(self, policy: Policy, batch: TensorDict, random: torch.Generator) -> Unrolled:
         """Return K walks of each of B windows (K x B, A, N, ...), all first walks first.
 
-        The policy's safety layer is a part of the walk. Windows have N future steps and the goal protocol
-        ``destination``; ``random`` draws the scenes' keys.
+        Windows have N future steps and the goal protocol ``destination``; ``random`` draws the scenes' keys.
         """
         steps = agents_of(batch)["future"].shape[2]
         many = repeated(batch, self.samples)
@@ -299,26 +286,17 @@ class Imitation(nn.Module):
             if self.tail:
                 result["tail"] = tail(made["acceleration"], true["acceleration"])
                 loss = loss + self.tail * result["tail"]
-        if self.discriminator is not None:
-            adversarial = self._adversarial(self.discriminator, walk, real, batch)
-            result["adversarial"], result["discriminator"] = adversarial
-            loss = loss + self.adversarial * adversarial[0] + adversarial[1]
+        if (judge := self.discriminator) is not None:
+            # each side has gradients of its own loss alone, so one step of one optimizer trains both
+            judge.requires_grad_(False)
+            made, _ = self._scores(judge, walk, real, batch)
+            judge.requires_grad_(True)
+            result["adversarial"] = functional.softplus(-made).sum() / max(1, len(made))
+            made, true = self._scores(judge, walk._replace(xy=walk.xy.detach()), real, batch)
+            telling = functional.softplus(made).sum() + functional.softplus(-true).sum()
+            result["discriminator"] = telling / max(1, len(made))
+            loss = loss + self.adversarial * result["adversarial"] + result["discriminator"]
         return {"loss": loss, **result}
-
-    def _adversarial(
-        self, judge: Discriminator, walk: Unrolled, real: Unrolled, batch: TensorDict
-    ) -> tuple[Tensor, Tensor]:
-        """Return the cross entropies of walking people, to pass as real, and of the discriminator.
-
-        Each has gradients for its own side alone, so one step of one optimizer trains both.
-        """
-        judge.requires_grad_(False)
-        made, _ = self._scores(judge, walk, real, batch)
-        judge.requires_grad_(True)
-        passing = functional.softplus(-made).sum() / max(1, len(made))
-        made, true = self._scores(judge, walk._replace(xy=walk.xy.detach()), real, batch)
-        telling = (functional.softplus(made).sum() + functional.softplus(-true).sum()) / max(1, len(made))
-        return passing, telling
 
     def _scores(
         self, judge: Discriminator, walk: Unrolled, real: Unrolled, batch: TensorDict

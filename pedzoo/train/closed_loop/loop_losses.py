@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import at_least_zero
 from pedzoo.core.geometry import are_opposed, closest_fraction
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.maps.bank import MapBank
@@ -73,27 +73,21 @@ class LoopLosses:
             UserError: A negative weight.
         """
         weights = {key: value for key, value in locals().items() if key != "self"}
-        if wrong := next((f"{key} {value}" for key, value in weights.items() if value < 0), None):
-            raise UserError(f"losses of walking: {wrong}: expected at least 0")
+        at_least_zero("losses of walking: ", **weights)
         self.progress, self.walls, self.effort = progress, walls, effort
-        self.person_distance = person_distance
-        self.safety_correction = safety_correction
-        self.people_margin, self.wall_margin = people_margin, wall_margin
-        self.meeting_margin = meeting_margin
+        self.person_distance, self.people_margin = person_distance, people_margin
+        self.safety_correction, self.meeting_margin = safety_correction, meeting_margin
+        self.wall_margin, self.passing_side = wall_margin, passing_side
         self.overspeed, self.overspeed_from = overspeed, overspeed_from
-        self.assertiveness, self.passing_side = assertiveness, passing_side
+        self.assertiveness = assertiveness
 
     def __call__(
         self, segment: Segment, bank: MapBank, noise: Tensor | None = None, firmness: float = 1.0
     ) -> dict[str, Tensor]:
-        """Return the weighted terms, scalars.
+        """Return the weighted terms of a walk on floor plans, scalars.
 
-        Args:
-            segment: The walk.
-            bank: The floor plans.
-            noise: Of each person when the segment begins (B, A, Z), or None. The first number is how
-                assertive they are, the second on which side they like to pass.
-            firmness: Share of their weights that people and walls have.
+        ``noise`` is that of each person when the segment begins (B, A, Z): how assertive they are, and on
+        which side they like to pass. ``firmness`` is the share of their weights that people and walls have.
         """
         mean = partial(mean_cost, moved=segment.moved)
 

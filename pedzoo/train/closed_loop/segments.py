@@ -20,48 +20,31 @@ Policy = Callable[[TensorDictBase], TensorDictBase]
 
 
 class Segment(NamedTuple):
-    """T decisions in B scenes of A people, with S trace points each. Differentiable.
+    """T decisions in B scenes of A people, with S trace points each. Differentiable."""
 
-    Attributes:
-        trace: Positions (T, B, A, 1 + S, 2), metres: where people were at a decision, and every 0.1 s after.
-        asked: Velocities that the policy asked for (T, B, A, 2), m/s.
-        action: Those that its safety layer left, if it has one (T, B, A, 2), m/s.
-        velocity: Theirs when they decided (T, B, A, 2), m/s.
-        progress: Way to the goal that was made (T, B, A), metres.
-        pref_speed: The speed that people like (T, B, A), m/s.
-        radius: Radii of their bodies (T, B, A), metres.
-        goal: Their short-term goals (T, B, A, 2), metres.
-        present: Which people are present when a decision is made (T, B, A) bool.
-        moved: Which people the policy moves then (T, B, A) bool.
-        agent_contact: Which agents touch another in the step (T, B, A) bool.
-        wall_contact: Which agents touch a wall in it (T, B, A) bool.
-        done: Scenes that are over at the end (B,) bool.
-        map_id: Floor plans (B,) long.
-        pose: Scene poses (B, 4).
-    """
-
+    # positions (T, B, A, 1 + S, 2), metres: where people were at a decision, and every 0.1 s after
     trace: Tensor
-    asked: Tensor
-    action: Tensor
-    velocity: Tensor
-    progress: Tensor
-    pref_speed: Tensor
-    radius: Tensor
-    goal: Tensor
-    present: Tensor
-    moved: Tensor
-    agent_contact: Tensor
-    wall_contact: Tensor
-    done: Tensor
-    map_id: Tensor
-    pose: Tensor
+    asked: Tensor  # velocities that the policy asked for (T, B, A, 2), m/s
+    action: Tensor  # those that its safety layer left, if it has one (T, B, A, 2), m/s
+    velocity: Tensor  # theirs when they decided (T, B, A, 2), m/s
+    progress: Tensor  # way to the goal that was made (T, B, A), metres
+    pref_speed: Tensor  # the speed that people like (T, B, A), m/s
+    radius: Tensor  # radii of their bodies (T, B, A), metres
+    goal: Tensor  # their short-term goals (T, B, A, 2), metres
+    present: Tensor  # which people are present when a decision is made (T, B, A) bool
+    moved: Tensor  # which people the policy moves then (T, B, A) bool
+    agent_contact: Tensor  # which agents touch another in the step (T, B, A) bool
+    wall_contact: Tensor  # which agents touch a wall in it (T, B, A) bool
+    done: Tensor  # scenes that are over at the end (B,) bool
+    map_id: Tensor  # floor plans (B,) long
+    pose: Tensor  # scene poses (B, 4)
 
 
 def unrolled(env: PedestrianEnv, policy: Policy, seen: TensorDictBase, steps: int) -> Segment:
-    """Return the segment of T steps of a policy in an environment, with its observations, with gradients.
+    """Return the segment of T steps of a policy in an environment, with gradients.
 
-    ``seen`` is the current observation, as `PedestrianEnv.reset` and `PedestrianEnv.cut` return it. Scenes
-    that are over, or were before, stay as they are; no agent moves in them.
+    ``seen`` is the current observation, as `PedestrianEnv.reset` and `PedestrianEnv.cut` return it. In scenes
+    that are over no agent moves.
     """
     result: list[tuple[Tensor, ...]] = []
     over = torch.zeros(env.batch_size[0], dtype=torch.bool, device=seen["map_id"].device)
@@ -125,17 +108,13 @@ class Course:
 
 @dataclass
 class ActiveCourse:
-    """A course with its environment and the age of each scene.
-
-    Attributes:
-        course: Which.
-        env: The environment, with the default physics.
-        age: Segments since each scene began (B,) long; negative ones begin next time; none before the first.
-    """
+    """A course with its environment and the age of each scene."""
 
     course: Course
-    env: PedestrianEnv
+    env: PedestrianEnv  # the environment, with the default physics
+    # segments since each scene began (B,) long; negative ones begin next time; none before the first
     age: Tensor = field(default_factory=lambda: torch.zeros(0))
+    epoch: int | None = None  # in which its scenes began
 
     def walk(self, walker: Walker, steps: int, max_segments: int) -> tuple[Segment, Tensor | None]:
         """Return the next segment, and everybody's noise when it begins; see `begin` and `unrolled`."""
@@ -169,8 +148,7 @@ class ActiveCourse:
 class CourseSampler:
     """Draws the course of each update, and makes its environment when it is first needed.
 
-    Which course an update gets, and all scenes of an epoch, depend on the seed, the update's and the epoch's
-    number alone: a run that goes on sees what an uninterrupted one would have.
+    Which course an update gets, and all scenes of an epoch, depend on the seed and these numbers alone.
     """
 
     def __init__(self, courses: list[Course], seed: int) -> None:
@@ -186,29 +164,22 @@ class CourseSampler:
         self.courses, self.seed = courses, seed
         self._active: dict[int, ActiveCourse] = {}
         self._shares = torch.tensor([course.share for course in courses]).cumsum(0)
-        self._epoch: int | None = None
 
     def at(self, update: int, epoch: int, device: torch.device | str = "cpu") -> ActiveCourse:
         """Return the course of an update, its scenes on a device; in a new epoch all scenes are new."""
-        if epoch != self._epoch:
-            self._epoch = epoch
-            for number, active in self._active.items():
-                self._restart(active, number, epoch)
-        key = join(torch.zeros((), dtype=torch.long), self.seed, "course", update)
-        lot = uniform(key) * self._shares[-1]
+        nothing = torch.zeros((), dtype=torch.long)
+        lot = uniform(join(nothing, self.seed, "course", update)) * self._shares[-1]
         number = int((lot >= self._shares).sum().clamp_max(len(self.courses) - 1))
         if number not in self._active:
             course = self.courses[number]
-            active = ActiveCourse(course, make_env(course.scenario, course.scenes, device=device))
-            active.env.policy_name = "the model in training"
-            self._restart(active, number, epoch)
-            self._active[number] = active
-        return self._active[number]
-
-    def _restart(self, active: ActiveCourse, number: int, epoch: int) -> None:
-        seed = join(torch.zeros((), dtype=torch.long), self.seed, "scenes", number, epoch)
-        active.env.set_seed(int(seed) & 0x7FFFFFFF)
-        active.age = torch.zeros(0)
+            env = make_env(course.scenario, course.scenes, device=device)
+            env.policy_name = "the model in training"
+            self._active[number] = ActiveCourse(course, env)
+        active = self._active[number]
+        if active.epoch != epoch:
+            active.epoch, active.age = epoch, torch.zeros(0)
+            active.env.set_seed(int(join(nothing, self.seed, "scenes", number, epoch)) & 0x7FFFFFFF)
+        return active
 
     def close(self) -> None:
         """Let go of all environments."""
