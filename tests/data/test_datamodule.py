@@ -1,7 +1,5 @@
 """Folds, own files and the embedded people as the command line sees them: counts, clocks, maps, refusals."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from itertools import pairwise
@@ -16,7 +14,7 @@ from jsonargparse import ArgumentParser
 from torch import Tensor
 
 from pedzoo.core.errors import UserError
-from pedzoo.data.datamodule import Loading, TrajectoryDataModule
+from pedzoo.data.datamodule import ImitationWindows, Loading, TrajectoryDataModule
 from pedzoo.data.recordings import Split
 
 SPLITS: tuple[Split, ...] = ("train", "val", "test")
@@ -65,7 +63,7 @@ def refused(**options: Any) -> str:
 # -- own files
 
 
-def test_own_files_end_to_end_by_their_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_own_files_end_to_end_by_their_options(tmp_path, capsys):
     """Files, clock, split, map and homography, written as on the command line."""
     options = own_files(tmp_path, split="0.6,0.2,0.2", goal="destination")
     parser = ArgumentParser(exit_on_error=False)
@@ -98,7 +96,7 @@ def test_own_files_end_to_end_by_their_options(tmp_path: Path, capsys: pytest.Ca
     assert data.protocol["clock"] == "true"
 
 
-def test_splits_are_cut_in_time_without_overlap(tmp_path: Path) -> None:
+def test_splits_are_cut_in_time_without_overlap(tmp_path):
     """A cut falls exactly on step 100 of 200: it belongs to one part."""
     data = TrajectoryDataModule(**own_files(tmp_path, split="0.5,0.25,0.25"))
     parts = [data.source.recordings(split)[0].tracks for split in SPLITS]
@@ -110,9 +108,7 @@ def test_splits_are_cut_in_time_without_overlap(tmp_path: Path) -> None:
     assert ends == pytest.approx([0.5, 0.75, 1.0], abs=0.02)
 
 
-def test_several_files_are_one_split_and_empty_ones_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_several_files_are_one_split_and_empty_ones_named(tmp_path, capsys):
     paths = [write_recording(tmp_path), write_recording(tmp_path, "short.csv", people=2, every=3)]
     np.savetxt(tmp_path / "H.txt", TURN)
     homography = str(tmp_path / "H.txt")
@@ -133,9 +129,7 @@ def test_several_files_are_one_split_and_empty_ones_named(
         ({"dt": 1e-6}, ["lobby.csv", "lasts 0.000799 s", "--data.dt 1e-06"]),
         ({"dt": 25}, ["--data.dt is 25"]),
         ({"split": "0.7,0.3"}, ["--data.split '0.7,0.3'", "0.7,0.15,0.15"]),
-        ({"split": "most,some,few"}, ["--data.split 'most,some,few'"]),
         ({"split": "0.7,0.2,0.2"}, ["--data.split '0.7,0.2,0.2'", "add up to 1"]),
-        ({"split": "1.5,-0.5,0"}, ["--data.split '1.5,-0.5,0'", "at least 0"]),
         ({"split": "nan,0.5,0.5"}, ["--data.split 'nan,0.5,0.5'"]),
         ({"split": "1,0,0"}, ["no person", "val part", "lobby.csv", "share 0", "--data.split"]),
         ({"split": "0.98,0.01,0.01"}, ["16 steps", "only", "lobby"]),
@@ -148,9 +142,11 @@ def test_several_files_are_one_split_and_empty_ones_named(
         ({"pred_len": 400}, ["8 + 400 = 408", "lobby"]),
         ({"obs_len": 1}, ["--data.obs_len 1"]),
         ({"loading": Loading(batch_size=0)}, ["--data.loading.batch_size"]),
+        ({"imitated": ImitationWindows(steps=-1)}, ["--data.imitated.steps -1: expected steps"]),
+        ({"imitated": ImitationWindows(8, 0)}, ["imitated.batch_size 0: expected at least 1"]),
     ],
 )
-def test_bad_own_files_are_refused(tmp_path: Path, options: dict[str, Any], words: list[str]) -> None:
+def test_bad_own_files_are_refused(tmp_path, options, words):
     given = own_files(tmp_path, **options)
     np.savetxt(tmp_path / "two.txt", TURN[:2])
     np.savetxt(tmp_path / "flat.txt", np.ones((3, 3)))
@@ -173,14 +169,14 @@ def test_bad_own_files_are_refused(tmp_path: Path, options: dict[str, Any], word
         ({"hold_out": "zara1"}, "hold_out zara1: expected another scene of the recordings of 'embedded'"),
     ],
 )
-def test_options_that_do_not_go_together_are_refused(options: dict[str, Any], words: str) -> None:
+def test_options_that_do_not_go_together_are_refused(options, words):
     assert words in refused(**options)
 
 
 # -- folds
 
 
-def test_embedded_needs_no_root(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_embedded_needs_no_root(monkeypatch, capsys):
     monkeypatch.delenv("PEDZOO_DATA", raising=False)
     data = TrajectoryDataModule()
     data.setup(None)
@@ -190,7 +186,7 @@ def test_embedded_needs_no_root(monkeypatch: pytest.MonkeyPatch, capsys: pytest.
     assert (batch["map_id"] == data.bank.id_of("plaza")).all()
 
 
-def test_unknown_folds_and_missing_roots_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unknown_folds_and_missing_roots_are_refused(tmp_path, monkeypatch):
     message = refused(fold="zarra1")
     assert "unknown fold 'zarra1': did you mean 'zara1'?" in message
     assert "embedded, eth, eth_ucy, hotel, univ, zara1, zara2" in message
@@ -200,13 +196,11 @@ def test_unknown_folds_and_missing_roots_are_refused(tmp_path: Path, monkeypatch
     for root, words in ((None, how), (str(tmp_path / "no"), [*how, "is not a folder"])):
         message = refused(fold="zara1", root=root)
         assert all(word in message for word in words), message
-    message = refused(fold="zara1", root=str(tmp_path))
-    assert all(
-        word in message for word in (str(tmp_path), "splits.json", "zara1/train/*.txt", "pedzoo download")
-    )
+    message, words = refused(fold="zara1", root=str(tmp_path)), ("splits.json", "zara1/train/*.txt")
+    assert all(word in message for word in (str(tmp_path), *words, "pedzoo download"))
 
 
-def test_stages_read_what_they_need_once(shared: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_stages_read_what_they_need_once(shared, capsys):
     data = TrajectoryDataModule("zara1", str(shared / "data"))
     data.setup("fit")
     assert list(data.sets) == ["train", "val"]
@@ -225,7 +219,7 @@ def test_stages_read_what_they_need_once(shared: Path, capsys: pytest.CaptureFix
     assert data.bank.index(ids).max() == 4
 
 
-def test_protocol_options_reach_the_batches(shared: Path) -> None:
+def test_protocol_options_reach_the_batches(shared):
     data = TrajectoryDataModule(
         "zara1", str(shared / "data"), keep_people="present", min_people=1, pred_len=12
     )
@@ -237,7 +231,7 @@ def test_protocol_options_reach_the_batches(shared: Path) -> None:
     assert {"goal": "none", "clock": "benchmark", "pred_len": 12}.items() <= data.protocol.items()
 
 
-def test_the_true_clock_reaches_the_batches(shared: Path) -> None:
+def test_the_true_clock_reaches_the_batches(shared):
     speeds = {}
     for clock in ("benchmark", "true"):
         data = TrajectoryDataModule("eth", str(shared / "data"), clock=clock)  # type: ignore[arg-type]
@@ -248,7 +242,7 @@ def test_the_true_clock_reaches_the_batches(shared: Path) -> None:
     assert 1.3 < speeds["true"] < 1.7
 
 
-def test_social_gans_folders_give_the_same_windows(shared: Path, tmp_path: Path) -> None:
+def test_social_gans_folders_give_the_same_windows(shared, tmp_path):
     """The layout that one can download: zara1/{train,val,test}/*.txt, no floor plans."""
     pack = shared / "data" / "eth_ucy"
     for split, files in json.loads((pack / "splits.json").read_text())["folds"]["zara1"].items():
@@ -259,11 +253,8 @@ def test_social_gans_folders_give_the_same_windows(shared: Path, tmp_path: Path)
     for root in (tmp_path, tmp_path / "datasets"):
         data = TrajectoryDataModule("zara1", str(root))
         data.setup(None)
-        assert [(len(data.sets[s]), int(data.sets[s].offsets[-1])) for s in SPLITS] == [
-            (2692, 32686),
-            (721, 6361),
-            (702, 2875),
-        ]
+        sizes = [(len(data.sets[split]), int(data.sets[split].offsets[-1])) for split in SPLITS]
+        assert sizes == [(2692, 32686), (721, 6361), (702, 2875)]
         assert (data.sets["test"].map_id == -1).all()
     fold = TrajectoryDataModule("zara1", str(tmp_path)).source.recordings("train")[0].tracks
     true = TrajectoryDataModule("zara1", str(tmp_path), clock="true").source.recordings("train")[0].tracks
@@ -276,7 +267,7 @@ def test_social_gans_folders_give_the_same_windows(shared: Path, tmp_path: Path)
 # -- loaders
 
 
-def test_training_repeats_with_the_seed_not_between_epochs() -> None:
+def test_training_repeats_with_the_seed_not_between_epochs():
     def histories(seed: int, epoch: int) -> list[Tensor]:
         data = TrajectoryDataModule(
             goal="random_future", loading=Loading(seed=seed, rotate=True, mirror=True)
@@ -291,7 +282,7 @@ def test_training_repeats_with_the_seed_not_between_epochs() -> None:
         assert any(a.shape != b.shape or not torch.equal(a, b) for a, b in zip(first, other, strict=True))
 
 
-def test_every_process_evaluates_all_windows() -> None:
+def test_every_process_evaluates_all_windows():
     class Second:
         global_rank, world_size = 1, 2
 
@@ -301,7 +292,7 @@ def test_every_process_evaluates_all_windows() -> None:
     assert len(list(second.train_dataloader())) == -(-len(list(alone.train_dataloader())) // 2)
 
 
-def test_a_scene_that_is_held_out_is_what_validation_is_on(shared: Path) -> None:
+def test_a_scene_that_is_held_out_is_what_validation_is_on(shared):
     data = TrajectoryDataModule("zara1", str(shared / "data"), hold_out="hotel")
     data.setup("fit")
     names = {split: {name for name, _ in data.sets[split].counts} for split in ("train", "val")}

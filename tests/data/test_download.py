@@ -1,16 +1,12 @@
 """``pedzoo download``: datasets, AlexNet and models, from a server on this machine."""
 
-from __future__ import annotations
-
 import hashlib
 import json
-from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from helpers.server import Site, serving, without_patience
+from helpers.server import serving, without_patience
 
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
@@ -27,7 +23,7 @@ RAW, CDN = "raw/{repository}/{commit}/{path}", "cdn/{repository}@{commit}/{path}
 
 
 @pytest.fixture
-def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Site]:
+def site(tmp_path, monkeypatch):
     """A server in the place of GitHub and its mirror, and an empty cache."""
     monkeypatch.setenv("PEDZOO_HOME", str(tmp_path / "cache"))
     for name in ("PEDZOO_DATA", "PEDZOO_ALEXNET"):
@@ -39,7 +35,7 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Site]:
 
 
 @pytest.fixture
-def full(site: Site, shared: Path) -> Site:
+def full(site, shared):
     """The server with all files of ETH/UCY in the first place of each."""
     for file in files_of("eth_ucy"):
         repository, commit, path = file.places[0]
@@ -58,7 +54,7 @@ def refused(capsys: pytest.CaptureFixture[str], *argv: str) -> str:
 # -- where things lie
 
 
-def test_every_file_has_a_pinned_place_and_a_second_one() -> None:
+def test_every_file_has_a_pinned_place_and_a_second_one():
     assert published() == ["eth_ucy"]
     files = files_of("eth_ucy")
     assert len({file.path for file in files}) == len(files) == 24 + 5 + 6
@@ -72,7 +68,7 @@ def test_every_file_has_a_pinned_place_and_a_second_one() -> None:
     assert {file.path.split("/")[0] for file in files} == {"raw", "train", "val", "homography", "maps"}
 
 
-def test_sums_are_those_of_the_files(shared: Path) -> None:
+def test_sums_are_those_of_the_files(shared):
     lines = (shared / "data" / "eth_ucy" / "SHA256SUMS").read_text().splitlines()
     expected = {path: digest for digest, path in map(str.split, lines)}
     made_here = {"README.md", "splits.json", "maps/alignment.json"}
@@ -83,7 +79,7 @@ def test_sums_are_those_of_the_files(shared: Path) -> None:
         assert (shared / "data" / "eth_ucy" / file.path).stat().st_size == file.size
 
 
-def test_folds_are_those_of_social_gan(shared: Path) -> None:
+def test_folds_are_those_of_social_gan(shared):
     expected = json.loads((shared / "data" / "eth_ucy" / "splits.json").read_text())
     assert splits() == {key: expected[key] for key in splits()}
 
@@ -92,7 +88,7 @@ def test_folds_are_those_of_social_gan(shared: Path) -> None:
 
 
 @pytest.mark.parametrize("scene", FRAMES)
-def test_floor_plans_equal_the_recorded_ones_bit_for_bit(shared: Path, scene: str) -> None:
+def test_floor_plans_equal_the_recorded_ones_bit_for_bit(shared, scene):
     plan = floor_plan(scene, shared / "data" / "eth_ucy")
     expected = read_plan(shared / "data" / "eth_ucy" / "maps" / f"{scene}.yaml")
     assert np.array_equal(plan.cells, expected.cells)
@@ -104,7 +100,7 @@ LOOKING_DOWN = np.array([[0.1, 0, 0], [0, -0.1, 1.0], [0, 0, 1]])
 """Pixels of 0.1 m, the image's upper left corner at (0, 1) on the ground."""
 
 
-def test_cells_are_solid_by_majority_and_unknown_outside() -> None:
+def test_cells_are_solid_by_majority_and_unknown_outside():
     solid, thin = np.zeros((2, 10, 10), dtype=np.bool_)
     solid[0, :5] = True  # y from 0.95 to 1.05, x up to 0.45
     thin[8, 8] = True
@@ -123,7 +119,7 @@ def test_cells_are_solid_by_majority_and_unknown_outside() -> None:
     assert (finer == OCCUPIED).sum() == 9 + 4
 
 
-def test_homography_is_the_same_at_every_scale() -> None:
+def test_homography_is_the_same_at_every_scale():
     rng = np.random.default_rng(0)
     solid, thin = rng.random((2, 20, 20)) < 0.3
     tilted = LOOKING_DOWN + np.array([[0, 0.01, 0], [0.01, 0, 0], [0.01, 0.02, 0]])
@@ -144,13 +140,7 @@ def test_homography_is_the_same_at_every_scale() -> None:
 # -- pedzoo download eth_ucy
 
 
-def test_a_dataset_comes_whole_and_is_found_without_being_named(
-    full: Site,
-    shared: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_dataset_comes_whole_and_is_found_without_being_named(full, shared, tmp_path, capsys, monkeypatch):
     with pytest.raises(UserError, match="`pedzoo download eth_ucy` gets those"):
         EthUcy("zara1", None)
     assert main(["download", "eth_ucy"]) == 0
@@ -186,9 +176,7 @@ def test_a_dataset_comes_whole_and_is_found_without_being_named(
     assert "biwi_eth.txt is not there, and PEDZOO_OFFLINE forbids the network" in said
 
 
-def test_a_second_call_mends_what_is_missing_or_damaged(
-    full: Site, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_second_call_mends_what_is_missing_or_damaged(full, tmp_path, capsys):
     folder, last = tmp_path / "mine", files_of("eth_ucy")[-1]
     (first_place, second_place) = (dict(zip(PLACE, place, strict=True)) for place in last.places)
     missing = full.pages.pop(RAW.format(**first_place))
@@ -210,9 +198,7 @@ def test_a_second_call_mends_what_is_missing_or_damaged(
     assert len(EthUcy("zara1", str(folder)).recordings("val")) == 7
 
 
-def test_a_folder_that_cannot_be_is_refused(
-    site: Site, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_that_cannot_be_is_refused(site, tmp_path, capsys):
     (tmp_path / "file").write_text("")
     assert "is a file, expected a folder" in refused(capsys, "eth_ucy", "--to", str(tmp_path / "file"))
     assert not site.asked
@@ -222,9 +208,7 @@ def test_a_folder_that_cannot_be_is_refused(
 
 
 @pytest.fixture
-def published_alexnet(
-    site: Site, shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> tuple[Site, Path]:
+def published_alexnet(site, shared, tmp_path, monkeypatch):
     """A server with AlexNet's weights as torchvision publishes them, but without the classifier."""
     weights = alexnet.load(str(shared / "weights" / "alexnet_imagenet_features_fp16.safetensors"))
     file = tmp_path / alexnet.FILE
@@ -238,9 +222,7 @@ def published_alexnet(
     return site, tmp_path / "cache" / alexnet.FILE
 
 
-def test_alexnet_comes_once_and_loads(
-    published_alexnet: tuple[Site, Path], shared: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_alexnet_comes_once_and_loads(published_alexnet, shared, capsys):
     site, file = published_alexnet
     assert main(["download", "alexnet"]) == 0
     assert capsys.readouterr().out == f"{file}\n"
@@ -251,9 +233,7 @@ def test_alexnet_comes_once_and_loads(
     assert all(torch.equal(weights[key], expected[key]) for key in alexnet.KEYS)
 
 
-def test_alexnet_of_torch_hub_is_taken_if_published(
-    published_alexnet: tuple[Site, Path], tmp_path: Path
-) -> None:
+def test_alexnet_of_torch_hub_is_taken_if_published(published_alexnet, tmp_path):
     site, file = published_alexnet
     (folder := tmp_path / "hub" / "checkpoints").mkdir(parents=True)
     (folder / alexnet.FILE).write_bytes(b"another")
@@ -265,16 +245,14 @@ def test_alexnet_of_torch_hub_is_taken_if_published(
     assert len(site.asked) == asked
 
 
-def test_without_a_network_alexnet_can_be_given(
-    site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_network_alexnet_can_be_given(site, tmp_path, monkeypatch):
     monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path))
     monkeypatch.setattr(alexnet, "URLS", (f"{site.url}/none.pth",))
     with pytest.raises(UserError, match=r"404 Not Found.*or in the environment variable PEDZOO_ALEXNET"):
         alexnet.load()
 
 
-def test_a_shipped_model_is_there_already(site: Site, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_shipped_model_is_there_already(site, capsys):
     assert main(["download", "sgan_goal.zara1"]) == 0
     assert capsys.readouterr().out.endswith("sgan_goal.zara1/weights.safetensors\n")
     assert not site.asked
@@ -284,9 +262,7 @@ def test_a_shipped_model_is_there_already(site: Site, capsys: pytest.CaptureFixt
     ("name", "near"),
     [("eth-ucy", "eth_ucy"), ("alexnett", "alexnet"), ("sgan_goal.zarra1", "sgan_goal.zara1")],
 )
-def test_misspelt_names_are_told(
-    site: Site, capsys: pytest.CaptureFixture[str], name: str, near: str
-) -> None:
+def test_misspelt_names_are_told(site, capsys, name, near):
     said = refused(capsys, name)
     assert f"unknown dataset or model {name!r}: did you mean {near!r}?" in said
     assert refused(capsys, "alexnet", "--to", "x").startswith("pedzoo: --to x: only for datasets (eth_ucy)")

@@ -1,9 +1,6 @@
 """Files of the field: every form of one crowd gives the same walks, and says what it was taken for."""
 
-from __future__ import annotations
-
 import sqlite3
-from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
@@ -22,6 +19,7 @@ JPSCORE = (
     "#description: jpscore\n#framerate: 12.50\n#ID: the agent ID\n#FR: the current frame\n"
     "#X,Y,Z: the agents coordinates (in metres)\n\n#ID\tFR\tX\tY\tZ\tA\tB\tANGLE\tCOLOR\n"
 )
+PETRACK = "# PeTrack project: a.pet\n#framerate: 12,5 fps\n"
 PEDPY = "# description: a hall\n# framerate: 12.50\n# geometry: hall.xml\n\n"
 
 
@@ -66,63 +64,38 @@ def vadere(table: np.ndarray) -> str:
     return "\n".join(rows) + "\n"
 
 
-FORMS: dict[str, tuple[str, Callable[[np.ndarray], str]]] = {
-    "pedpy": (
-        "PedPy text",
-        lambda t: PEDPY + "# id frame x/m y/m z/m\n" + lines("{a}\t{f}\t{x}\t{y}\t1.8", t),
-    ),
-    "pedpy_unnamed": ("PedPy text", lambda t: PEDPY + lines("{a} {f} {x} {y} 1.8", t)),
-    "pedpy_4": ("PedPy text", lambda t: PEDPY + lines("{a} {f} {x} {y}", t)),
-    "petrack_cm": (
-        "PedPy text",
-        lambda t: (
-            "# PeTrack project: a.pet\n#framerate: 12,5 fps\n# id frame x/cm y/cm z/cm\n"
-            + lines("{a} {f} {x} {y} 180", t, 100)
-        ),
-    ),
-    "cm_in_words": (
-        "PedPy text",
-        lambda t: PEDPY + "# x, y and z in cm\n" + lines("{a} {f} {x} {y} 180", t, 100),
-    ),
-    "jupedsim_text": (
-        "PedPy text",
-        lambda t: JPSCORE + lines("{a}\t{f}\t{x}\t{y}\t0\t.3\t.2\t12\t7", t),
-    ),
-    "time": (
-        "CSV (time, agent_id, pos_x, pos_y)",
-        lambda t: "time,agent_id,pos_x,pos_y\n" + lines("{t},{a},{x},{y}", t),
-    ),
-    "timestamp_ms": ("timestamp", lambda t: "timestamp;ped_id;x;y\n" + lines("{ms};{a};{x};{y}", t)),
-    "time_ms": ("time_ms", lambda t: "ped_id time_ms x_m y_m\n" + lines("{a} {ms} {x} {y}", t)),
-    "nanoseconds": (
-        "t [ns]",
-        lambda t: "t [ns],id,x [mm],y [mm]\n" + lines("{ms}000000,{a},{x},{y}", t, 1000),
-    ),
-    "semicolons": ("decimal commas", lambda t: "time;id;x;y\n" + lines("{t};{a};{x};{y}", t, comma=True)),
-    "tabs_and_commas": (
-        "decimal commas",
-        lambda t: "time\tid\tpos x\tpos y\tnote\n" + lines("{t}\t{a}\t{x}\t{y}\tat ease", t, comma=True),
-    ),
-    "spaces_and_commas": (
-        "decimal commas",
-        lambda t: "time id x y\n" + lines("{t} {a} {x} {y}", t, comma=True),
-    ),
-    "frame_and_time": ("", lambda t: "frame,time,id,x,y\n" + lines("{f},{t},{a},{x},{y}", t)),
-    "crowdit": ("pedID", lambda t: "pedID,time,posX,posY\n" + lines("{a},{t},{x},{y}", t)),
-    "feet": ("x_ft", lambda t: "time,id,x_ft,y_ft\n" + lines("{t},{a},{x},{y}", t, 1 / 0.3048)),
-    "comments": (
-        "CSV",
-        lambda t: "# mine\n\ntime,track_id,x,y,who\n# first\n" + lines("{t},{a},{x},{y},#3", t) + "# end\n",
-    ),
-    "trailing": ("CSV", lambda t: "time,id,x,y,\n" + lines("{t},{a},{x},{y},", t)),
-    "quoted": ("CSV", lambda t: '"time";"id";"x";"y"\n' + lines('"{t}";"{a}";"{x}";"{y}"', t, comma=True)),
-    "crlf": ("CSV", lambda t: ("time,id,x,y\n" + lines("{t},{a},{x},{y}", t)).replace("\n", "\r\n")),
-    "vadere": ("footsteps of Vadere", vadere),
-    "vadere_steps": (
-        "PID",
-        lambda t: "simTime pedestrianId x-PID1 y-PID1 targetId-PID2\n" + lines("{t} {a} {x} {y} 4", t),
-    ),
+FORMS: dict[str, tuple[str, str, str]] = {
+    "pedpy": ("PedPy text", PEDPY + "# id frame x/m y/m z/m\n", "{a}\t{f}\t{x}\t{y}\t1.8"),
+    "pedpy_unnamed": ("PedPy text", PEDPY, "{a} {f} {x} {y} 1.8"),
+    "pedpy_4": ("PedPy text", PEDPY, "{a} {f} {x} {y}"),
+    "petrack_cm": ("PedPy text", PETRACK + "# id frame x/cm y/cm z/cm\n", "{a} {f} {x} {y} 180"),
+    "cm_in_words": ("PedPy text", PEDPY + "# x, y and z in cm\n", "{a} {f} {x} {y} 180"),
+    "jupedsim_text": ("PedPy text", JPSCORE, "{a}\t{f}\t{x}\t{y}\t0\t.3\t.2\t12\t7"),
+    "time": ("CSV (time, agent_id, pos_x, pos_y)", "time,agent_id,pos_x,pos_y\n", "{t},{a},{x},{y}"),
+    "timestamp_ms": ("timestamp", "timestamp;ped_id;x;y\n", "{ms};{a};{x};{y}"),
+    "time_ms": ("time_ms", "ped_id time_ms x_m y_m\n", "{a} {ms} {x} {y}"),
+    "nanoseconds": ("t [ns]", "t [ns],id,x [mm],y [mm]\n", "{ms}000000,{a},{x},{y}"),
+    "semicolons": ("decimal commas", "time;id;x;y\n", "{t};{a};{x};{y}"),
+    "tabs_and_commas": ("decimal commas", "time\tid\tpos x\tpos y\tnote\n", "{t}\t{a}\t{x}\t{y}\tat ease"),
+    "spaces_and_commas": ("decimal commas", "time id x y\n", "{t} {a} {x} {y}"),
+    "frame_and_time": ("", "frame,time,id,x,y\n", "{f},{t},{a},{x},{y}"),
+    "crowdit": ("pedID", "pedID,time,posX,posY\n", "{a},{t},{x},{y}"),
+    "feet": ("x_ft", "time,id,x_ft,y_ft\n", "{t},{a},{x},{y}"),
+    "comments": ("CSV", "# mine\n\ntime,track_id,x,y,who\n# first\n", "{t},{a},{x},{y},#3"),
+    "trailing": ("CSV", "time,id,x,y,\n", "{t},{a},{x},{y},"),
+    "quoted": ("decimal commas", '"time";"id";"x";"y"\n', '"{t}";"{a}";"{x}";"{y}"'),
+    "vadere": ("footsteps of Vadere", "", ""),
+    "vadere_steps": ("PID", "simTime pedestrianId x-PID1 y-PID1 targetId-PID2\n", "{t} {a} {x} {y} 4"),
 }
+"""What a form is taken for, its lines before the first row, and its rows."""
+
+UNITS = {"petrack_cm": 100, "cm_in_words": 100, "nanoseconds": 1000, "feet": 1 / 0.3048}
+
+
+def written(form: str, table: np.ndarray) -> str:
+    """Return the crowd of a table in a form."""
+    said, begin, row = FORMS[form]
+    return begin + lines(row, table, UNITS.get(form, 1), said == "decimal commas") if row else vadere(table)
 
 
 def same(file: Path, table: np.ndarray, within: float = 1e-5, homography: str | None = None) -> None:
@@ -137,17 +110,16 @@ def same(file: Path, table: np.ndarray, within: float = 1e-5, homography: str | 
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_every_form_of_a_crowd_gives_its_walks_and_is_said(
-    form: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    said, text = FORMS[form]
+def test_every_form_of_a_crowd_gives_its_walks_and_is_said(form, tmp_path, capsys):
     for seed, encoding in enumerate(("utf-8", "utf-8-sig", "utf-16")):
         table = np.random.default_rng(seed).permutation(crowd(seed=seed))
         file = tmp_path / f"{form}{seed}.txt"
-        file.write_bytes(text(table).encode(encoding))
+        text = written(form, table)
+        text += "# end\n" * (form == "comments")
+        file.write_bytes((text.replace("\n", "\r\n") if seed == 1 else text).encode(encoding))
         same(file, table)
         (line,) = capsys.readouterr().err.splitlines()
-        assert f"{file} read as " in line and said in line and line.endswith((" m", "metres")), line
+        assert f"{file} read as " in line and FORMS[form][0] in line and line.endswith((" m", "metres")), line
 
 
 def database(path: Path, table: np.ndarray, fps: object = RATE, column: str = "pos_x") -> Path:
@@ -165,13 +137,13 @@ def database(path: Path, table: np.ndarray, fps: object = RATE, column: str = "p
     return path
 
 
-def test_sqlite_of_jupedsim(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_sqlite_of_jupedsim(tmp_path, capsys):
     table = crowd()
     same(database(tmp_path / "jps.sqlite", table), table)
     assert "read as SQLite of JuPedSim: 0.08 s between frame numbers" in capsys.readouterr().err
 
 
-def test_broken_databases_are_refused_in_words(tmp_path: Path) -> None:
+def test_broken_databases_are_refused_in_words(tmp_path):
     table = crowd(2, 5)
     whole = database(tmp_path / "whole.sqlite", table).read_bytes()
     (tmp_path / "cut.sqlite").write_bytes(whole[: len(whole) // 2])
@@ -224,7 +196,7 @@ def test_broken_databases_are_refused_in_words(tmp_path: Path) -> None:
         ("pedestrianId simTime endTime startX startY endX endY\n1 0 9e9 0 0 1 1\n", "at most 5,000,000"),
     ],
 )
-def test_files_that_would_be_half_read_are_refused(text: str, words: str, tmp_path: Path) -> None:
+def test_files_that_would_be_half_read_are_refused(text, words, tmp_path):
     (tmp_path / "walks.csv").write_text(text)
     with pytest.raises(UserError, match=words) as refused:
         Tracks.read(tmp_path / "walks.csv")
@@ -234,7 +206,7 @@ def test_files_that_would_be_half_read_are_refused(text: str, words: str, tmp_pa
 @pytest.mark.parametrize(
     ("begin", "words"), [(b"\x1f\x8b\x08", "gzip"), (b"PK\x03\x04", "zip"), (b"BZh9", "bzip2")]
 )
-def test_archives_are_not_unpacked_but_named(begin: bytes, words: str, tmp_path: Path) -> None:
+def test_archives_are_not_unpacked_but_named(begin, words, tmp_path):
     (tmp_path / "walks.csv.gz").write_bytes(begin + b"walks")
     assert is_recording("walks.csv.gz") and not is_recording("walks.gz")
     with pytest.raises(UserError, match=f"{words}.*: unpack"):
@@ -245,7 +217,7 @@ def seconds(path: Path) -> float | None:
     return Tracks.read(path).source.seconds
 
 
-def test_what_a_file_says_of_its_time(tmp_path: Path) -> None:
+def test_what_a_file_says_of_its_time(tmp_path):
     path, table = tmp_path / "walks.txt", crowd()
     for header, form, expected in (
         ("# framerate: 12.5\n", "{a} {f} {x} {y}", 0.08),
@@ -266,7 +238,7 @@ def test_what_a_file_says_of_its_time(tmp_path: Path) -> None:
         assert seconds(path) == (expected and pytest.approx(expected)), header + form
 
 
-def test_options_stand_above_what_a_file_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_options_stand_above_what_a_file_says(tmp_path, capsys):
     path, table = tmp_path / "walks.txt", crowd()
     path.write_text(PEDPY + lines("{a} {f} {x} {y}", table))
     half = OwnFiles([str(path)], 0.04, "0,0,1").recordings("test")[0].tracks
@@ -282,7 +254,7 @@ def test_options_stand_above_what_a_file_says(tmp_path: Path, capsys: pytest.Cap
         OwnFiles([str(path)], None, "0,0,1")
 
 
-def test_a_homography_takes_the_numbers_of_the_file(tmp_path: Path) -> None:
+def test_a_homography_takes_the_numbers_of_the_file(tmp_path):
     table = crowd()
     for unit in ("cm", "px"):
         (tmp_path / f"{unit}.csv").write_text(
@@ -294,7 +266,7 @@ def test_a_homography_takes_the_numbers_of_the_file(tmp_path: Path) -> None:
         OwnFiles([str(tmp_path / "px.csv")], None, "0,0,1").recordings("test")
 
 
-def test_footsteps_longer_than_a_step_are_walked_evenly(tmp_path: Path) -> None:
+def test_footsteps_longer_than_a_step_are_walked_evenly(tmp_path):
     """A slow person of Vadere: one footstep of 1.6 s, a wait of 0.4 s, one of 2 s."""
     path = tmp_path / "postvis.traj"
     path.write_text(

@@ -1,7 +1,5 @@
 """Forecasts and replays are the same wherever in the world a recording lies."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 from typing import cast
@@ -11,15 +9,12 @@ import pytest
 import torch
 import yaml
 from numpy.typing import NDArray
-from tensordict import TensorDict
 
 import pedzoo
 from pedzoo.core.batch import agents_of
-from pedzoo.core.errors import UserError
 from pedzoo.core.registry import MODELS
 from pedzoo.data import datasets
 from pedzoo.data.datamodule import TrajectoryDataModule
-from pedzoo.data.own_files import OwnFiles
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.models.base import Forecaster
@@ -55,7 +50,7 @@ def plaza(folder: Path, offset: NDArray[np.float64], frames: int = 60) -> tuple[
 
 
 @pytest.fixture(scope="module")
-def batches(tmp_path_factory: pytest.TempPathFactory) -> list[TensorDict]:
+def batches(tmp_path_factory):
     """The same windows at their place, and moved."""
     result = []
     for offset in (np.zeros(2), *FAR):
@@ -67,7 +62,7 @@ def batches(tmp_path_factory: pytest.TempPathFactory) -> list[TensorDict]:
     return result
 
 
-def test_weights_of_all_architectures_forecast() -> None:
+def test_weights_of_all_architectures_forecast():
     assert {type(cast("Forecaster", pedzoo.load(name))) for name in FORECASTERS} == {
         MODELS.get(name) for name in MODELS.names()
     }
@@ -75,7 +70,7 @@ def test_weights_of_all_architectures_forecast() -> None:
 
 @pytest.mark.parametrize("name", FORECASTERS)
 @torch.no_grad()
-def test_forecasts_are_the_same_10_km_away(name: str, batches: list[TensorDict]) -> None:
+def test_forecasts_are_the_same_10_km_away(name, batches):
     model = cast("Forecaster", pedzoo.load(name))
     mode, sample = (
         [answer(batch) for batch in batches]
@@ -90,20 +85,13 @@ def test_forecasts_are_the_same_10_km_away(name: str, batches: list[TensorDict])
             assert (moved.cumsum(3) - near.cumsum(3)).abs().max() < 1e-3
 
 
-def test_recordings_near_the_origin_stay_as_they_are(tmp_path: Path) -> None:
+def test_recordings_near_the_origin_stay_as_they_are(tmp_path):
     walks, plan = plaza(tmp_path, np.zeros(2))
     data = TrajectoryDataModule(files=[walks], dt=0.4, map=plan, split="0,0,1")
     data.setup("test")
     rows = data.source.recordings("test")[0].tracks.xy
     assert torch.equal(data.sets["test"].xy, torch.from_numpy(rows).float())
     assert data.bank.grids[0].origin == (-12.0, -8.0, 0.0)
-
-
-def test_recordings_that_are_no_metres_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "walks.csv"
-    path.write_text("frame,agent,x,y\n" + "".join(f"{frame},1,{3000 * frame},1\n" for frame in range(20)))
-    with pytest.raises(UserError, match="extends over 57000, expected metres, at most 20000"):
-        OwnFiles([str(path)], 0.4).recordings("train")
 
 
 def walked(name: str, scenario: str, offset: tuple[float, float], folder: Path) -> torch.Tensor:
@@ -128,13 +116,13 @@ def walked(name: str, scenario: str, offset: tuple[float, float], folder: Path) 
 @pytest.mark.parametrize("scenario", ["goals", "replay"])
 @pytest.mark.parametrize("name", WALKERS)
 @torch.no_grad()
-def test_walks_of_environments_are_the_same_1_km_away(name: str, scenario: str, tmp_path: Path) -> None:
+def test_walks_of_environments_are_the_same_1_km_away(name, scenario, tmp_path):
     near = walked(name, scenario, (0.0, 0.0), tmp_path)
     assert (near[-1] - near[0]).norm(dim=-1).max() > 1
     assert (walked(name, scenario, (1000.25, -700.0), tmp_path) - near).abs().max() < 5e-3
 
 
-def test_floor_plans_in_a_bank_are_not_moved() -> None:
+def test_floor_plans_in_a_bank_are_not_moved():
     grid = OccupancyGrid(np.zeros((4, 4), np.uint8), 1.0, (1000.0, 0.0, 0.0))
     assert MapBank([grid]).grids[0].origin == (1000.0, 0.0, 0.0)
     assert grid.at_home().origin == (-2.0, -2.0, 0.0) and grid.home.tolist() == [1002.0, 2.0]

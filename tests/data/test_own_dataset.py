@@ -1,7 +1,5 @@
 """A dataset from any file: its folds, its terms, forecasts, replays and cards, without a line elsewhere."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from textwrap import dedent
@@ -45,13 +43,13 @@ DATASET = '''
 
 
 @pytest.fixture
-def malls(tmp_path: Path) -> str:
+def malls(tmp_path):
     file = tmp_path / "mine.py"
     file.write_text(dedent(DATASET))
     return f"{file}:Malls"
 
 
-def test_a_class_in_a_file_says_its_folds_without_being_run(malls: str) -> None:
+def test_a_class_in_a_file_says_its_folds_without_being_run(malls):
     first, south, halls = (find_fold(name) for name in (malls, f"{malls}:south", f"{malls}:halls"))
     assert first and south and halls
     assert first.name == "north" and south.tested == ["hall_south"] and halls.whole and not south.whole
@@ -66,7 +64,7 @@ def test_a_class_in_a_file_says_its_folds_without_being_run(malls: str) -> None:
     assert provenance(malls)["recordings"] == []
 
 
-def test_wrong_folds_are_refused(malls: str, tmp_path: Path) -> None:
+def test_wrong_folds_are_refused(malls, tmp_path):
     with pytest.raises(UserError, match="did you mean 'south'"):
         open_fold(f"{malls}:sout", None, "true")
     with pytest.raises(UserError, match="did you mean 'zara2'"):
@@ -88,7 +86,7 @@ def test_wrong_folds_are_refused(malls: str, tmp_path: Path) -> None:
     ],
 )
 @pytest.mark.parametrize("base", ["", "(Dataset)"])
-def test_what_a_class_lacks_is_said_in_one_line(body: str, message: str, base: str, tmp_path: Path) -> None:
+def test_what_a_class_lacks_is_said_in_one_line(body, message, base, tmp_path):
     code = f"from pedzoo.data.recordings import Dataset, Recording\n\nclass Mine{base}:\n    "
     code += "" if base or "__init__" in body else "def __init__(self, fold, root, clock): ...\n    "
     (tmp_path / "mine.py").write_text(f"{code}{body}\n")
@@ -97,7 +95,7 @@ def test_what_a_class_lacks_is_said_in_one_line(body: str, message: str, base: s
     assert "\n" not in str(error.value)
 
 
-def test_forecasts_and_replays(malls: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_forecasts_and_replays(malls, tmp_path, capsys):
     words = ["forecast", "sgan_goal.zara1", "--data.fold", f"{malls}:north", "--data.goal", "window_end"]
     assert main([*words, "--samples", "2", "--json", str(tmp_path / "out.json")]) == 0
     report = json.loads((tmp_path / "out.json").read_text())
@@ -117,18 +115,13 @@ def test_forecasts_and_replays(malls: str, tmp_path: Path, capsys: pytest.Captur
         pedzoo.evaluate("go_to_goal", "door", folds=["zara1"])
 
 
-def test_cards(malls: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cards(malls, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(card_numbers, "WALKS", [])
     fit = ["fit", "--config", "sgan_goal", "--data.fold", f"{malls}:south", "--rollout.scenarios", "null"]
-    short = [
-        "max_epochs=1",
-        "check_val_every_n_epoch=1",
-        "limit_train_batches=1",
-        "limit_val_batches=1",
-        "enable_progress_bar=false",
-    ]
-    assert main([*fit, *(f"--trainer.{option}" for option in short), "--model.samples=2"]) == 0
+    ones = ("max_epochs", "check_val_every_n_epoch", "limit_train_batches", "limit_val_batches")
+    short = [*(f"--trainer.{option}=1" for option in ones), "--trainer.enable_progress_bar=false"]
+    assert main([*fit, *short, "--model.samples=2"]) == 0
     checkpoint = "runs/sgan_goal/south-seed0/checkpoints/best.ckpt"
     measured = card_numbers.measure(checkpoint, "sgan_goal.south")
     card = read_card(publish(checkpoint, "zoo", measured=measured))
@@ -143,7 +136,7 @@ def test_cards(malls: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert plaza.now and plaza.now["rows"][0]["metrics"]["ade_m"] > 0
 
 
-def test_weights_are_named_after_the_fold(malls: str) -> None:
+def test_weights_are_named_after_the_fold(malls):
     protocol = {"goal": "window_end", "pred_len": 8, "clock": "benchmark"}
     assert zoo_name("sgan_goal", protocol | {"fold": f"{malls}:south"}) == "sgan_goal.south"
     whole = protocol | {"fold": f"{malls}:halls", "clock": "true"}

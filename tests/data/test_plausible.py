@@ -1,7 +1,5 @@
 """Recordings in which nobody moves as people do are refused, and the message names what is likely right."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -50,7 +48,7 @@ def named_dt(message: str) -> float:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_wrong_dt_is_refused_and_the_right_one_named(seed: int, tmp_path: Path) -> None:
+def test_a_wrong_dt_is_refused_and_the_right_one_named(seed, tmp_path):
     """Rows too far apart, or people too fast; the same file with the dt that is named passes."""
     draws = np.random.default_rng(seed)
     for _ in range(12):
@@ -78,7 +76,7 @@ def test_a_wrong_dt_is_refused_and_the_right_one_named(seed: int, tmp_path: Path
     ],
 )
 @pytest.mark.parametrize("rate", [2.5, 12.5, 30])
-def test_other_units_are_refused_and_named(scale: float, words: str, rate: float, tmp_path: Path) -> None:
+def test_other_units_are_refused_and_named(scale, words, rate, tmp_path):
     for people in (1, 2, 40):
         table = crowd(rate, scale=scale, people=people, speed=1.7, seed=people)
         if scale == 1e-3 and people == 40:
@@ -86,13 +84,13 @@ def test_other_units_are_refused_and_named(scale: float, words: str, rate: float
         assert words in refusal(save(tmp_path / "walks.txt", table), 1 / rate)
 
 
-def test_agents_and_frames_that_changed_places_are_named(tmp_path: Path) -> None:
+def test_agents_and_frames_that_changed_places_are_named(tmp_path):
     table = crowd(25, people=40)[:, [1, 0, 2, 3]]
     assert "they look like agent, frame, x, y" in refusal(save(tmp_path / "walks.txt", table), 0.04)
 
 
 @pytest.mark.parametrize("command", ["forecast", "fit", "replay", "score"])
-def test_every_command_refuses_in_the_same_words(command: str, tmp_path: Path) -> None:
+def test_every_command_refuses_in_the_same_words(command, tmp_path):
     for table, dt, words in (
         (crowd(10, scale=50), 0.1, "people move at .* m/s"),
         (crowd(2.5, by=10), 0.4, "10 frame numbers apart, 4 s .* --data.dt 0.04 is likely"),
@@ -107,7 +105,7 @@ def test_every_command_refuses_in_the_same_words(command: str, tmp_path: Path) -
                 TrajectoryDataModule(files=[file], dt=dt).setup("test" if command == "forecast" else "fit")
 
 
-def test_a_dataset_of_ones_own_is_looked_at_too(tmp_path: Path) -> None:
+def test_a_dataset_of_ones_own_is_looked_at_too(tmp_path):
     file = save(tmp_path / "walks.txt", crowd(2.5, scale=50))
     code = tmp_path / "mine.py"
     code.write_text(
@@ -119,9 +117,7 @@ def test_a_dataset_of_ones_own_is_looked_at_too(tmp_path: Path) -> None:
         TrajectoryDataModule(f"{code}:Mine:a").setup("test")
 
 
-def test_single_fast_ones_and_slow_crowds_get_a_note_and_pass(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_single_fast_ones_and_slow_crowds_get_a_note_and_pass(tmp_path, capsys):
     def note(table: np.ndarray, dt: float) -> str:
         OwnFiles([save(tmp_path / f"{len(notes)}.txt", table)], dt, "0,0,1").recordings("test")
         notes.append(capsys.readouterr().err)
@@ -144,7 +140,7 @@ def test_single_fast_ones_and_slow_crowds_get_a_note_and_pass(
     assert len(note(walkers, 0.1).splitlines()) == 1
 
 
-def test_real_recordings_pass(shared: Path) -> None:
+def test_real_recordings_pass(shared):
     noted = []
     for one in yaml.safe_load((shared / "data" / "people" / "index.yaml").read_text()):
         tracks = Tracks.read(shared / "data" / "people" / f"{one['name']}.csv")

@@ -1,7 +1,5 @@
 """Batches of scenes of similar size: every scene once, within the caps, the same again for the same seed."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 
@@ -32,9 +30,7 @@ def drawn(number: int, shuffle: bool = True, **options: Any) -> list[list[int]]:
     ("batch_size", "max_pairs", "groups"),
     [(64, 10**9, 1), (64, 8192, 1), (1, 8192, 1), (1000, 10**9, 1), (16, 8192, 3)],
 )
-def test_every_scene_once_within_the_caps(
-    shuffle: bool, batch_size: int, max_pairs: int, groups: int
-) -> None:
+def test_every_scene_once_within_the_caps(shuffle, batch_size, max_pairs, groups):
     group = torch.arange(501) % groups * 10
     sampler = BucketSampler(SIZES, batch_size, max_pairs, shuffle, groups=group)
     for number in range(3):
@@ -50,7 +46,7 @@ def test_every_scene_once_within_the_caps(
         assert scenes(draws) == scenes(epoch(BucketSampler(SIZES, batch_size, max_pairs, shuffle), 2))
 
 
-def test_batches_are_full_and_of_similar_sizes() -> None:
+def test_batches_are_full_and_of_similar_sizes():
     for draw, following in pairwise(epoch(BucketSampler(SIZES, 64, 8192, shuffle=False))):
         more = torch.cat((draw.scenes, following.scenes[:1]))
         assert len(more) > 64 or (SIZES[more] ** 2).sum() > 8192
@@ -61,7 +57,7 @@ def test_batches_are_full_and_of_similar_sizes() -> None:
     assert shuffled > 3 * padded
 
 
-def test_an_epoch_depends_on_seed_and_number_only() -> None:
+def test_an_epoch_depends_on_seed_and_number_only():
     first = BucketSampler(SIZES, 64, 8192, True, seed=1)
     epoch(first, 0)  # a resumed run has not drawn the earlier epochs
     fifth, sixth = epoch(first, 5), epoch(first, 6)
@@ -73,7 +69,7 @@ def test_an_epoch_depends_on_seed_and_number_only() -> None:
     assert [draw.seed for draw in epoch(still, 0)] == [draw.seed for draw in epoch(still, 1)]
 
 
-def test_shuffling_mixes_scenes_of_a_size_and_batches() -> None:
+def test_shuffling_mixes_scenes_of_a_size_and_batches():
     one, two = drawn(0), drawn(1)
     assert {frozenset(batch) for batch in one} != {frozenset(batch) for batch in two}
     means = [float(SIZES[batch].float().mean()) for batch in one]
@@ -81,7 +77,7 @@ def test_shuffling_mixes_scenes_of_a_size_and_batches() -> None:
 
 
 @pytest.mark.parametrize("replicas", [2, 3])
-def test_processes_share_the_batches_evenly(replicas: int) -> None:
+def test_processes_share_the_batches_evenly(replicas):
     alone = drawn(2, seed=4)
     shares = [drawn(2, seed=4, rank=rank, replicas=replicas) for rank in range(replicas)]
     assert {len(share) for share in shares} == {-(-len(alone) // replicas)}

@@ -1,8 +1,5 @@
 """Scene batches: keys, padding, goals, and augmentation that stays on its floor plan."""
 
-from __future__ import annotations
-
-from pathlib import Path
 from typing import cast
 
 import numpy as np
@@ -48,7 +45,7 @@ def positions(who: int, start: int, stop: int) -> Tensor:
     return torch.tensor([xy for xy in PATHS[who][start:stop] if xy], dtype=torch.float32)
 
 
-def test_keys_shapes_and_types() -> None:
+def test_keys_shapes_and_types():
     """Windows 0, 1 and 2 have people 1 and 2; 1; 1 and 3."""
     batch = scene_set().batch(torch.arange(3), "destination")
     shapes = {name: (tuple(value.shape), value.dtype) for name, value in batch.items(True, True)}
@@ -57,18 +54,13 @@ def test_keys_shapes_and_types() -> None:
         ("agents", "valid"): ((3, 2, OBS), torch.bool),
         ("agents", "future"): ((3, 2, PRED, 2), torch.float32),
         ("agents", "future_valid"): ((3, 2, PRED), torch.bool),
-        ("agents", "velocity"): ((3, 2, 2), torch.float32),
-        ("agents", "heading"): ((3, 2, 1), torch.float32),
-        ("agents", "radius"): ((3, 2, 1), torch.float32),
-        ("agents", "kind"): ((3, 2), torch.int64),
-        ("agents", "group"): ((3, 2), torch.int64),
-        ("agents", "top_speed"): ((3, 2, 1), torch.float32),
-        ("agents", "id"): ((3, 2), torch.int64),
-        ("agents", "pref_speed"): ((3, 2, 1), torch.float32),
-        ("agents", "goal"): ((3, 2, 2), torch.float32),
-        ("agents", "desired_velocity"): ((3, 2, 2), torch.float32),
-        ("agents", "mask"): ((3, 2), torch.bool),
-        ("agents", "controlled"): ((3, 2), torch.bool),
+        **{("agents", name): ((3, 2, 2), torch.float32) for name in ("velocity", "goal", "desired_velocity")},
+        **{
+            ("agents", name): ((3, 2, 1), torch.float32)
+            for name in ("heading", "radius", "top_speed", "pref_speed")
+        },
+        **{("agents", name): ((3, 2), torch.int64) for name in ("kind", "group", "id")},
+        **{("agents", name): ((3, 2), torch.bool) for name in ("mask", "controlled")},
         "map_id": ((3, 1), torch.int64),
         "scene_pose": ((3, 4), torch.float32),
     }
@@ -80,9 +72,10 @@ def test_keys_shapes_and_types() -> None:
     assert {"goal", "desired_velocity"}.isdisjoint(without.keys())
 
 
-def test_batches_hold_the_raw_tracks_and_say_what_is_padding() -> None:
+def test_batches_hold_the_raw_tracks_and_say_what_is_padding():
     batch = scene_set().batch(torch.tensor([2, 1, 0]))
     assert key(batch, "mask").tolist() == [[True, True], [True, False], [True, True]]
+    assert key(scene_set().batch(torch.tensor([1])), "mask").shape == (1, 1)  # no wider than it must
     for name in ("valid", "future_valid"):
         assert torch.equal(key(batch, name).all(-1), key(batch, "mask"))
         assert torch.equal(key(batch, name).any(-1), key(batch, "mask"))
@@ -94,18 +87,14 @@ def test_batches_hold_the_raw_tracks_and_say_what_is_padding() -> None:
         )
 
 
-def test_padding_of_a_batch_is_no_wider_than_its_largest_scene() -> None:
-    assert key(scene_set().batch(torch.tensor([1])), "mask").shape == (1, 1)
-
-
-def test_velocity_and_preferred_speed_by_hand() -> None:
+def test_velocity_and_preferred_speed_by_hand():
     batch = scene_set().batch(torch.tensor([2]))
     assert torch.allclose(key(batch, "velocity"), torch.tensor([[[1.0, 0.0], [0.0, 5.0]]]))
     # person 3 walks 1 and 2 m in two steps of 0.4 s
     assert torch.allclose(key(batch, "pref_speed"), torch.tensor([[[1.0], [3.75]]]))
 
 
-def test_goals_and_desired_velocities_by_hand() -> None:
+def test_goals_and_desired_velocities_by_hand():
     scenes = scene_set()
     window_end = scenes.batch(torch.tensor([0]), "window_end")
     assert torch.allclose(key(window_end, "goal"), torch.tensor([[[1.6, 0.0], [5.0, 1.0]]]))
@@ -117,7 +106,7 @@ def test_goals_and_desired_velocities_by_hand() -> None:
     assert torch.allclose(key(destination, "desired_velocity")[0, 1], torch.tensor([0.0, -2.5]))
 
 
-def test_random_future_is_later_on_the_same_track_and_seeded() -> None:
+def test_random_future_is_later_on_the_same_track_and_seeded():
     scenes = scene_set()
 
     def draw(seed: int) -> Tensor:
@@ -134,7 +123,7 @@ def test_random_future_is_later_on_the_same_track_and_seeded() -> None:
         assert {tuple(xy) for xy in goals[:, person].tolist()} == later
 
 
-def test_a_goal_where_the_person_stands_gives_no_direction() -> None:
+def test_a_goal_where_the_person_stands_gives_no_direction():
     rows = [(t, who, who, 0.0) for who in (1, 2) for t in range(5)]
     scenes = SceneSet([Recording(Tracks.from_table("still", np.array(rows)))], [-1], MapBank(), OBS, PRED)
     batch = scenes.batch(torch.tensor([0]), "window_end")
@@ -142,30 +131,24 @@ def test_a_goal_where_the_person_stands_gives_no_direction() -> None:
     assert torch.equal(key(batch, "pref_speed"), torch.zeros(1, 2, 1))
 
 
-def test_partly_present_people_are_held_where_they_were_seen() -> None:
+def test_partly_present_people_are_held_where_they_were_seen():
     """Person 2 leaves after the first predicted step of window 1, and after the observed ones of window 2."""
     scenes = scene_set("present", 2)
     assert scenes.sizes.tolist() == [2, 3, 3]  # person 3 comes at step 2 and counts from step 3 on
     batch = scenes.batch(torch.arange(3), "window_end")
     assert key(batch, "valid")[1].tolist() == [[True] * 3, [True] * 3, [False, True, True]]
     assert key(batch, "future_valid")[1].tolist() == [[True] * 2, [True, False], [True] * 2]
-    assert key(batch, "history")[1, 2].tolist() == [
-        [9, 0],
-        [9, 0],
-        [9, 1],
-    ]  # before the first sighting: there
+    assert key(batch, "history")[1, 2].tolist() == [[9, 0], [9, 0], [9, 1]]  # before the first sighting
     assert key(batch, "future")[1, 1].tolist() == [[5, 1], [5, 1]]  # after the last one: there
     assert key(batch, "goal")[1, 1].tolist() == [5, 1]
-    assert torch.allclose(
-        key(batch, "pref_speed")[1, 2], torch.tensor([2.5])
-    )  # one known step of 1 m, not two
+    assert key(batch, "pref_speed")[1, 2].item() == pytest.approx(2.5)  # one known step of 1 m, not two
     assert key(batch, "future_valid")[2, 1].tolist() == [False, False]
     assert key(batch, "goal")[2, 1].tolist() == [5, 1]
     future = scenes.batch(torch.tensor([2]), "random_future", generator=torch.Generator().manual_seed(0))
     assert key(future, "goal")[0, 1].tolist() == [5, 1]  # their track ends here
 
 
-def test_two_recordings_do_not_mix() -> None:
+def test_two_recordings_do_not_mix():
     other = Tracks("other", tracks().frame, tracks().agent, tracks().xy + 100)
     scenes = SceneSet([Recording(tracks()), Recording(other)], [5, -1], MapBank(), OBS, PRED, "present", 1)
     half = len(scenes) // 2
@@ -190,7 +173,7 @@ def augmented_pair(
 
 
 @pytest.mark.parametrize("fold", ["zara1", "eth"])
-def test_augmented_people_see_the_same_walls(shared: Path, fold: str) -> None:
+def test_augmented_people_see_the_same_walls(shared, fold):
     (recording,) = EthUcy(fold, str(shared / "data")).recordings("test")
     assert recording.plan is not None
     bank = MapBank([read_ros(recording.plan)])
@@ -208,7 +191,7 @@ def test_augmented_people_see_the_same_walls(shared: Path, fold: str) -> None:
     assert bank.signed_distance(scenes.xy[None], scenes.map_id[:1], plain["scene_pose"][:1]).min() < 0
 
 
-def test_augmentation_turns_everything_together() -> None:
+def test_augmentation_turns_everything_together():
     plain, turned = augmented_pair(scene_set())
     for name in ("history", "future"):
         here, there = (
@@ -229,7 +212,7 @@ def test_augmentation_turns_everything_together() -> None:
     assert torch.allclose(history[:, 0, -1], key(plain, "history")[:, 0, -1], atol=1e-5)
 
 
-def test_mirrored_scenes_turn_the_other_way() -> None:
+def test_mirrored_scenes_turn_the_other_way():
     """Angular velocity flips its sign exactly in scenes with mirror -1."""
     rows = [(t, who, np.cos(0.3 * t + who), np.sin(0.3 * t + who)) for who in (1, 2) for t in range(25)]
     scenes = SceneSet([Recording(Tracks.from_table("left", np.array(rows)))], [-1], MapBank(), OBS, PRED)
@@ -243,7 +226,7 @@ def test_mirrored_scenes_turn_the_other_way() -> None:
     assert (rotated["scene_pose"][:, 1] == 1).all()
 
 
-def test_poses_are_drawn_evenly_and_only_as_asked() -> None:
+def test_poses_are_drawn_evenly_and_only_as_asked():
     centres = torch.zeros(4000, 2)
     pose = augmentation(centres, True, True, torch.Generator().manual_seed(0))
     assert pose[:, 0].min() >= 0 and pose[:, 0].max() < 2 * torch.pi
@@ -252,7 +235,7 @@ def test_poses_are_drawn_evenly_and_only_as_asked() -> None:
     assert torch.equal(augmentation(centres, False, False), torch.tensor([0.0, 1, 0, 0]).expand(4000, 4))
 
 
-def test_only_training_batches_are_augmented(shared: Path) -> None:
+def test_only_training_batches_are_augmented(shared):
     data = TrajectoryDataModule("zara1", str(shared / "data"), loading=Loading(rotate=True, mirror=True))
     data.setup("fit")
     ids = data.sets["train"].map_id

@@ -1,7 +1,5 @@
 """Reading recordings, resampling them to 0.4 s, and refusing what cannot be right."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -46,14 +44,14 @@ def assert_same(tracks: Tracks, other: Tracks) -> None:
     ],
     ids=["sgan", "spaces", "commas", "forms", "csv", "header", "savetxt", "any_order", "quoted", "index"],
 )
-def test_all_forms_give_the_same_tracks(tmp_path: Path, content: str) -> None:
+def test_all_forms_give_the_same_tracks(tmp_path, content):
     tracks = Tracks.read(save(tmp_path, content))
     assert_same(tracks, Tracks.from_table("walk", TABLE))
     assert tracks.name == "walk"
     assert (len(tracks), tracks.people) == (4, 2)
 
 
-def test_rows_in_any_order_give_the_same_tracks() -> None:
+def test_rows_in_any_order_give_the_same_tracks():
     shuffled = np.random.default_rng(0).permutation(TABLE)
     assert_same(Tracks.from_table("a", shuffled), Tracks.from_table("a", TABLE))
     assert Tracks.from_table("a", shuffled).agent.tolist() == [1, 1, 2, 2]
@@ -65,24 +63,19 @@ def test_rows_in_any_order_give_the_same_tracks() -> None:
         ("", ["walk.txt", "empty", "frame, agent, x, y"]),
         ("frame,agent,x,y\n", ["walk.txt", "empty"]),
         ("0 1 0 0\n\n10 1 abc 0\n", ["walk.txt", "line 3", "10 1 abc 0"]),
-        ("abc 1 0 0\n", ["line 1", "abc 1 0 0"]),
         ("frame,agent,x,y\n0,1,,3\n", ["line 2", "0,1,,3"]),
         ("0 1 0 0\n10 1 nan 0\n", ["line 2", "not finite"]),
-        ("nan 1 0 0\n", ["line 1", "not finite"]),
         ("frame,agent,x,y\n0,1,0,0\n10,1,0,inf\n", ["line 3", "not finite"]),
         ("0 1 0 0\n10 1 0 0\n10 1 2 2\n", ["line 3", "agent 1 is twice in frame 10"]),
-        ("0 1.5 0 0\n", ["line 1", "whole numbers"]),
         ("0.4 1 0 0\n", ["line 1", "whole numbers", "round(time / dt)"]),
         ("1e300 1 0 0\n", ["line 1", "whole numbers"]),
         ("frame,person,x,y\n0,1,0,0\n", ["no column 'agent'", "frame,person,x,y"]),
         ("frame|agent|x|y\n0|1|0|0\n", ["no column 'frame'", "frame|agent|x|y"]),
         ("0 1 0\n", ["3 columns", "frame, agent, x, y"]),
-        ("0 1 0 0 7\n", ["5 columns"]),
         ("0 1 0 0\n10 1 0\n", ["line 2", "10 1 0"]),
-        ("0 1 0 0\n10 1 0 0 0\n", ["line 2", "10 1 0 0 0"]),
     ],
 )
-def test_bad_files_are_refused_by_name_and_line(tmp_path: Path, content: str, words: list[str]) -> None:
+def test_bad_files_are_refused_by_name_and_line(tmp_path, content, words):
     path = save(tmp_path, content)
     with pytest.raises(UserError) as refused:
         Tracks.read(path)
@@ -91,7 +84,7 @@ def test_bad_files_are_refused_by_name_and_line(tmp_path: Path, content: str, wo
     assert "\n" not in str(refused.value)
 
 
-def test_missing_and_binary_files_are_refused(tmp_path: Path) -> None:
+def test_missing_and_binary_files_are_refused(tmp_path):
     with pytest.raises(UserError, match=r"no recording at '.*nowhere\.csv'"):
         Tracks.read(tmp_path / "nowhere.csv")
     (tmp_path / "a.parquet").write_bytes(b"PAR1\xff\xfe\x00\x01")
@@ -99,7 +92,7 @@ def test_missing_and_binary_files_are_refused(tmp_path: Path) -> None:
         Tracks.read(tmp_path / "a.parquet")
 
 
-def test_homography_maps_pixels_to_metres() -> None:
+def test_homography_maps_pixels_to_metres():
     pixels = Tracks.from_table("a", np.array([[0, 1, 100.0, 50.0], [1, 1, 200.0, 50.0]]))
     matrix = np.array([[0.02, 0, -1], [0, -0.02, 3], [0, 0.01, 0.5]])  # divides by 0.01 * 50 + 0.5 = 1
     assert pixels.through(matrix).xy.tolist() == [[1.0, 2.0], [3.0, 2.0]]
@@ -108,7 +101,7 @@ def test_homography_maps_pixels_to_metres() -> None:
         pixels.through(np.array([[1, 0, 0], [0, 1, 0], [0, 0.01, -0.5]]))
 
 
-def test_folds_are_rounded_as_in_social_gan(tmp_path: Path) -> None:
+def test_folds_are_rounded_as_in_social_gan(tmp_path):
     for split in ("train", "val", "test"):
         (tmp_path / "zara1" / split).mkdir(parents=True)
         save(tmp_path / "zara1" / split, "0 1 1.23456 -0.00004\n", "crowds_zara01.txt")
@@ -123,7 +116,7 @@ def walk(frames: np.ndarray, agent: int, start: tuple[float, float], step: tuple
     return np.column_stack((frames, np.full(len(frames), agent), xy))
 
 
-def test_a_straight_walk_at_25_hz_is_the_exact_line() -> None:
+def test_a_straight_walk_at_25_hz_is_the_exact_line():
     """Two people; the second comes at frame 7 = 0.28 s, between two steps."""
     rows = [walk(np.arange(0, 105), 1, (2, 1), (0.05, 0.02)), walk(np.arange(7, 98), 2, (0, 0), (-0.04, 0))]
     tracks = Tracks.from_table("a", np.concatenate(rows)).resampled(0.04)
@@ -136,14 +129,14 @@ def test_a_straight_walk_at_25_hz_is_the_exact_line() -> None:
 
 
 @pytest.mark.parametrize("seconds", [0.3, 0.6, 0.8])
-def test_other_rates_are_interpolated(seconds: float) -> None:
+def test_other_rates_are_interpolated(seconds):
     """0.8 s divides evenly into steps, too, and still every second position has to be made."""
     tracks = Tracks.from_table("a", walk(np.arange(20), 1, (0, 0), (seconds, 0))).resampled(seconds)
     assert tracks.frame.tolist() == list(range(round(19 * seconds // 0.4) + 1))
     assert np.allclose(tracks.xy[:, 0], tracks.frame * 0.4)
 
 
-def test_rows_already_at_04_s_are_kept_to_the_last_bit() -> None:
+def test_rows_already_at_04_s_are_kept_to_the_last_bit():
     xy = np.random.default_rng(0).normal(size=(30, 2))
     # from frame 783, with a hole in which no person is seen: 15 rows of one person, 15 of the next
     frames = np.concatenate((783 + 10 * np.arange(15), 1083 + 10 * np.arange(15)))
@@ -153,7 +146,7 @@ def test_rows_already_at_04_s_are_kept_to_the_last_bit() -> None:
     assert tracks.frame.tolist() == [*range(15), *range(30, 45)]
 
 
-def test_holes_split_a_track_and_everything_stays_sorted() -> None:
+def test_holes_split_a_track_and_everything_stays_sorted():
     """Agent 1 is not seen for 2 s; one lost row (0.4 s at 5 Hz) is no hole."""
     seen = np.concatenate((np.arange(0, 21), np.arange(31, 52)))
     seen = seen[seen != 10]
@@ -167,26 +160,13 @@ def test_holes_split_a_track_and_everything_stays_sorted() -> None:
     assert order.tolist() == list(range(len(tracks)))  # what cutting windows relies on
 
 
-def test_who_is_never_seen_for_a_step_is_left_out() -> None:
+def test_who_is_never_seen_for_a_step_is_left_out():
     rows = [walk(np.arange(0, 11), 1, (0, 0), (0.1, 0)), walk(np.arange(1, 4), 2, (0, 3), (0.1, 0))]
     assert set(Tracks.from_table("a", np.concatenate(rows)).resampled(0.1).agent.tolist()) == {1}
 
 
-def test_the_true_clock_gives_biwi_eth_human_speeds(shared: Path) -> None:
-    speeds = {}
-    for clock in ("benchmark", "true"):
-        (recording,) = EthUcy("eth", str(shared / "data"), clock).recordings("test")
-        tracks = recording.tracks
-        assert np.array_equal(np.lexsort((tracks.frame, tracks.agent)), np.arange(len(tracks)))
-        together = (np.diff(tracks.agent) == 0) & (np.diff(tracks.frame) == np.diff(tracks.frame[:2]))
-        speed = np.linalg.norm(np.diff(tracks.xy, axis=0)[together], axis=1) / 0.4
-        speeds[clock] = np.median(speed[speed > 0.3])
-    assert speeds["benchmark"] == pytest.approx(2.5, abs=0.1)
-    assert speeds["true"] == pytest.approx(1.5, abs=0.06)
-
-
 @pytest.mark.parametrize("fold", ["hotel", "zara1"])
-def test_the_true_clock_leaves_the_others_as_they_are(shared: Path, fold: str) -> None:
+def test_the_true_clock_leaves_the_others_as_they_are(shared, fold):
     (plain,) = EthUcy(fold, str(shared / "data"), "benchmark").recordings("test")
     (true,) = EthUcy(fold, str(shared / "data"), "true").recordings("test")
     assert (plain.tracks.xy == true.tracks.xy).all()

@@ -1,9 +1,6 @@
 """Sliding windows: counted by hand, against Social GAN's own loop, and against the published counts."""
 
-from __future__ import annotations
-
 import tracemalloc
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -82,16 +79,14 @@ ALONE = {agent: SEEN[agent] for agent in (1, 2)}
         ),
     ],
 )
-def test_people_of_every_window_by_hand(
-    seen: dict, steps: tuple[int, int], options: dict, expected: list | None, counts: tuple | None
-) -> None:
+def test_people_of_every_window_by_hand(seen, steps, options, expected, counts):
     tracks = recording(seen)
     windows = cut_windows(tracks, *steps, **options)
     assert expected is None or listed(tracks, windows) == expected
     assert counts is None or windows.counts == WindowCounts(*counts)
 
 
-def test_windows_know_where_tracks_end() -> None:
+def test_windows_know_where_tracks_end():
     tracks = recording(SEEN)
     windows = cut_windows(tracks, 2, 2)
     assert (tracks.agent[windows.end] == [1, 2, 1, 3, 1, 3]).all()
@@ -126,7 +121,7 @@ def by_social_gans_loop(tracks: Tracks, obs_len: int, pred_len: int) -> list[lis
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("people", ["complete", "present"])
-def test_random_recordings_agree_with_the_loop(seed: int, people: KeptPeople) -> None:
+def test_random_recordings_agree_with_the_loop(seed, people):
     tracks = random_recording(seed)
     windows = cut_windows(tracks, 4, 3, people)
     result = [
@@ -146,7 +141,7 @@ def test_random_recordings_agree_with_the_loop(seed: int, people: KeptPeople) ->
     assert counts.people + counts.dropped_lone + counts.dropped_partial == candidates
 
 
-def test_counts_are_printed_in_words_and_add_up() -> None:
+def test_counts_are_printed_in_words_and_add_up():
     total = WindowCounts(3, 6, 0, 6) + WindowCounts(1, 2, 2, 2)
     assert total == WindowCounts(4, 8, 2, 8)
     assert str(total) == (
@@ -174,13 +169,13 @@ LONE, PASSING = recording({7: (0, 1, 2, 3, 4)}, "alone"), recording({1: (0, 1, 2
         ([PASSING], 1, r"--data\.keep_people present keeps partly seen people"),
     ],
 )
-def test_no_window_is_refused_with_the_way_out(tracks: list[Tracks], people: int, words: str) -> None:
+def test_no_window_is_refused_with_the_way_out(tracks, people, words):
     with pytest.raises(UserError, match=words):
         scenes_of(*tracks, min_people=people)
     assert scenes_of(LONE, min_people=1).sizes.tolist() == [1, 1]
 
 
-def test_recordings_without_a_window_may_stand_beside_others() -> None:
+def test_recordings_without_a_window_may_stand_beside_others():
     scenes = scenes_of(recording(SEEN, "a"), recording({1: (0, 1)}, "b"), recording(SEEN, "a"))
     assert [name for name, _ in scenes.counts] == ["a", "b", "a"]
     assert [counts.windows for _, counts in scenes.counts] == [3, 0, 3]
@@ -206,7 +201,7 @@ TABLES = {  # (train windows, people), (val), (test), lone people of the test sc
 
 
 @pytest.mark.parametrize("fold", list(TABLES[8]))
-def test_eth_ucy_counts_equal_the_published_tables(shared: Path, fold: str) -> None:
+def test_eth_ucy_counts_equal_the_published_tables(shared, fold):
     dataset = EthUcy(fold, str(shared / "data"))
     splits: tuple[Split, ...] = ("train", "val", "test")
     recordings = {split: dataset.recordings(split) for split in splits}
@@ -220,7 +215,7 @@ def test_eth_ucy_counts_equal_the_published_tables(shared: Path, fold: str) -> N
 
 
 @pytest.mark.parametrize("people", ["complete", "present"])
-def test_a_huge_recording_stays_small_in_memory(people: KeptPeople) -> None:
+def test_a_huge_recording_stays_small_in_memory(people):
     """2000 people at once for 20 s, 2.5 Hz after resampling: 100 000 rows."""
     frame, agent = (part.ravel() for part in np.meshgrid(np.arange(50), np.arange(2000)))
     tracks = Tracks("huge", frame.T.copy(), agent.copy(), np.zeros((len(frame), 2)))

@@ -1,7 +1,5 @@
 """Models with anchors: their origin, what stays the same when a scene is moved, and what is drawn."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, cast
 
@@ -12,7 +10,6 @@ from helpers.futures import farthest_futures, futures
 from tensordict import TensorDict
 from torch import Tensor
 
-import pedzoo
 from pedzoo.core import geometry
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
@@ -48,7 +45,7 @@ def moved(batch: TensorDict, pose: Tensor) -> TensorDict:
     return changed(batch, **places, velocity=geometry.turn_to_scene(agents["velocity"], pose))
 
 
-def test_two_kinds_of_futures_are_two_centroids() -> None:
+def test_two_kinds_of_futures_are_two_centroids():
     """Three of four walk on, one in four turns left: the centroids are these futures, right to left."""
     straight = torch.tensor([[1.0, 0.0], [2.0, 0.0]]).expand(30, 2, 2)
     left = torch.tensor([[1.0, 0.5], [1.0, 1.5]]).expand(10, 2, 2)
@@ -58,14 +55,11 @@ def test_two_kinds_of_futures_are_two_centroids() -> None:
     torch.testing.assert_close(result.centroids[2], (3 * straight[0] + left[0]) / 4, atol=1e-4, rtol=0)
     torch.testing.assert_close(result.logits.exp(), torch.tensor([31 / 42, 11 / 42]))
     assert result.scale.shape == (2, 2, 2) and (result.scale < 1e-3).all()
+    few = clustered(torch.ones(3, 4, 2), 20, seed=0)  # fewer futures than centroids are enough
+    torch.testing.assert_close(few.centroids, torch.ones(21, 4, 2), atol=1e-3, rtol=0)
 
 
-def test_fewer_futures_than_centroids_are_enough() -> None:
-    result = clustered(torch.ones(3, 4, 2), 20, seed=0)
-    torch.testing.assert_close(result.centroids, torch.ones(21, 4, 2), atol=1e-3, rtol=0)
-
-
-def test_anchors_are_of_training_futures_alone() -> None:
+def test_anchors_are_of_training_futures_alone():
     """Other validation and test people change nothing; other training people do."""
 
     def centroids(spoilt: tuple[str, ...]) -> Tensor:
@@ -82,29 +76,22 @@ def test_anchors_are_of_training_futures_alone() -> None:
     assert not torch.allclose(centroids(("train",)), usual, atol=1e-2)
 
 
-def test_anchors_are_taken_once() -> None:
-    model, batch = Anchors(), make_batch((9, 12))
-    model.prepare([batch])
-    before = model.get_buffer("centroids").clone()
-    model.prepare([make_batch((9, 12), seed=3)])
-    assert torch.equal(model.get_buffer("centroids"), before)
-
-
 @pytest.mark.parametrize("name", ["anchor_mlp", "anchor_net"])
-def test_an_untrained_network_is_its_anchors(name: str) -> None:
+def test_an_untrained_network_is_its_anchors(name):
     batches = [make_batch((9, 12, 7), seed=seed, goal=False) for seed in range(2)]
     network = cast("AnchorForecaster", MODELS.get(name)())
     floor = Anchors()
     for model in (network, floor):
         model.prepare(batches)
+        model.prepare([make_batch((9, 12), seed=3)])  # they are taken once
     for batch in batches:
         torch.testing.assert_close(network.candidates(batch, 20, 8), floor.candidates(batch, 20, 8))
         torch.testing.assert_close(network.mode(batch, 8), floor.mode(batch, 8))
 
 
 @pytest.mark.parametrize("name", [*NAMES, *(f"{name}.zara1_pred12" for name in NAMES)])
-@pytest.mark.parametrize("people", [1, 50, 200])
-def test_turned_moved_and_permuted_scenes_have_the_same_futures(name: str, people: int) -> None:
+@pytest.mark.parametrize("people", [1, 60])
+def test_turned_moved_and_permuted_scenes_have_the_same_futures(name, people):
     """Of models here and of shipped weights."""
     model, batch = cast("AnchorForecaster", load(name)) if "." in name else made(name), scene(people)
     usual = futures(model, batch, model.steps)
@@ -121,7 +108,7 @@ def test_turned_moved_and_permuted_scenes_have_the_same_futures(name: str, peopl
     assert people == 1 or farthest_futures(futures(model, permuted, model.steps), usual) > 0.1
 
 
-def test_far_people_are_not_seen_and_near_ones_are() -> None:
+def test_far_people_are_not_seen_and_near_ones_are():
     model, batch = made("anchor_net"), scene(2)
     history = agents_of(batch)["history"].clone()
     history[:, 1] += history[:, 0, -1:] - history[:, 1, -1:]
@@ -144,7 +131,7 @@ def test_far_people_are_not_seen_and_near_ones_are() -> None:
         {"goal": True, "goal_protocol": "destination", "map": "patch"},
     ],
 )
-def test_every_part_can_be_left_out_or_added(options: dict[str, Any]) -> None:
+def test_every_part_can_be_left_out_or_added(options):
     model, batch = AnchorNet.of(**options), make_batch((4, 2))
     model.prepare([batch])
     loss = model.loss(batch, torch.Generator().manual_seed(0))
@@ -157,7 +144,7 @@ def test_every_part_can_be_left_out_or_added(options: dict[str, Any]) -> None:
         AnchorNet.of(goal=True)
 
 
-def test_timed_goal_modes_begin_at_the_line_to_it() -> None:
+def test_timed_goal_modes_begin_at_the_line_to_it():
     """Nothing is trained, and all training futures end at the goal: so do all modes."""
     model = AnchorNet.of(goal=True, goal_protocol="window_end")
     batch = make_batch((9, 12, 7))
@@ -169,7 +156,7 @@ def test_timed_goal_modes_begin_at_the_line_to_it() -> None:
     torch.testing.assert_close(ends.transpose(1, 2)[there], goal.transpose(1, 2)[there], atol=2e-3, rtol=0)
 
 
-def test_draws_follow_probabilities_candidates_are_likeliest() -> None:
+def test_draws_follow_probabilities_candidates_are_likeliest():
     model, batch = made("anchors"), scene(1)
     seen = model.see(batch)
     mixture = model.mixture(model.write(batch, seen), seen)
@@ -182,7 +169,7 @@ def test_draws_follow_probabilities_candidates_are_likeliest() -> None:
     assert model.candidates(batch, 25, 8).shape[1] == 25
 
 
-def test_who_would_touch_draws_once_more() -> None:
+def test_who_would_touch_draws_once_more():
     """Two people side by side touch in fewer samples than two who draw without each other."""
     model = made("anchors")
     history = torch.arange(8.0).view(8, 1) * torch.tensor([0.4, 0.0])
@@ -200,7 +187,7 @@ def test_who_would_touch_draws_once_more() -> None:
     assert touching(together) < 0.8 * touching(apart)
 
 
-def test_noise_chooses_the_mode_and_none_the_best_guess() -> None:
+def test_noise_chooses_the_mode_and_none_the_best_guess():
     model, batch = made("anchor_net"), scene(3)
     assert torch.equal(model.next_steps(batch, None, 2, 8), model.mode(batch, 8)[:, 0, :, :2])
     modes = model.candidates(batch, 20, 8)[0, :, :, :1]
@@ -209,7 +196,7 @@ def test_noise_chooses_the_mode_and_none_the_best_guess() -> None:
         assert (modes - step).norm(dim=-1).amin(0).max() < 1e-5
 
 
-def test_the_likelihood_of_one_mode_by_hand() -> None:
+def test_the_likelihood_of_one_mode_by_hand():
     """A walker on the only anchor, with a standard deviation of 1 + .02 m per step in all 16 numbers."""
     model = Anchors.of(modes=2)
     batch = scene(1)
@@ -228,7 +215,7 @@ def test_the_likelihood_of_one_mode_by_hand() -> None:
     assert model.log_likelihood(make_batch((2,), steps=12)) is None
 
 
-def test_a_reversed_scene_runs_backwards() -> None:
+def test_a_reversed_scene_runs_backwards():
     batch = make_batch((3, 2))
     agents, back = agents_of(batch), agents_of(reversed_in_time(batch, "window_end"))
     there = agents["mask"]
@@ -244,7 +231,7 @@ def test_a_reversed_scene_runs_backwards() -> None:
     assert not (agents_of(reversed_in_time(partly, None))["mask"] & gone).any()
 
 
-def test_other_step_counts_refused_in_training_else_prolonged() -> None:
+def test_other_step_counts_refused_in_training_else_prolonged():
     model, batch = made("anchor_net"), make_batch((3,), steps=12)
     with pytest.raises(UserError, match="the data predict 12 steps and the model 8"):
         model.loss(batch)
@@ -254,23 +241,10 @@ def test_other_step_counts_refused_in_training_else_prolonged() -> None:
         Anchors.of(modes=1)
 
 
-def test_people_of_any_speed_have_anchors() -> None:
+def test_people_of_any_speed_have_anchors():
     """Standing and running people, and those on the border of two classes of speeds."""
     model = made("anchor_mlp")
     step = torch.tensor([0.0, SPEEDS[0], 0.2, SPEEDS[1], 0.5, SPEEDS[2], 3.0])
     history = step.view(1, -1, 1, 1) * torch.arange(8.0).view(8, 1) * torch.tensor([1.0, 0.0])
     assert model.candidates(changed(scene(7), history=history), 20, 8).isfinite().all()
     assert random_weights(Anchors()).sample(scene(7), 3, 8).isfinite().all()
-
-
-def test_it_walks_as_a_controller() -> None:
-    """Steps are finite, no faster than people are, and those of the same scene are the same again."""
-    model = made("anchor_net", goal=True, goal_protocol="destination", map="rings", map_dim=4)
-    first, again = (
-        pedzoo.make_env("perpendicular:people=4", num_envs=2, physics="compiled", seed=0).rollout(
-            4, pedzoo.policy(model)
-        )["agents", "action"]
-        for _ in range(2)
-    )
-    assert first.isfinite().all() and first.norm(dim=-1).max() > 0
-    torch.testing.assert_close(first, again)

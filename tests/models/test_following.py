@@ -1,7 +1,5 @@
 """People keep behind others: who slows down, and why no arch of people holds itself."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -72,14 +70,14 @@ def one_behind(
 
 
 @pytest.mark.parametrize(("gap", "aside"), [(0.1, 0.0), (0.05, 0.3), (0.0, 0.0)])
-def test_people_close_a_gap_no_faster_than_in_its_time(gap: float, aside: float) -> None:
+def test_people_close_a_gap_no_faster_than_in_its_time(gap, aside):
     wish, now = one_behind(gap, aside)
     result = held(wish, now)
     assert torch.equal(result[0], wish[0])
     assert result[1].tolist() == pytest.approx([0.5 + gap / GAP_SECONDS, 0.0], abs=1e-3)
 
 
-def test_people_far_beside_or_behind_standing_ones_walk_on() -> None:
+def test_people_far_beside_or_behind_standing_ones_walk_on():
     for wish, now in (one_behind(0.4), one_behind(0.1, 0.54, 1.2), one_behind(0.1, speed=0.0)):
         assert torch.equal(held(wish, now), wish)
     far_aside = torch.tensor([[0.3, 0.56], [0.0, 0.0]])
@@ -87,7 +85,7 @@ def test_people_far_beside_or_behind_standing_ones_walk_on() -> None:
     assert torch.equal(held(wish, situation(far_aside, wish, EAST)), wish)
 
 
-def test_those_who_come_the_other_way_are_no_ones_to_follow() -> None:
+def test_those_who_come_the_other_way_are_no_ones_to_follow():
     ahead = torch.tensor([[-1.0, 0.0], [1.0, 0.0]])
     wish = 1.2 * ahead
     assert torch.equal(held(wish, situation(torch.tensor([[0.7, 0.0], [0.0, 0.0]]), wish, ahead)), wish)
@@ -104,7 +102,7 @@ def two_who_meet(gap: float, turned: float = 0.0) -> tuple[Tensor, Situation]:
 
 
 @pytest.mark.parametrize("first", [0, 1])
-def test_person_nearer_to_a_narrow_place_goes_first(first: int) -> None:
+def test_person_nearer_to_a_narrow_place_goes_first(first):
     wish, now = two_who_meet(1.5 * GAP_SECONDS)
     around = torch.tensor([[0.2, 0.2]])
     around[0, first] = 0.6
@@ -116,7 +114,7 @@ def test_person_nearer_to_a_narrow_place_goes_first(first: int) -> None:
     assert torch.equal(held(wish, now, around, luck)[1 - first], wish[1 - first])
 
 
-def test_mirror_images_go_one_after_the_other_by_chance() -> None:
+def test_mirror_images_go_one_after_the_other_by_chance():
     wish, now = two_who_meet(0.1)
     for first in (0, 1):
         luck = torch.zeros(2)
@@ -126,7 +124,7 @@ def test_mirror_images_go_one_after_the_other_by_chance() -> None:
         assert not result[1 - first].any()
 
 
-def test_nobody_waits_in_the_open_or_for_crossing_people() -> None:
+def test_nobody_waits_in_the_open_or_for_crossing_people():
     luck = torch.tensor([1.0, 0.0])
     wish, now = two_who_meet(0.1)
     assert torch.equal(held(wish, now, 0.0, luck), wish)  # in the open
@@ -143,14 +141,14 @@ def test_nobody_waits_in_the_open_or_for_crossing_people() -> None:
     assert torch.equal(held(wish, now._replace(history=aside), 1.0, luck), wish)  # beside their way
 
 
-def test_near_walls_people_keep_more_room() -> None:
+def test_near_walls_people_keep_more_room():
     wish, now = one_behind(WIDTH_AT_WALLS - WIDTH + 0.02)
     open_space, narrow = (held(wish, now, how) for how in (0.0, 1.0))
     assert float(open_space[1, 0]) == pytest.approx(1.15, abs=1e-3)
     assert float(narrow[1, 0]) == pytest.approx(0.5 + 0.02 / GAP_SECONDS, abs=1e-3)
 
 
-def test_a_row_of_people_sets_out_at_once() -> None:
+def test_a_row_of_people_sets_out_at_once():
     """They stand; each knows that the one in front goes: three rounds for as many followers."""
     place = torch.tensor([[-0.62 * number, 0.0] for number in range(5)])
     ahead, wish = torch.tensor([[1.0, 0.0]]).expand(5, 2), torch.tensor([[1.2, 0.0]]).expand(5, 2)
@@ -173,7 +171,7 @@ def arch(pressing: float = 0.0) -> tuple[Tensor, Situation]:
     return 1.2 * (place.roll(-1, 0) - place) / 0.52, now
 
 
-def test_standing_person_with_shortest_path_waits_for_none() -> None:
+def test_standing_person_with_shortest_path_waits_for_none():
     wish, now = arch()
     result = held(wish, now)
     assert torch.equal(result[0], wish[0])
@@ -181,14 +179,14 @@ def test_standing_person_with_shortest_path_waits_for_none() -> None:
     assert float(walked.norm(dim=-1).max()) <= float(result.norm(dim=-1).max())
 
 
-def test_those_around_a_person_who_cannot_get_on_press_too() -> None:
+def test_those_around_a_person_who_cannot_get_on_press_too():
     wish, now = arch(pressing=float(PRESSES))
     assert torch.equal(held(wish, now), wish)
     assert not torch.equal(held(wish, arch(pressing=PRESSES - 1.0)[1]), wish)
 
 
 @pytest.mark.parametrize("longer", [0, 1])
-def test_longer_path_backs_off(longer: int) -> None:
+def test_longer_path_backs_off(longer):
     ahead = torch.tensor([[-1.0, 0.0], [1.0, 0.0]])
     left = torch.tensor([4.0, 4.0])
     left[longer] = 6.0
@@ -216,7 +214,7 @@ def crowd() -> TensorDict:
 
 
 @torch.no_grad()
-def test_walker_remembers_raw_and_constrained_actions() -> None:
+def test_walker_remembers_raw_and_constrained_actions():
     batch = crowd()
     agents_of(batch)["remaining_path"] = torch.full((1, 5, 1), 9.0)
     batch["scene_key"], batch["time"] = torch.tensor([[5]]), torch.zeros(1, 1)
@@ -228,7 +226,7 @@ def test_walker_remembers_raw_and_constrained_actions() -> None:
 
 
 @pytest.mark.parametrize("shoulders", [0.0, 0.71])
-def test_safety_layer_keeps_the_asked_room_in_narrow_places(shoulders: float) -> None:
+def test_safety_layer_keeps_the_asked_room_in_narrow_places(shoulders):
     steps = about_a_door(6)
     walls = MapBank([ROOM]).walls_around(torch.full((64,), ROOM.map_id), identity_pose(64))
     one, other = (keep(steps, walls, shoulders) for keep in (kept_clear, kept_clear_in_torch))

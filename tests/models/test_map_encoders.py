@@ -1,10 +1,7 @@
 """Map encoders: what they see where, and what they keep out of checkpoints."""
 
-from __future__ import annotations
-
 import math
 import os
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -55,7 +52,7 @@ def posed(at: Viewpoints, pose: Tensor) -> Viewpoints:
 
 
 @pytest.mark.parametrize("name", ENCODERS)
-def test_empty_banks_serve_scenes_without_maps(name: str) -> None:
+def test_empty_banks_serve_scenes_without_maps(name):
     encoder = ENCODERS[name](dim=5)
     assert encoder(people(MapBank(), None)).shape == (6, 5)
     assert encoder(people(MapBank(), None, 0)).shape == (0, 5)
@@ -63,7 +60,7 @@ def test_empty_banks_serve_scenes_without_maps(name: str) -> None:
         encoder(people(MapBank(), room()))
 
 
-def test_a_wall_in_front_is_in_front() -> None:
+def test_a_wall_in_front_is_in_front():
     grid = room()
     encoder = PatchEncoder(size=4.0, cells=8)
     # One metre before the wall: facing it, with the back to it, with it to the right, and to the left.
@@ -79,7 +76,7 @@ def test_a_wall_in_front_is_in_front() -> None:
     assert patch[0, 0, 4].tolist() == pytest.approx([1, 1, 1, 5 / 6, 1 / 2, 1 / 6, -1 / 6, -1 / 6], abs=1e-5)
 
 
-def test_patches_turn_with_the_scene() -> None:
+def test_patches_turn_with_the_scene():
     grid, encoder = room(), PatchEncoder()
     at = people(MapBank([grid]), grid)
     expected = encoder.patch(at)
@@ -88,7 +85,7 @@ def test_patches_turn_with_the_scene() -> None:
         torch.testing.assert_close(turned, expected if mirror > 0 else expected.flip(2), atol=1e-4, rtol=0)
 
 
-def test_rings_read_distances_turned_to_the_heading() -> None:
+def test_rings_read_distances_turned_to_the_heading():
     """First the distance here, then rings from the smallest, anticlockwise from straight ahead."""
     grid, encoder = room(), RingEncoder(dim=4)
     at = posed(people(MapBank([grid]), grid), torch.tensor([[0.7, -1.0, 2.0, 1.0]]).repeat(6, 1))
@@ -105,7 +102,7 @@ def test_rings_read_distances_turned_to_the_heading() -> None:
 
 
 @pytest.mark.parametrize("name", ["patch", "rings"])
-def test_encoders_train_and_carry_gradients_to_positions(name: str) -> None:
+def test_encoders_train_and_carry_gradients_to_positions(name):
     torch.manual_seed(0)
     grid, encoder = room(), ENCODERS[name](dim=32)
     at = people(MapBank([grid]), grid)
@@ -118,7 +115,7 @@ def test_encoders_train_and_carry_gradients_to_positions(name: str) -> None:
         PatchEncoder(cells=2)
 
 
-def test_pictures_are_normalised_as_on_imagenet() -> None:
+def test_pictures_are_normalised_as_on_imagenet():
     """Weights that pass three channels on at their centre give (value - mean) / std, by torchvision."""
     weights = {f"{key}.bias": torch.zeros(shape[0]) for key, shape in alexnet.SHAPES.items()}
     for key, shape in alexnet.SHAPES.items():
@@ -131,7 +128,7 @@ def test_pictures_are_normalised_as_on_imagenet() -> None:
     assert seen == pytest.approx([(0.9 - 0.485) / 0.229, (0.7 - 0.456) / 0.224, (0.5 - 0.406) / 0.225])
 
 
-def test_feature_cells_are_centred_on_pixel_16_i_plus_15() -> None:
+def test_feature_cells_are_centred_on_pixel_16_i_plus_15():
     """With all weights 1, a feature differs from 0 exactly where it sees the picture's only bright pixel."""
     weights = {
         f"{key}.weight": torch.full(shape, 1.0 / math.prod(shape[1:]))
@@ -154,9 +151,7 @@ def test_feature_cells_are_centred_on_pixel_16_i_plus_15() -> None:
 
 
 @pytest.mark.parametrize("resolution", [0.02, 0.05, 0.1])
-def test_features_are_read_exactly_at_a_persons_place(
-    monkeypatch: pytest.MonkeyPatch, resolution: float
-) -> None:
+def test_features_are_read_exactly_at_a_persons_place(monkeypatch, resolution):
     """A network that returns the centre of each of its cells, in pixels of its input."""
 
     def where(picture: Tensor, weights: object) -> Tensor:
@@ -185,7 +180,7 @@ def test_features_are_read_exactly_at_a_persons_place(
 
 
 @pytest.mark.usefixtures("alexnet")
-def test_alexnet_tells_walls_from_floor_and_is_not_saved() -> None:
+def test_alexnet_tells_walls_from_floor_and_is_not_saved():
     grid, moved = room(), room("moved", (10.0, 5.0, 0.0))
     encoder = AlexNetEncoder()
     at = people(MapBank([grid]), grid)
@@ -207,9 +202,7 @@ def test_alexnet_tells_walls_from_floor_and_is_not_saved() -> None:
 
 
 @pytest.mark.usefixtures("alexnet")
-def test_alexnet_weights_are_read_from_both_formats_and_checked(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_alexnet_weights_are_read_from_both_formats_and_checked(tmp_path, monkeypatch):
     expected = alexnet.load()
     full = {key: value.float() for key, value in load_file(os.environ["PEDZOO_ALEXNET"]).items()}
     torch.save({**full, "classifier.1.bias": torch.zeros(4096)}, tmp_path / "alexnet.pth")

@@ -1,7 +1,5 @@
 """Every model of the registry, a newcomer's too: shapes, padding, modes, state, arguments."""
 
-from __future__ import annotations
-
 from typing import Any, cast
 
 import numpy as np
@@ -32,7 +30,7 @@ EVERY = pytest.mark.parametrize("name", MODELS.names())
 
 @EVERY
 @pytest.mark.parametrize("steps", [1, 12])
-def test_samples_and_mode(name: str, steps: int) -> None:
+def test_samples_and_mode(name, steps):
     model, batch = made(name), make_batch((3, 1, 4))
     there = agents_of(batch)["mask"]
     for answer, samples in ((model.sample(batch, 5, steps), 5), (model.mode(batch, steps), 1)):
@@ -44,7 +42,7 @@ def test_samples_and_mode(name: str, steps: int) -> None:
 
 
 @EVERY
-def test_stochastic_says_whether_samples_differ(name: str) -> None:
+def test_stochastic_says_whether_samples_differ(name):
     model, batch = made(name), make_batch((3, 2))
     first, second = model.sample(batch, 2, 8, torch.Generator().manual_seed(0)).unbind(1)
     assert torch.equal(first, second) != model.stochastic
@@ -55,7 +53,7 @@ def test_stochastic_says_whether_samples_differ(name: str) -> None:
 
 
 @EVERY
-def test_predictions_do_not_look_at_the_answer(name: str) -> None:
+def test_predictions_do_not_look_at_the_answer(name):
     """Without the truth `mode`, `sample` and `next_steps` answer the same."""
     model, batch = made(name), make_batch((3, 2), padding=0.0)
     blind = batch.clone()
@@ -71,7 +69,7 @@ def test_predictions_do_not_look_at_the_answer(name: str) -> None:
 
 
 @EVERY
-def test_sampling_leaves_the_batch_alone(name: str) -> None:
+def test_sampling_leaves_the_batch_alone(name):
     model, batch = made(name), make_batch((3, 2), padding=0.0)
     before = batch.clone()
     model.sample(batch, 2, 8)
@@ -80,7 +78,7 @@ def test_sampling_leaves_the_batch_alone(name: str) -> None:
 
 
 @EVERY
-def test_built_again_from_its_config_and_state(name: str) -> None:
+def test_built_again_from_its_config_and_state(name):
     model, batch = made(name), make_batch((3, 2))
     other = build(config_of(model))
     assert type(other) is type(model) and other.config == model.config
@@ -90,7 +88,7 @@ def test_built_again_from_its_config_and_state(name: str) -> None:
 
 
 @EVERY
-def test_a_goal_is_asked_for_where_it_is_needed(name: str) -> None:
+def test_a_goal_is_asked_for_where_it_is_needed(name):
     model, batch = made(name), make_batch((2,), goal=False)
     if "goal" in model.needs:
         with pytest.raises(UserError, match=r"needs a goal.*--data\.goal"):
@@ -100,7 +98,7 @@ def test_a_goal_is_asked_for_where_it_is_needed(name: str) -> None:
 
 
 @EVERY
-def test_loss_trains_or_says_that_there_is_nothing_to_train(name: str) -> None:
+def test_loss_trains_or_says_that_there_is_nothing_to_train(name):
     model, batch = made(name), make_batch((3, 2))
     if any(True for _ in model.parameters()):
         gradients = torch.autograd.grad(model.loss(batch), list(model.parameters()), allow_unused=True)
@@ -152,7 +150,7 @@ def walks(kind: str) -> tuple[Forecaster, TensorDict, torch.Tensor]:
 
 @KINDS
 @torch.no_grad()
-def test_the_order_of_people_does_not_matter(kind: str) -> None:
+def test_the_order_of_people_does_not_matter(kind):
     model, batch, noise = walks(kind)
     batch, noise, order = cast("TensorDict", batch[:1]), noise[:1], torch.tensor([3, 0, 4, 1, 2])
     agents = agents_of(batch)
@@ -168,7 +166,7 @@ def test_the_order_of_people_does_not_matter(kind: str) -> None:
 
 @KINDS
 @torch.no_grad()
-def test_padding_and_other_scenes_do_not_matter(kind: str) -> None:
+def test_padding_and_other_scenes_do_not_matter(kind):
     model, batch, noise = walks(kind)
     steps, modes = model.next_steps(batch, noise, 8, 8), model.mode(batch, 8)[:, 0]
     assert steps.isfinite().all() and not steps[1, 1:].any()
@@ -185,7 +183,7 @@ def test_padding_and_other_scenes_do_not_matter(kind: str) -> None:
 
 @KINDS
 @torch.no_grad()
-def test_moving_and_turning_a_scene_moves_and_turns_its_steps(kind: str) -> None:
+def test_moving_and_turning_a_scene_moves_and_turns_its_steps(kind):
     """Not those of networks that look at the world, nor their pooling's."""
     model, batch, noise = walks(kind)
     world = kind in ("sgan", "pooling")
@@ -202,7 +200,7 @@ def test_moving_and_turning_a_scene_moves_and_turns_its_steps(kind: str) -> None
         torch.testing.assert_close(again, nats, atol=0.05, rtol=1e-3)
 
 
-def test_constant_velocity_by_hand() -> None:
+def test_constant_velocity_by_hand():
     batch = make_batch((2,))
     step = agents_of(batch)["history"][0, 1, 7] - agents_of(batch)["history"][0, 1, 6]
     path = load("constant_velocity").mode(batch, 5)[0, 0, 1]
@@ -210,7 +208,7 @@ def test_constant_velocity_by_hand() -> None:
 
 
 @pytest.mark.parametrize("name", ["straight_line", "bent_line"])
-def test_lines_end_at_a_timed_goal_and_do_not_overshoot_others(name: str) -> None:
+def test_lines_end_at_a_timed_goal_and_do_not_overshoot_others(name):
     batch = make_batch((4,))
     agents = agents_of(batch)
     here = agents["history"][:, :, -1]
@@ -226,7 +224,7 @@ def test_lines_end_at_a_timed_goal_and_do_not_overshoot_others(name: str) -> Non
     torch.testing.assert_close(walked, 8 * speed.unsqueeze(-1) * direction)
 
 
-def test_bent_line_starts_with_the_last_velocity() -> None:
+def test_bent_line_starts_with_the_last_velocity():
     """The quadratic p8 + k v + (k / T)^2 (g - p8 - T v)."""
     last, goal = torch.tensor([0.3, -0.1]), torch.tensor([2.0, 2.0])
     path = linear_extrapolation.bent_line(last, goal, 4, timed=True)
@@ -234,7 +232,7 @@ def test_bent_line_starts_with_the_last_velocity() -> None:
     torch.testing.assert_close(path, torch.stack(by_hand).diff(dim=0))
 
 
-def test_a_goal_at_ones_feet_divides_nothing_by_zero() -> None:
+def test_a_goal_at_ones_feet_divides_nothing_by_zero():
     nowhere = torch.zeros(3, 2)
     for line in (linear_extrapolation.straight_line, linear_extrapolation.bent_line):
         path = line(torch.tensor([0.4, 0.0]).expand(3, 2), nowhere, 8, timed=False)

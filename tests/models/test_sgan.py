@@ -1,7 +1,5 @@
 """SGAN and its variants: the published formulas, computed the plain way, and what must not matter."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, cast
 
@@ -16,12 +14,10 @@ from pedzoo.core.batch import agents_of
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.core.spec import build_ungrouped
-from pedzoo.core.types import GoalProtocol
 from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.blocks.people import linear_extrapolation
 from pedzoo.models.blocks.people.crowd import Crowd
-from pedzoo.models.blocks.variety import VarietyLoss
 
 SMALL: dict[str, Any] = {
     "embedding_dim": 5,
@@ -144,7 +140,7 @@ def plain_loss(model: SGAN, batch: TensorDict, seed: int) -> Tensor:
     ids=str,
 )
 @pytest.mark.parametrize("partly", [False, True])
-def test_loss_and_gradient_are_those_of_all_samples(options: dict[str, Any], partly: bool) -> None:
+def test_loss_and_gradient_are_those_of_all_samples(options, partly):
     model = small(**options)
     batch = make_batch((2, 4, 3), partly=partly, dtype=torch.float64)
     values, gradients = [], []
@@ -157,7 +153,7 @@ def test_loss_and_gradient_are_those_of_all_samples(options: dict[str, Any], par
         torch.testing.assert_close(got, wanted, rtol=1e-7, atol=1e-9, msg=lambda m, name=name: f"{name}: {m}")
 
 
-def test_the_winner_is_chosen_for_a_scene_together() -> None:
+def test_the_winner_is_chosen_for_a_scene_together():
     """The loss would be smaller if each person chose their own sample; the test above uses such batches."""
     model, batch = small(best_k=6).requires_grad_(False), make_batch((3, 4), dtype=torch.float64)
     z, scene_of = plain_noise(model, batch, 5), agents_of(batch)["mask"].nonzero()[:, 0]
@@ -174,7 +170,7 @@ def test_the_winner_is_chosen_for_a_scene_together() -> None:
 
 @pytest.mark.parametrize("residual", ["none", "constant_velocity", "bent_line"])
 @pytest.mark.parametrize("steps", [1, 8, 12])
-def test_samples_are_the_plain_ones(residual: str, steps: int) -> None:
+def test_samples_are_the_plain_ones(residual, steps):
     model = small(bottleneck_dim=3, residual=residual, **GOAL)
     batch = make_batch((2, 4, 1), dtype=torch.float64, steps=steps)
     z = plain_noise(model, batch, 3)
@@ -191,7 +187,7 @@ def test_samples_are_the_plain_ones(residual: str, steps: int) -> None:
     )
 
 
-def test_noise_is_shared_by_a_scene_or_drawn_for_all_people() -> None:
+def test_noise_is_shared_by_a_scene_or_drawn_for_all_people():
     batch = make_batch((3, 2), dtype=torch.float64)
     for noise in ("scene", "agent"):
         model = small(noise=noise)
@@ -208,7 +204,7 @@ def of_kind(options: dict[str, Any]) -> SGAN:
     return cast("SGAN", random_weights(SGAN.of(**SMALL | options)))
 
 
-def test_people_who_stand_have_a_heading() -> None:
+def test_people_who_stand_have_a_heading():
     model = of_kind({"frame": "heading", **GOAL})
     batch = make_batch((2, 2))
     still = agents_of(batch)["history"][:, :, -1:].expand(-1, -1, 8, -1)
@@ -222,7 +218,7 @@ def test_people_who_stand_have_a_heading() -> None:
 
 @pytest.mark.parametrize("frame", ["world", "heading"])
 @pytest.mark.parametrize("protocol", ["window_end", "destination"])
-def test_untrained_residual_is_the_line_itself(frame: str, protocol: GoalProtocol) -> None:
+def test_untrained_residual_is_the_line_itself(frame, protocol):
     batch = make_batch((3, 2), padding=0.0)
     agents = agents_of(batch)
     last = agents["history"][:, :, -1] - agents["history"][:, :, -2]
@@ -240,7 +236,7 @@ def test_untrained_residual_is_the_line_itself(frame: str, protocol: GoalProtoco
                 torch.testing.assert_close(end[agents["mask"]], to_goal[agents["mask"]])
 
 
-def test_unknown_steps_change_nothing() -> None:
+def test_unknown_steps_change_nothing():
     batch = make_batch((2, 3), partly=True)
     agents = agents_of(batch)
     unknown = (~agents["future_valid"] & agents["mask"][..., None]).unsqueeze(-1)
@@ -254,7 +250,7 @@ def test_unknown_steps_change_nothing() -> None:
         assert model.loss(without_future, seeded()).item() == 0.0
 
 
-def test_a_scene_without_anybody_is_answered() -> None:
+def test_a_scene_without_anybody_is_answered():
     batch = make_batch((2, 3))
     empty = changed(batch, mask=torch.zeros_like(agents_of(batch)["mask"]))
     model = of_kind({"bottleneck_dim": 3, "map": "patch", "frame": "heading", **GOAL})
@@ -262,7 +258,7 @@ def test_a_scene_without_anybody_is_answered() -> None:
     assert model.loss(empty).item() == 0.0
 
 
-def test_a_map_model_reads_the_bank_of_its_batch() -> None:
+def test_a_map_model_reads_the_bank_of_its_batch():
     model, batch = SGAN.of(map="patch"), make_batch((2, 2))
     with pytest.raises(UserError, match="does not say which floor plans"):
         model.sample(batch.exclude("maps"), 1, 8)
@@ -286,13 +282,13 @@ def test_a_map_model_reads_the_bank_of_its_batch() -> None:
         ({"energy_weight": 1.0}, "rewards the mean alone"),
     ],
 )
-def test_options_that_do_not_go_together_are_refused(options: dict[str, Any], message: str) -> None:
+def test_options_that_do_not_go_together_are_refused(options, message):
     with pytest.raises(UserError, match=message):
         SGAN.of(**options)
 
 
 @pytest.fixture(scope="module")
-def training_batches() -> dict[str, TensorDict]:
+def training_batches():
     """Two dozen embedded scenes without and with a goal."""
     result = {}
     for goal in ("none", "window_end"):
@@ -303,7 +299,7 @@ def training_batches() -> dict[str, TensorDict]:
 
 
 @pytest.mark.parametrize("name", VARIANTS)
-def test_shipped_variants_learn(name: str, training_batches: dict, request: pytest.FixtureRequest) -> None:
+def test_shipped_variants_learn(name, training_batches, request):
     if name.endswith("alexnet"):
         request.getfixturevalue("alexnet")
     options = load_config(name)["model"]["init_args"]["generator"]["init_args"]
@@ -325,7 +321,3 @@ def test_shipped_variants_learn(name: str, training_batches: dict, request: pyte
     assert (("map" in model.needs) == ("map" in name)) and (("goal" in model.needs) == ("goal" in name))
     assert not any("features." in key or "offsets" in key for key in model.state_dict())
     assert of_people(batch, "history").shape[0] == int(agents_of(batch)["mask"].sum())
-
-
-def test_the_variety_loss_has_the_published_twenty_samples() -> None:
-    assert VarietyLoss().best_k == 20 and VarietyLoss().variety_weight == 1.0

@@ -1,7 +1,5 @@
 """The walker whose every step is drawn, and its noise."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -32,13 +30,13 @@ def noise_at(step: int, *periods: float) -> Tensor:
     return timed_noise(KEYS, AGENTS, torch.full((5, 1), 0.4 * step), periods)
 
 
-def test_noise_is_normal_at_every_time() -> None:
+def test_noise_is_normal_at_every_time():
     values = torch.stack([noise_at(step, math.inf, 8.0, 2.0, 0.4) for step in range(0, 60, 7)])
     assert values.mean((0, 1, 2)).abs().max() < 0.1
     torch.testing.assert_close(values.std((1, 2)).mean(0), torch.ones(4), atol=0.05, rtol=0)
 
 
-def test_noise_changes_as_slowly_as_its_period_says() -> None:
+def test_noise_changes_as_slowly_as_its_period_says():
     lasts, slow, fast, new = (
         noise_at(4, math.inf, 20.0, 2.0, 0.4) * noise_at(5, math.inf, 20.0, 2.0, 0.4)
     ).mean((0, 1))
@@ -48,12 +46,12 @@ def test_noise_changes_as_slowly_as_its_period_says() -> None:
     assert torch.equal(noise_at(4, math.inf), noise_at(50, math.inf))
 
 
-def test_noise_depends_on_scene_and_agent_alone() -> None:
+def test_noise_depends_on_scene_and_agent_alone():
     some = timed_noise(KEYS[2:], AGENTS[2:, 7:9], torch.full((3, 1), 1.6), (math.inf, 4.0, 0.4))
     assert torch.equal(some, noise_at(4, math.inf, 4.0, 0.4)[2:, 7:9])
 
 
-def test_style_of_a_straight_walk_and_of_a_shaky_one() -> None:
+def test_style_of_a_straight_walk_and_of_a_shaky_one():
     line = torch.stack((0.5 * torch.arange(8.0), torch.zeros(8)), -1)
     shaken = line + 0.03 * torch.randn(8, 2, generator=torch.Generator().manual_seed(0))
     calm, shaky = style_of(line), style_of(shaken)
@@ -79,7 +77,7 @@ NOISE = torch.randn(1, 5, SocialWalker.noise_dim, generator=torch.Generator().ma
 
 @pytest.mark.parametrize("part", ["style", "held", "halts", "step_noise", "companions"])
 @torch.no_grad()
-def test_every_part_can_be_left_out(part: str) -> None:
+def test_every_part_can_be_left_out(part):
     batch = make_batch((5,))
     torch.manual_seed(0)
     whole = SocialWalker.of(walls=False)
@@ -91,7 +89,7 @@ def test_every_part_can_be_left_out(part: str) -> None:
 
 
 @torch.no_grad()
-def test_a_held_velocity_goes_on() -> None:
+def test_a_held_velocity_goes_on():
     model, batch = drawn(), make_batch((5,))
     noise = NOISE.clone()
     noise[..., GATE] = -20.0  # shut
@@ -103,13 +101,13 @@ def test_a_held_velocity_goes_on() -> None:
 
 
 @torch.no_grad()
-def test_a_halt_is_one_at_once() -> None:
+def test_a_halt_is_one_at_once():
     noise = NOISE.clone()
     noise[..., HALT] = -20.0
     assert not drawn().next_steps(make_batch((5,)), noise, 1, 8).any()
 
 
-def test_noise_of_places_changes_velocities() -> None:
+def test_noise_of_places_changes_velocities():
     values = torch.stack([noise_at(step, -0.4) for step in range(40)])
     assert float(values.std()) == pytest.approx(1.0, abs=0.02)
     # velocities are sums of such changes, and these do not drift: they are white noise of places
@@ -117,7 +115,7 @@ def test_noise_of_places_changes_velocities() -> None:
     assert float((values[1:] * values[:-1]).mean()) == pytest.approx(-4 / 6, abs=0.05)
 
 
-def test_jitter_is_that_of_the_smaller_changes() -> None:
+def test_jitter_is_that_of_the_smaller_changes():
     """Tracks in straight pieces have kinks and no jitter."""
     bent = torch.stack((0.5 * torch.arange(8.0), 0.5 * (torch.arange(8.0) - 4).clamp_min(0)), -1)
     style = style_of(bent)
@@ -126,7 +124,7 @@ def test_jitter_is_that_of_the_smaller_changes() -> None:
 
 
 @torch.no_grad()
-def test_velocities_are_held_as_often_as_in_the_first_steps() -> None:
+def test_velocities_are_held_as_often_as_in_the_first_steps():
     """Before training; one person holds five of six velocities, the other three."""
     model = drawn(style_prior=True, halts=False)
     model.head.weight.zero_()
@@ -163,7 +161,7 @@ def between(model: SocialWalker, now: Situation, walls: float, **noise: float) -
 
 
 @torch.no_grad()
-def test_velocities_away_from_the_way_are_hardly_held() -> None:
+def test_velocities_away_from_the_way_are_hardly_held():
     model = drawn(style_prior=True, halts=False)
     model.head.weight.zero_()
     steps = torch.tensor([[0.5, 0.0], [-0.5, 0.0], [0.0, 0.0]]).view(1, 3, 1, 2).expand(1, 3, 7, 2)
@@ -185,7 +183,7 @@ def halting(raised: float) -> SocialWalker:
 
 
 @torch.no_grad()
-def test_a_lasting_halt_begins_by_braking() -> None:
+def test_a_lasting_halt_begins_by_braking():
     model, batch = halting(0.0), make_batch((5,))
     agents = agents_of(batch)
     noise = NOISE.clone()
@@ -197,7 +195,7 @@ def test_a_lasting_halt_begins_by_braking() -> None:
 
 
 @torch.no_grad()
-def test_halts_last_some_steps() -> None:
+def test_halts_last_some_steps():
     """With this bias people halt in 13 % of the time."""
     model, batch = halting(2.0), make_batch((5,) * 8)
     far = agents_of(batch)["history"][:, :, -1] + 1e3
@@ -210,7 +208,7 @@ def test_halts_last_some_steps() -> None:
     assert 0.03 < float(stands.float().mean()) < 0.2
 
 
-def test_the_gate_of_halts_has_a_gradient_while_people_stand() -> None:
+def test_the_gate_of_halts_has_a_gradient_while_people_stand():
     model, noise = halting(0.0), NOISE.clone()
     noise[..., HALT_PERIOD] = -2.5
     model.next_steps(make_batch((5,)), noise, 6, 8).sum().backward()
@@ -232,7 +230,7 @@ BEFORE = [
 
 
 @torch.no_grad()
-def test_companions_are_those_of_the_groups() -> None:
+def test_companions_are_those_of_the_groups():
     """People one after the other, 1 m apart: the companion of the last is the first, 8 m ahead."""
     model = drawn(groups=True, step_noise=False, held=False, halts=False)
     model.head.weight.zero_()
@@ -258,7 +256,7 @@ def test_companions_are_those_of_the_groups() -> None:
 
 
 @torch.no_grad()
-def test_weights_from_before_walk_as_before() -> None:
+def test_weights_from_before_walk_as_before():
     """Steps of published weights that were made before there were lasting halts and groups."""
     model = load("social_walker.eth_ucy")
     batch = changed(make_batch((5,)), group=GROUPS)
@@ -283,7 +281,7 @@ def met(x: float, y: float, vx: float, vy: float) -> Neighbours:
     )
 
 
-def test_people_evade_others_who_will_come_close() -> None:
+def test_people_evade_others_who_will_come_close():
     right = torch.tensor([[-1.0, -1.0]])
     evading, urgent = evasion(met(4.0, 0.3, -1.0, 0.0), right)  # in 2 s, 0.3 m beside
     assert evading[0, 0].tolist() == pytest.approx([0.0, -math.exp(-1.6)], abs=1e-4)
@@ -296,7 +294,7 @@ def test_people_evade_others_who_will_come_close() -> None:
 
 
 @torch.no_grad()
-def test_people_who_evade_pass_each_other() -> None:
+def test_people_who_evade_pass_each_other():
     apart = {}
     for avoids in (True, False):
         model = SocialWalker.of(hidden_dim=0, avoids=avoids, halts=False, step_noise=False).eval()
@@ -313,12 +311,12 @@ def test_people_who_evade_pass_each_other() -> None:
     assert apart[True] > 0.4 > apart[False] + 0.2
 
 
-def test_places_are_narrow_by_the_nearest_wall() -> None:
+def test_places_are_narrow_by_the_nearest_wall():
     walls = torch.tensor([[[1.5, 0.3], [0.175, 1.0], [0.05, 0.4], [-0.2, 1.5]]])
     assert narrowness(walls)[0].tolist() == pytest.approx([0.0, 0.5, 1.0, 1.0], abs=1e-6)
 
 
-def test_places_are_confined_by_walls_on_both_sides() -> None:
+def test_places_are_confined_by_walls_on_both_sides():
     """Rays are every 45 degrees from straight ahead to the left, on two rings, after the place itself."""
     places = {"left": [3, 11], "right": [7], "both": [2, 14], "ahead": [1], "here": [0], "behind": [13]}
     walls = torch.full((1, len(places), 17), 1.5)
@@ -331,7 +329,7 @@ def test_places_are_confined_by_walls_on_both_sides() -> None:
 
 
 @torch.no_grad()
-def test_people_between_walls_neither_stop_nor_drift() -> None:
+def test_people_between_walls_neither_stop_nor_drift():
     """They walk across their way, and a halt and a held velocity are drawn; in a doorway neither happens."""
     model = SocialWalker.of(hidden_dim=0, style_prior=True, avoids=True).eval()
     steps = torch.tensor([0.1, 0.4]).expand(1, 1, 7, 2)
@@ -344,7 +342,7 @@ def test_people_between_walls_neither_stop_nor_drift() -> None:
 
 
 @torch.no_grad()
-def test_people_in_narrow_places_turn_to_their_way_at_once() -> None:
+def test_people_in_narrow_places_turn_to_their_way_at_once():
     """They walk across it; where their velocity changes, most of it is along the way near walls."""
     model = SocialWalker.of(hidden_dim=0, style_prior=True, avoids=True, halts=False).eval()
     now = Situation.of(eastward(torch.tensor([0.0, 0.5]).expand(1, 1, 7, 2)), walls=False)
@@ -352,7 +350,7 @@ def test_people_in_narrow_places_turn_to_their_way_at_once() -> None:
     assert inside > 0.8 and outside < 0.3
 
 
-def test_people_evener_than_recorded_have_the_usual_style() -> None:
+def test_people_evener_than_recorded_have_the_usual_style():
     """What stands says nothing of that; styles of a scene with one shaky walk stay to the bit."""
     torch.manual_seed(0)
     line = 0.5 * torch.arange(8.0).view(8, 1) * torch.tensor([1.0, 0.0])
@@ -387,7 +385,7 @@ def share_who_set_out(model: SocialWalker, back: Tensor, **situation: float) -> 
 
 
 @torch.no_grad()
-def test_people_who_stand_set_out_again() -> None:
+def test_people_who_stand_set_out_again():
     """They have walked straight until then, and would hold their last velocity: none.
 
     Near a wall they set out after a while, where others stopped them at once, and at last anywhere. People

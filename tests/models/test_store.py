@@ -1,12 +1,9 @@
 """Models from folders and addresses: found by one call, checked, kept, and refused with the reason."""
 
-from __future__ import annotations
-
 import json
 import pickle
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +33,7 @@ OPTIONS: dict[str, Any] = {"goal_dim": 4, "goal_protocol": "window_end"}
 
 
 @pytest.fixture(autouse=True)
-def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def home(tmp_path, monkeypatch):
     """A cache of this test's own, and an empty current folder."""
     monkeypatch.setenv("PEDZOO_HOME", str(tmp_path / "home"))
     (tmp_path / "here").mkdir()
@@ -47,13 +44,13 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def site() -> Iterator[Site]:
+def site():
     with serving() as running:
         yield running
 
 
 @pytest.fixture
-def model() -> Forecaster:
+def model():
     return random_weights(SGAN.of(**OPTIONS)).eval()
 
 
@@ -90,17 +87,10 @@ def same(one: Forecaster, other: Forecaster) -> bool:
     return torch.equal(*(m.sample(batch, 2, 8, noise.manual_seed(0)) for m in (one, other)))
 
 
-def test_a_folder_is_loaded_by_its_path(model: Forecaster, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_is_loaded_by_its_path(model, monkeypatch):
     assert write_model(model, Path("mine")).name == NAME and obtain("mine") == WEIGHTS
     Path("mine/config.yaml").write_text("no: card")
-    for name in (
-        f"mine/{NAME}",
-        f"mine/{NAME}/",
-        f"./mine/{NAME}",
-        "mine",
-        "./mine",
-        Path("mine").absolute(),
-    ):
+    for name in (f"mine/{NAME}", f"./mine/{NAME}/", "mine", "./mine", Path("mine").absolute()):
         assert same(load(name), model)
     write_model(other := random_weights(SGAN.of(**OPTIONS), seed=1).eval(), Path("mine"), "sgan_goal.square")
     assert same(load("mine/sgan_goal.square"), other)
@@ -127,9 +117,7 @@ def test_a_folder_is_loaded_by_its_path(model: Forecaster, monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize("below", ["me/zoo/resolve/main", f"me/zoo/resolve/main/{NAME}"])
-def test_a_repository_of_the_hub_has_a_folder_or_is_one(
-    below: str, model: Forecaster, site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_repository_of_the_hub_has_a_folder_or_is_one(below, model, site, tmp_path, monkeypatch):
     write_model(model, Path("mine"))
     write_hub(str(MINE), tmp_path / "hub")
     serve(site, tmp_path / "hub", below)
@@ -145,9 +133,7 @@ def test_a_repository_of_the_hub_has_a_folder_or_is_one(
     assert NAME in list_models()
 
 
-def test_a_model_of_the_web_is_fetched_once_and_found_offline(
-    model: Forecaster, site: Site, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_model_of_the_web_is_fetched_once_and_found_offline(model, site, monkeypatch):
     write_model(model, Path("mine"))
     serve(site, Path("mine"), "our/zoo")
     address = f"{site.url}/our/zoo/{NAME}"
@@ -164,7 +150,7 @@ def test_a_model_of_the_web_is_fetched_once_and_found_offline(
         load(f"{site.url}/our/zoo/sgan.mall")
 
 
-def test_what_else_lies_in_the_cache_is_no_model(model: Forecaster, site: Site, home: Path) -> None:
+def test_what_else_lies_in_the_cache_is_no_model(model, site, home):
     write_model(model, Path("mine"))
     site.put(f"{NAME}/card.yaml", (MINE / "card.yaml").read_bytes())
     find(f"{site.url}/{NAME}")
@@ -176,7 +162,7 @@ def test_what_else_lies_in_the_cache_is_no_model(model: Forecaster, site: Site, 
         obtain("sgan_goal.mal")
 
 
-def test_damaged_weights_are_fetched_anew_places_told_apart(model: Forecaster, site: Site) -> None:
+def test_damaged_weights_are_fetched_anew_places_told_apart(model, site):
     write_model(model, Path("mine"))
     serve(site, Path("mine"), "a")
     stored = obtain(f"{site.url}/a/{NAME}")
@@ -188,7 +174,7 @@ def test_damaged_weights_are_fetched_anew_places_told_apart(model: Forecaster, s
         load(NAME)
 
 
-def test_models_of_the_hub(model: Forecaster, site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_models_of_the_hub(model, site, monkeypatch):
     monkeypatch.setenv("HF_ENDPOINT", site.url)
     monkeypatch.setenv("HF_TOKEN", "secret")
     write_model(model, Path("mine"))
@@ -208,9 +194,7 @@ def test_models_of_the_hub(model: Forecaster, site: Site, monkeypatch: pytest.Mo
             load(f"hf://{wrong}")
 
 
-def test_the_token_of_the_hub_is_for_the_hub_alone(
-    model: Forecaster, site: Site, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_token_of_the_hub_is_for_the_hub_alone(model, site, monkeypatch):
     card = write_model(model, Path("mine"))
     with serving() as other:
         monkeypatch.setenv("HF_ENDPOINT", site.url)
@@ -221,7 +205,7 @@ def test_the_token_of_the_hub_is_for_the_hub_alone(
         assert len(other.asked) == 1 and "Authorization" not in other.asked[0][1]
 
 
-def test_weights_at_another_address_than_the_card(model: Forecaster, site: Site) -> None:
+def test_weights_at_another_address_than_the_card(model, site):
     card = write_model(model, Path("mine"))
     WEIGHTS.rename("elsewhere")
     with pytest.raises(UserError, match=r"has no weights: its card expects .*weights\.safetensors'"):
@@ -231,9 +215,7 @@ def test_weights_at_another_address_than_the_card(model: Forecaster, site: Site)
     assert len(site.asked) == 1
 
 
-def test_a_source_of_the_user_is_searched_for_names(
-    model: Forecaster, site: Site, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_source_of_the_user_is_searched_for_names(model, site, monkeypatch):
     write_model(model, Path("mine"))
     serve(site, Path("mine"), "zoo")
     monkeypatch.setenv("PEDZOO_ZOO", f"{site.url}/zoo/")
@@ -245,7 +227,7 @@ def test_a_source_of_the_user_is_searched_for_names(
         load("sgan_goal.mal")
 
 
-def test_who_misspells_is_shown_the_family_and_not_all_there_is() -> None:
+def test_who_misspells_is_shown_the_family_and_not_all_there_is():
     known = {"sgan_goal": r"known: sgan_goal\.controller_open, .*, sgan_goal\.zara2_destination$"}
     known |= {"sgan_gaol.zara1": r"did you mean 'sgan_goal\.zara1'\? known: sgan_goal\.controller_open, "}
     known |= {"orca": r"known: anchor_mlp\.\*, .*, robot_ppo\.\*, sgan\.\*, sgan_goal\.\*, "}
@@ -259,31 +241,28 @@ def test_who_misspells_is_shown_the_family_and_not_all_there_is() -> None:
     ("name", "expected"),
     [
         ("a" * 300, "no model|unknown model"),
-        ("a" * 300 + ".b", "no model|unknown model"),
         ("x/" + "a" * 300, "no model|unknown model"),
         ("https://[::1/sgan.b", "Invalid IPv6"),
         ("~nobody_here", "unknown model"),
         ("https://host", "HOST/FOLDER"),
-        ("https:///zoo/sgan.x", "HOST/FOLDER"),
         ("https://user:word@host/zoo/sgan.x", "HOST/FOLDER"),
         ("https://host/zoo/sgan.x?token=1", "HOST/FOLDER"),
-        ("https://host/zoo/", "HOST/FOLDER"),
         ("https://host/zoo/../../sgan.x", "may lead out of"),
     ],
 )
-def test_names_and_addresses_that_nothing_can_have(name: str, expected: str) -> None:
+def test_names_and_addresses_that_nothing_can_have(name, expected):
     with pytest.raises(UserError, match=expected):
         load(name)
 
 
-def test_what_is_not_trained_says_nothing_of_its_training() -> None:
+def test_what_is_not_trained_says_nothing_of_its_training():
     assert saved_config("constant_velocity") == {} and saved_config("own.py:Mine") == {}
     assert saved_config("sgan_goal.zara1")["protocol"]["fold"] == "zara1"
     with pytest.raises(UserError, match=r"did you mean 'sgan_goal\.zara1'"):
         saved_config("sgan_gaol.zara1")
 
 
-def test_tampered_weights_are_refused(model: Forecaster, site: Site, home: Path) -> None:
+def test_tampered_weights_are_refused(model, site, home):
     write_model(model, Path("mine"))
     data = bytearray(WEIGHTS.read_bytes())
     data[-1] ^= 1
@@ -299,7 +278,7 @@ def test_tampered_weights_are_refused(model: Forecaster, site: Site, home: Path)
         load("mine")
 
 
-def test_pickle_named_as_weights_is_not_run(model: Forecaster) -> None:
+def test_pickle_named_as_weights_is_not_run(model):
     class Trap:
         def __reduce__(self) -> tuple:
             return Path.mkdir, (Path("trapped"),)
@@ -313,7 +292,7 @@ def test_pickle_named_as_weights_is_not_run(model: Forecaster) -> None:
     assert not Path("trapped").exists()
 
 
-def test_a_card_that_climbs_out_of_its_folder_is_refused(model: Forecaster, site: Site, home: Path) -> None:
+def test_a_card_that_climbs_out_of_its_folder_is_refused(model, site, home):
     write_model(model, Path("mine"))
     WEIGHTS.rename("outside.safetensors")
     for file in ("../outside.safetensors", str(Path("outside.safetensors").absolute())):
@@ -326,19 +305,13 @@ def test_a_card_that_climbs_out_of_its_folder_is_refused(model: Forecaster, site
     assert not list(home.rglob("*.yaml"))
 
 
-def test_cards_that_differ_from_their_weights_are_refused(model: Forecaster) -> None:
+def test_cards_that_differ_from_their_weights_are_refused(model):
     config = write_model(model, Path("mine")).config
+    other = {"architecture": "bent_line"}
     for values, message in (
-        ({"config": config | {"hook": "x"}}, r"config: .*unknown field `hook`"),
-        (
-            {"config": config | {"init": {"wings": 2}}},
-            r"card of 'sgan_goal\.mall' is not that of its weights.* config init",
-        ),
-        (
-            {"config": config | {"architecture": "bent_line"}, "architecture": "bent_line"},
-            "they differ in config architecture",
-        ),
-        ({"config": config, "architecture": "bent_line"}, "'bent_line': its config is of 'sgan'"),
+        ({"config": config | {"init": {"wings": 2}}}, r"is not that of its weights.* config init"),
+        ({"config": config | other, **other}, "they differ in config architecture"),
+        ({"config": config, **other}, "'bent_line': its config is of 'sgan'"),
     ):
         changed(**values)
         with pytest.raises(UserError, match=message):
@@ -355,9 +328,7 @@ def test_cards_that_differ_from_their_weights_are_refused(model: Forecaster) -> 
         ("architecture", "own.py:Mine", "no other file ever makes code run"),
     ],
 )
-def test_wrong_configs_in_weights_and_card_are_refused(
-    key: str, value: Any, message: str, model: Forecaster
-) -> None:
+def test_wrong_configs_in_weights_and_card_are_refused(key, value, message, model):
     config = write_model(model, Path("mine")).config | {key: value}
     save_file(model.state_dict(), WEIGHTS, {"config": json.dumps(config)})
     changed(config=config, architecture=config["architecture"], **as_they_are())
@@ -365,7 +336,7 @@ def test_wrong_configs_in_weights_and_card_are_refused(
         load("mine")
 
 
-def test_a_page_in_place_of_a_card_is_not_kept(model: Forecaster, site: Site) -> None:
+def test_a_page_in_place_of_a_card_is_not_kept(model, site):
     site.put(f"zoo/{NAME}/card.yaml", b"<html>log in, please</html>")
     with pytest.raises(UserError, match="Expected `object`, got `str`"):
         load(f"{site.url}/zoo/{NAME}")
@@ -375,7 +346,7 @@ def test_a_page_in_place_of_a_card_is_not_kept(model: Forecaster, site: Site) ->
     assert same(load(f"{site.url}/zoo/{NAME}"), model)
 
 
-def test_models_are_found_and_cards_shown_without_torch(model: Forecaster) -> None:
+def test_models_are_found_and_cards_shown_without_torch(model):
     write_model(model, Path("mine"))
     code = (
         "import sys; from pedzoo.models.zoo.store import find, names, weights_of;"
@@ -386,7 +357,7 @@ def test_models_are_found_and_cards_shown_without_torch(model: Forecaster) -> No
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_every_shipped_card_is_that_of_its_weights() -> None:
+def test_every_shipped_card_is_that_of_its_weights():
     batch = make_batch((3, 2))
     for name in weight_files():
         entry = find(name)

@@ -1,7 +1,5 @@
 """Weights in training walk: what is logged and when, by many processes too, and training does not notice."""
 
-from __future__ import annotations
-
 import copy
 import json
 import math
@@ -18,7 +16,7 @@ import pytest
 import torch
 from helpers.lightning_marks import LIGHTNING_MARKS
 from helpers.training import environment, last, quiet_trainer
-from lightning.pytorch.callbacks import Callback, ModelCheckpoint
+from lightning.pytorch.callbacks import Callback, LambdaCallback, ModelCheckpoint
 from torch import Tensor, nn
 
 from pedzoo.cli.main import main
@@ -74,9 +72,7 @@ def history(run: Path) -> Iterator[dict[str, Any]]:
                 yield {key: json.loads(item.value_json) for key, item in items}
 
 
-def test_one_row_and_one_offline_run_have_both_kinds_of_metrics(
-    elsewhere: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_row_and_one_offline_run_have_both_kinds_of_metrics(elsewhere, tmp_path_factory, monkeypatch):
     """ADE, FDE and success of an epoch stand together; picture and video are really there."""
     import wandb
 
@@ -109,7 +105,7 @@ def test_one_row_and_one_offline_run_have_both_kinds_of_metrics(
     ("physics", "scenarios"),
     [("compiled", ("door:width=0.9,people=3", "circle:people=2")), ("bullet", ("door",))],
 )
-def test_values_are_those_of_pedzoo_rollout(physics: str, scenarios: tuple[str, ...]) -> None:
+def test_values_are_those_of_pedzoo_rollout(physics, scenarios):
     """The weights of the latest epoch walk, not those of an earlier one, and validate says the same again."""
     if physics == "bullet":
         pytest.importorskip("pybullet")
@@ -157,37 +153,22 @@ def make_data() -> TrajectoryDataModule:
     return TrajectoryDataModule(goal="window_end", loading=Loading(batch_size=8, rotate=True))
 
 
-class Watch(Callback):
-    """Notes what a rollout could leave behind: random state and modes, before and after it."""
-
-    def __init__(self) -> None:
-        """Nothing noted yet."""
-        self.noted: list[Any] = []
-
-    def on_train_batch_start(  # noqa: D102
-        self, trainer: L.Trainer, pl_module: L.LightningModule, batch: Any, batch_idx: int
-    ) -> None:
-        self.note(pl_module)
-
-    def on_validation_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:  # noqa: D102
-        self.note(pl_module)
-
-    def note(self, module: L.LightningModule) -> None:
-        """Note it."""
-        self.noted += [torch.get_rng_state().tolist(), [part.training for part in module.modules()]]
-
-
-def test_training_does_not_notice(tmp_path: Path) -> None:
+def test_training_does_not_notice(tmp_path):
     """Weights, optimizer, random state and modes are bit-equal with and without rollouts."""
-    ends, noted = [], []
+    ends: list[Any] = []
+    noted: list[Any] = []
+
+    def note(trainer: L.Trainer, module: L.LightningModule, *_: Any) -> None:
+        noted[-1] += [torch.get_rng_state().tolist(), [part.training for part in module.modules()]]
+
     for callbacks in ([], [ClosedLoopValidation(["door", "circle:people=2"], episodes=1)]):
-        module, watch = make_module(), Watch()
+        module, watch = make_module(), LambdaCallback(on_train_batch_start=note, on_validation_end=note)
+        noted.append([])
         trainer = make_trainer(*callbacks, watch)
         trainer.fit(module, make_data())
         assert (SUCCESS in trainer.callback_metrics) == bool(callbacks)
         optimizer = [v for s in trainer.optimizers[0].state.values() for v in s.values()]
         ends.append([*module.state_dict().values(), *optimizer, torch.get_rng_state()])
-        noted.append(watch.noted)
     assert noted[0] == noted[1] and len(noted[0]) >= 12
     assert len(ends[0]) > 20 and all(torch.equal(a, b) for a, b in zip(*ends, strict=True))
 
@@ -210,7 +191,7 @@ class Scripted(ClosedLoopValidation):
 @pytest.mark.parametrize(
     "check", [{"check_val_every_n_epoch": 1}, {"check_val_every_n_epoch": 2}, {"val_check_interval": 1}]
 )
-def test_the_best_checkpoint_is_of_an_epoch_that_was_measured(check: dict[str, Any], tmp_path: Path) -> None:
+def test_the_best_checkpoint_is_of_an_epoch_that_was_measured(check, tmp_path):
     """Every second validation has a rollout; the last value stays visible and is not taken for a new one."""
 
     def fit(script: list[float], epochs: int, resume: Path | None = None) -> tuple[ModelCheckpoint, Scripted]:
@@ -231,7 +212,7 @@ def test_the_best_checkpoint_is_of_an_epoch_that_was_measured(check: dict[str, A
     assert best.best_model_score == pytest.approx(0.95) and walks.state_dict() == {"validations": 7}
 
 
-def test_epochs_without_a_rollout_log_nothing() -> None:
+def test_epochs_without_a_rollout_log_nothing():
     options = ["--trainer.max_epochs=3", "--rollout.every=2", "--rollout.episodes=1", *BEST]
     assert main([*FIT, *QUICK, *options]) == 0
     run = Path("runs/sgan_goal/embedded-seed0")
@@ -239,7 +220,7 @@ def test_epochs_without_a_rollout_log_nothing() -> None:
     assert [row["epoch"] for row in measured(run, "val/ade")] == ["0", "1", "2"]
 
 
-def test_fast_dev_run_walks_one_episode(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fast_dev_run_walks_one_episode(monkeypatch):
     walked: list[int] = []
     update = ClosedLoopScore.update
 
@@ -252,7 +233,7 @@ def test_fast_dev_run_walks_one_episode(monkeypatch: pytest.MonkeyPatch) -> None
     assert walked == [1] and not Path("runs").exists()
 
 
-def test_environments_are_made_once_and_closed_whatever_happens() -> None:
+def test_environments_are_made_once_and_closed_whatever_happens():
     pytest.importorskip("pybullet")
     callback = ClosedLoopValidation(["door"], episodes=2, physics="bullet")
     backends: set[Any] = set()
@@ -290,40 +271,34 @@ def test_environments_are_made_once_and_closed_whatever_happens() -> None:
         (["--monitor", SUCCESS, "--rollout.scenarios", "null"], "set --rollout.scenarios"),
     ],
 )
-def test_what_cannot_be_is_told_before_the_training(
-    options: list[str], message: str, capsys: pytest.CaptureFixture[str], elsewhere: Path
-) -> None:
+def test_what_cannot_be_is_told_before_the_training(options, message, capsys, elsewhere):
     assert main([*FIT, *QUICK, "--wandb", "offline", *options]) == 2
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
     assert not list(elsewhere.iterdir())
 
 
-def test_a_model_that_gives_no_numbers_is_refused_at_the_start() -> None:
+def test_a_model_that_gives_no_numbers_is_refused_at_the_start():
     module = make_module()
     cast("nn.Parameter", cast("SGAN", module.generator).decoder.output.bias).data.fill_(math.nan)
     with pytest.raises(UserError, match="Noisy gives no numbers in door"):
         make_trainer(ClosedLoopValidation(["door"])).fit(module, make_data())
 
 
-def test_processes_share_all_episodes() -> None:
+def test_processes_share_all_episodes():
     for episodes in (1, 5, 16, 17):
         for processes in (1, 2, 3, 8):
             shares = [share(episodes, rank, processes) for rank in range(processes)]
-            assert [n for first, count in shares for n in range(first, first + count)] == list(
-                range(episodes)
-            )
+            walked = [n for first, count in shares for n in range(first, first + count)]
+            assert walked == list(range(episodes))
             assert max(count for _, count in shares) - min(count for _, count in shares) <= 1
 
 
-def test_two_processes_train_and_walk_like_one(elsewhere: Path) -> None:
+def test_two_processes_train_and_walk_like_one(elsewhere):
     """Through the real command line: equal weights in both, one run folder, and one process's numbers."""
     words = [*FIT, *QUICK, "--rollout.episodes=3", "--trainer.accelerator", "cpu", "--trainer.devices", "2"]
-    words += [
-        "--trainer.strategy=ddp_find_unused_parameters_true",
-        "--trainer.callbacks",
-        "helpers.witness.Witness",
-    ]
+    words += ["--trainer.strategy=ddp_find_unused_parameters_true"]
+    words += ["--trainer.callbacks", "helpers.witness.Witness"]
     # all of it: whether 1 is one batch or the whole depends on the order of types that Python has kept of a
     # union of int and float, and so on what else was tested in this process
     words += ["--trainer.limit_val_batches=1.0"]

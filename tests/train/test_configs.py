@@ -1,9 +1,6 @@
 """Every shipped config trains, on the embedded recordings."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import pytest
 import yaml
@@ -19,9 +16,7 @@ from pedzoo.train.settings import architecture_options
 
 
 @pytest.mark.parametrize("name", config_names())
-def test_config_trains(
-    name: str, tmp_path: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_config_trains(name, tmp_path, request, monkeypatch):
     monkeypatch.setitem(TREES, "max_iter", 5)
     if "alexnet" in name:
         request.getfixturevalue("alexnet")
@@ -51,7 +46,7 @@ def test_config_trains(
     assert ("rollout/success" in logged) == walks
 
 
-def test_closed_loop_configs_differ_in_what_people_see_alone() -> None:
+def test_closed_loop_configs_differ_in_what_people_see_alone():
     """The numbers of two controllers are compared: they were trained alike."""
     one, other = (load_config(f"closed_loop/{name}") for name in ("sgan_goal_map", "sgan_goal"))
     plan = {"map": "rings", "map_dim": 24}
@@ -61,7 +56,7 @@ def test_closed_loop_configs_differ_in_what_people_see_alone() -> None:
 
 
 @pytest.mark.parametrize("name", ["sgan_goal_map", "sgan_goal", "anchor_net_goal_map"])
-def test_a_closed_loop_config_says_what_its_weights_say(name: str) -> None:
+def test_a_closed_loop_config_says_what_its_weights_say(name):
     """With these weights on the command line, as releases are made, it is the same training."""
     config = load_config(f"closed_loop/{name}")
     options = architecture_options(config["weights"], f"closed_loop/{name}")
@@ -75,7 +70,7 @@ def test_a_closed_loop_config_says_what_its_weights_say(name: str) -> None:
     assert {f"--data.{key}={value}" for key, value in data.items()} >= set(options[2:])
 
 
-def test_a_run_of_a_config_with_a_base_keeps_all_of_it(tmp_path: Path) -> None:
+def test_a_run_of_a_config_with_a_base_keeps_all_of_it(tmp_path):
     """What a run saves says by itself what was trained, and goes on when the base has changed."""
     mine = tmp_path / "mine.yaml"
     mine.write_text("base: sgan\nmodel: {init_args: {lr: 1e-2, samples: 2}}\ndata: {fold: embedded}\n")
@@ -90,16 +85,14 @@ def test_a_run_of_a_config_with_a_base_keeps_all_of_it(tmp_path: Path) -> None:
     assert options["generator"]["init_args"]["architecture"]["encoder_dim"] == 32
 
 
-def test_a_wrong_base_is_told_by_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_wrong_base_is_told_by_the_command(tmp_path, capsys):
     (tmp_path / "mine.yaml").write_text("base: sgan_gaol\n")
     assert main(["fit", "--config", str(tmp_path / "mine.yaml")]) == 2
     assert "unknown config 'sgan_gaol': did you mean 'sgan_goal'?" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", config_names())
-def test_a_config_trains_in_a_precision_or_refuses_it(
-    name: str, tmp_path: Path, request: pytest.FixtureRequest, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_config_trains_in_a_precision_or_refuses_it(name, tmp_path, request, capsys):
     if "alexnet" in name:
         request.getfixturevalue("alexnet")
     options = [

@@ -1,7 +1,5 @@
 """Pieces of episodes and what they cost: hand-made ways, real environments, and where gradients go."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
@@ -85,15 +83,13 @@ def standing_and_walking() -> Segment:
         ),
     ],
 )
-def test_gaps_are_between_bodies_along_what_is_asked_for(
-    speeds: tuple[float, float], other: tuple[float, float], changes: dict[str, Tensor], expected: float
-) -> None:
+def test_gaps_are_between_bodies_along_what_is_asked_for(speeds, other, changes, expected):
     velocity = torch.tensor([[[[speeds[0], 0.0], [speeds[1], 0.0]]]])
     segment = made(velocity, torch.tensor([[[0.0, 0.0], other]]))._replace(**changes)
     assert least_gaps(segment)[0, 0].tolist() == pytest.approx([expected] * 2, abs=1e-4)
 
 
-def test_those_who_meet_lack_more_than_those_who_walk_together() -> None:
+def test_those_who_meet_lack_more_than_those_who_walk_together():
     """0.4 m beside each other: towards each other at 1 m/s each, at 0.5 m/s each, and side by side."""
     start, speeds = torch.tensor([[[0.0, 0.0], [0.2, 0.4]]]), [(1.0, -1.0), (0.5, -0.5), (1.0, 1.0)]
     for (mine, theirs), lacking in zip(speeds, (0.3, 0.15, 0.0), strict=True):
@@ -102,7 +98,7 @@ def test_those_who_meet_lack_more_than_those_who_walk_together() -> None:
         assert (plain - met)[0, 0].tolist() == pytest.approx([lacking, lacking], abs=1e-3)
 
 
-def test_no_person_is_near_who_is_alone_or_gone() -> None:
+def test_no_person_is_near_who_is_alone_or_gone():
     alone = made(torch.ones(2, 1, 1, 2), torch.zeros(1, 1, 2))
     assert bool((least_gaps(alone) > 100).all()) and least_gaps(alone).shape == alone.moved.shape
     segment = two(0.2)
@@ -112,14 +108,14 @@ def test_no_person_is_near_who_is_alone_or_gone() -> None:
     assert left[0, 0, 0] == pytest.approx(-0.1, abs=1e-4) and bool((left[1:, 0, 0] > 40).all())
 
 
-def test_walls_are_felt_along_the_way_that_was_asked_for() -> None:
+def test_walls_are_felt_along_the_way_that_was_asked_for():
     bank = MapBank([rectangles(HALL + wall((2.0, -8.0), (2.0, 8.0), 0.2), 0.05, name="one wall")])
     segment = made(torch.tensor([[[[2.0, 0.0]]]]), torch.tensor([[[1.0, 0.0]]]), bank)
     distance = wall_distances(segment, bank)[0, 0, 0]
     assert distance.tolist() == pytest.approx([0.7, 0.5, 0.3, 0.1], abs=0.03)
 
 
-def test_time_is_lost_by_those_who_stand_not_who_walk() -> None:
+def test_time_is_lost_by_those_who_stand_not_who_walk():
     """The lost time of a person who stands for T steps is 0.4 (1 + ... + T) / T; the mean over two people."""
     segment = standing_and_walking()
     assert float(lost_seconds(segment)) == pytest.approx(1.0 / 2)
@@ -133,7 +129,7 @@ def test_time_is_lost_by_those_who_stand_not_who_walk() -> None:
     assert float(lost_seconds(early._replace(moved=moved))) == pytest.approx((0.4 + 0.8) / 4 / 2)
 
 
-def test_the_trait_weighs_ones_own_time() -> None:
+def test_the_trait_weighs_ones_own_time():
     segment, cost = standing_and_walking(), LoopLosses(assertiveness=0.5, progress=6.0)
     segment = segment._replace(progress=0 * segment.progress)  # both stand
     calm, eager = (cost(segment, NOWHERE, torch.tensor([[[z], [0.0]]]))["progress"] for z in (-1.0, 1.0))
@@ -144,7 +140,7 @@ def test_the_trait_weighs_ones_own_time() -> None:
 
 
 @pytest.mark.parametrize("name", ["person_distance", "walls", "overspeed", "effort", "progress"])
-def test_a_term_is_proportional_to_its_weight(name: str) -> None:
+def test_a_term_is_proportional_to_its_weight(name):
     grid = rectangles(HALL + wall((-8.0, -0.3), (8.0, -0.3), 0.2), 0.05, name="beside")
     bank, segment = MapBank([grid]), two(0.25)
     faster = segment._replace(
@@ -159,7 +155,7 @@ def test_a_term_is_proportional_to_its_weight(name: str) -> None:
         LoopLosses(**{name: -1})
 
 
-def test_people_and_corrections_cost_what_they_are_by_hand() -> None:
+def test_people_and_corrections_cost_what_they_are_by_hand():
     """Two of three are 0.3 m apart, 0.2 m short of the margin; one of three is held back by 0.5 m/s."""
     segment, short = two(0.3), 10 * 2 / 3 * (0.2 + 0.04)
     for margin in (0.0, 0.3):  # they walk together
@@ -176,7 +172,7 @@ def test_people_and_corrections_cost_what_they_are_by_hand() -> None:
     assert velocity.grad is not None and bool(velocity.grad.isfinite().all())
 
 
-def test_dawdling_does_not_thin_out_what_went_wrong() -> None:
+def test_dawdling_does_not_thin_out_what_went_wrong():
     """A contact costs the same whether people leave after it or stand about."""
     segment = two(0.3, steps=4)
     far = segment.trace.clone()
@@ -189,7 +185,7 @@ def test_dawdling_does_not_thin_out_what_went_wrong() -> None:
     assert float(result[0]) == pytest.approx(float(result[1]))
 
 
-def test_people_from_the_front_should_be_on_the_preferred_side() -> None:
+def test_people_from_the_front_should_be_on_the_preferred_side():
     """Two meet head-on, each 0.2 m to the other's left: who likes to pass on the left lacks 0.7 m."""
     velocity = torch.tensor([[[[1.0, 0.0], [-1.0, 0.0]]]])
     start = torch.tensor([[[0.0, 0.0], [2.0, 0.2]]])
@@ -230,7 +226,7 @@ class Straight:
         return float(self.factor.grad)
 
 
-def test_a_segment_is_what_the_environment_does() -> None:
+def test_a_segment_is_what_the_environment_does():
     policy, env = Straight(), make_env("door", 3, seed=4)
     segment = unrolled(env, policy, env.reset(), 5)
     again = make_env("door", 3, seed=4)
@@ -246,7 +242,7 @@ def test_a_segment_is_what_the_environment_does() -> None:
     assert segment.done.tolist() == [False] * 3
 
 
-def test_gradients_flow_through_all_that_is_seen_until_it_is_cut() -> None:
+def test_gradients_flow_through_all_that_is_seen_until_it_is_cut():
     """Walking faster moves the last position by the whole way, and after the cut by the rest of it."""
     env = make_env("door:offset=0,jitter=0", 2, seed=4)
     for seen, steps in ((env.reset, 2), (env.cut, 1)):
@@ -258,7 +254,7 @@ def test_gradients_flow_through_all_that_is_seen_until_it_is_cut() -> None:
         assert abs(slope) == pytest.approx(way, rel=0.02) and (slope < 0 or steps == 1)
 
 
-def test_scenes_that_are_over_stay_as_they_are() -> None:
+def test_scenes_that_are_over_stay_as_they_are():
     env = make_env("circle:people=2", 2, seed=1)
     segment = unrolled(env, Straight(), env.reset(), 60)
     assert bool(segment.done.all()) and len(segment.moved) < 60
@@ -267,7 +263,7 @@ def test_scenes_that_are_over_stay_as_they_are() -> None:
         assert not any(bool(values.any()) for values in rest)
 
 
-def test_every_weight_has_a_gradient_through_an_episode() -> None:
+def test_every_weight_has_a_gradient_through_an_episode():
     model = pedzoo.load("sgan_goal_map.eth_ucy").train()
     env = make_env("door", 4, seed=0)
     segment = unrolled(env, pedzoo.policy(model), env.reset(), 6)
@@ -296,7 +292,7 @@ def places(seen: list[TensorDict]) -> list[Tensor]:
     return [one["agents", "history"][:, :, -1] for one in seen]
 
 
-def test_a_mixture_that_goes_on_equals_an_uninterrupted_one() -> None:
+def test_a_mixture_that_goes_on_equals_an_uninterrupted_one():
     whole = places(walked(CourseSampler(COURSES, 5), range(12)))
     later = places(walked(CourseSampler(COURSES, 5), range(8, 12)))
     assert all(torch.equal(one, other) for one, other in zip(whole[8:], later, strict=True))
@@ -305,13 +301,13 @@ def test_a_mixture_that_goes_on_equals_an_uninterrupted_one() -> None:
     assert not all(same)
 
 
-def test_courses_have_their_shares_of_the_updates() -> None:
+def test_courses_have_their_shares_of_the_updates():
     courses = CourseSampler(COURSES, 0)
     doors = sum(courses.at(update, 0).course.scenario == "door" for update in range(400))
     assert 70 < doors < 130
 
 
-def test_episodes_go_on_until_they_are_over_or_too_old() -> None:
+def test_episodes_go_on_until_they_are_over_or_too_old():
     first, second, third, _, fifth = places(
         walked(CourseSampler([Course("door", 2)], 0), range(5), per_epoch=100)
     )
@@ -323,7 +319,7 @@ def test_episodes_go_on_until_they_are_over_or_too_old() -> None:
     assert keys[0] == keys[1] != keys[2] == keys[3] != keys[4]
 
 
-def test_scenes_that_are_over_are_replaced_and_others_go_on() -> None:
+def test_scenes_that_are_over_are_replaced_and_others_go_on():
     running = CourseSampler([Course("door", 3)], 0).at(0, 0)
     before = running.begin(9)["scene_key"][:, 0].clone()
     running.end(torch.tensor([False, True, False]))
@@ -332,14 +328,14 @@ def test_scenes_that_are_over_are_replaced_and_others_go_on() -> None:
 
 
 @pytest.mark.parametrize("options", [{"scenes": 0}, {"share": 0.0}])
-def test_courses_that_give_no_training_are_refused(options: dict[str, Any]) -> None:
+def test_courses_that_give_no_training_are_refused(options):
     with pytest.raises(UserError, match="expected at least 1"):
         Course("door", **options)
     with pytest.raises(UserError, match="no courses"):
         CourseSampler([], 0)
 
 
-def test_cut_needs_scenes_and_reset_keeps_the_others() -> None:
+def test_cut_needs_scenes_and_reset_keeps_the_others():
     with pytest.raises(UserError, match=r"reset\(\) first"):
         make_env("door").cut()
     env = make_env("door", 2, seed=0)

@@ -1,15 +1,11 @@
 """Imitation: recorded people walk on by a policy as they would in the environment, and are compared."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import pytest
 import torch
-from helpers.training import quiet_trainer
-from scipy.stats import wasserstein_distance
 from tensordict import TensorDict
 from torch import Tensor
 from torchrl.envs.utils import step_mdp
@@ -21,7 +17,6 @@ from pedzoo.data.own_files import OwnFiles
 from pedzoo.data.scenes import SceneSet
 from pedzoo.maps.bank import MapBank
 from pedzoo.metrics.realism import features as realism_features
-from pedzoo.metrics.realism.distances import wasserstein
 from pedzoo.models.architectures.constant_velocity import ConstantVelocity
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.base import true_displacements
@@ -40,7 +35,6 @@ from pedzoo.train.closed_loop.imitation import (
     tail,
     unroll,
 )
-from pedzoo.train.module import PlainModule
 
 FAST, SLOW, STANDS, LEAVES, TURNS = 1, 2, 3, 4, 5
 
@@ -61,20 +55,20 @@ ROWS = [
 
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recording(tmp_path_factory):
     path = tmp_path_factory.mktemp("recording") / "crossing.txt"
     path.write_text("".join(f"{f} {a} {x:.4f} {y:.4f}\n" for f, a, x, y in sorted(ROWS)))
     return path
 
 
 @pytest.fixture(scope="module")
-def windows(recording: Path) -> SceneSet:
+def windows(recording):
     parts = OwnFiles([str(recording)], 0.4, "0,0,1").recordings("test")
     return SceneSet(parts, [-1], MapBank(), 8, 12, "present", 1)
 
 
 @pytest.fixture
-def batch(windows: SceneSet) -> TensorDict:
+def batch(windows):
     return windows.batch(torch.arange(len(windows)), "destination")
 
 
@@ -98,7 +92,7 @@ def stirred(model: SGAN) -> SGAN:
 # -- windows
 
 
-def test_training_has_unrolled_windows_beside_the_others(capsys: pytest.CaptureFixture[str]) -> None:
+def test_training_has_unrolled_windows_beside_the_others(capsys):
     plain = TrajectoryDataModule()
     data = TrajectoryDataModule(
         goal="window_end", loading=Loading(rotate=True), imitated=ImitationWindows(steps=12, batch_size=16)
@@ -128,7 +122,7 @@ def own_windows(shared: Path, **options: Any) -> tuple[TrajectoryDataModule, Sce
     return data, data.unrolled
 
 
-def test_unrolled_windows_of_a_batch_may_be_of_one_recording(shared: Path) -> None:
+def test_unrolled_windows_of_a_batch_may_be_of_one_recording(shared):
     imitated = ImitationWindows(steps=6, one_recording_per_batch=True)
     data, unrolled = own_windows(shared, clock="true", imitated=imitated)
     names = [name for name, counts in unrolled.counts if counts.windows]
@@ -137,7 +131,7 @@ def test_unrolled_windows_of_a_batch_may_be_of_one_recording(shared: Path) -> No
         assert len(unrolled.recording[draw.scenes].unique()) == 1
 
 
-def test_unrolled_windows_keep_to_their_split(tmp_path: Path) -> None:
+def test_unrolled_windows_keep_to_their_split(tmp_path):
     """One person walks 1 m per step through the whole recording: where they are says when."""
     path = tmp_path / "long.txt"
     path.write_text("".join(f"{i} 1 {i} 0\n" for i in range(100)))
@@ -150,7 +144,7 @@ def test_unrolled_windows_keep_to_their_split(tmp_path: Path) -> None:
     assert sum(len(b) for b in batches) == 50 - 28 + 1
 
 
-def test_unrolled_windows_are_on_the_true_clock(shared: Path) -> None:
+def test_unrolled_windows_are_on_the_true_clock(shared):
     """biwi_eth's steps are really 0.667 s: by the benchmark's clock its people would run."""
     one, two = (
         own_windows(shared, clock=clock, imitated=ImitationWindows(20))[1].speeds()
@@ -159,20 +153,11 @@ def test_unrolled_windows_are_on_the_true_clock(shared: Path) -> None:
     assert torch.equal(one, two)
 
 
-def test_bad_options_of_unrolling_are_refused() -> None:
-    with pytest.raises(UserError, match=r"--data.imitated.steps -1: expected steps"):
-        TrajectoryDataModule(imitated=ImitationWindows(steps=-1))
-    with pytest.raises(UserError, match=r"imitated.batch_size 0: expected at least 1"):
-        TrajectoryDataModule(imitated=ImitationWindows(steps=8, batch_size=0))
-
-
 # -- walking
 
 
 @pytest.mark.parametrize("who", ["sgan", "go_to_goal"])
-def test_people_see_and_do_what_they_would_in_the_environment(
-    recording: Path, windows: SceneSet, who: str
-) -> None:
+def test_people_see_and_do_what_they_would_in_the_environment(recording, windows, who):
     """The same people in the scenario replay, until the first of them really leaves."""
     batch = windows.batch(torch.tensor([0]), "destination")
     model = stirred(plain_sgan(residual="bent_line", bottleneck_dim=8))
@@ -211,7 +196,7 @@ def test_people_see_and_do_what_they_would_in_the_environment(
     assert walked.walked[0].sum(1).tolist()[STANDS - 1] == 0
 
 
-def test_who_arrives_or_really_leaves_is_gone(windows: SceneSet) -> None:
+def test_who_arrives_or_really_leaves_is_gone(windows):
     batch = windows.batch(torch.tensor([0]), "destination")
     masks: list[Tensor] = []
 
@@ -231,7 +216,7 @@ def test_who_arrives_or_really_leaves_is_gone(windows: SceneSet) -> None:
     assert torch.equal(masks[0], agents_of(batch)["mask"])
 
 
-def test_no_person_walks_faster_than_they_can(windows: SceneSet) -> None:
+def test_no_person_walks_faster_than_they_can(windows):
     batch = windows.batch(torch.tensor([0]), "destination")
     walked = unroll(lambda seen: 5 * toward(seen), batch, 1)
     moved = (walked.xy[0, :, 0] - agents_of(batch)["history"][0, :, -1]).norm(dim=-1)
@@ -241,7 +226,7 @@ def test_no_person_walks_faster_than_they_can(windows: SceneSet) -> None:
     assert float(moved[FAST - 1]) == pytest.approx(0.4 * top - 0.05 * (top - before), abs=1e-3)
 
 
-def test_gradients_reach_back_through_what_others_see(windows: SceneSet) -> None:
+def test_gradients_reach_back_through_what_others_see(windows):
     """Where one is in the end depends on what another did in the first step, and on nothing later."""
     batch = windows.batch(torch.tensor([0]), "destination")
     batch["agents", "pref_speed"] += 2.0  # no person is at the limit
@@ -264,7 +249,7 @@ def test_gradients_reach_back_through_what_others_see(windows: SceneSet) -> None
 # -- likeness
 
 
-def test_the_true_walk_costs_nothing(batch: TensorDict) -> None:
+def test_the_true_walk_costs_nothing(batch):
     true = iter(true_displacements(batch).unbind(2))
     batch["agents", "pref_speed"] = torch.full_like(batch["agents", "pref_speed"], 3.0)
     walked = unroll(lambda _: next(true), batch, 12)
@@ -275,7 +260,7 @@ def test_the_true_walk_costs_nothing(batch: TensorDict) -> None:
         assert value.item() == pytest.approx(0, abs=1e-2 if "distance" in name else 1e-3), name
 
 
-def test_features_are_those_of_the_replay(batch: TensorDict) -> None:
+def test_features_are_those_of_the_replay(batch):
     """Against the metrics' own functions, on the same steps."""
     agents = agents_of(batch)
     walk = recorded(batch, 12)
@@ -302,18 +287,7 @@ def test_features_are_those_of_the_replay(batch: TensorDict) -> None:
         torch.testing.assert_close(value.sort().values, theirs.sort().values, atol=2e-3, rtol=1e-3, msg=name)
 
 
-@pytest.mark.parametrize(("m", "n"), [(7, 7), (5, 8), (9, 6), (1, 4)])
-def test_wasserstein_is_scipys_with_a_gradient(m: int, n: int) -> None:
-    torch.manual_seed(m)
-    first, second = torch.randn(m).double().requires_grad_(), torch.randn(n).double().requires_grad_()
-    result = wasserstein(first, second)
-    assert result.item() == pytest.approx(wasserstein_distance(first.detach(), second.detach()))
-    assert torch.autograd.gradcheck(wasserstein, (first, second))
-    wasserstein(first, second[:0]).backward()  # nothing to compare is no distance
-    assert first.grad is not None and not first.grad.any()
-
-
-def test_displacement_by_hand() -> None:
+def test_displacement_by_hand():
     """One of two people keeps 1 m beside the true way, the other is exact until they leave after two."""
     xy = torch.zeros(1, 2, 4, 2)
     real = Unrolled(xy, torch.tensor([[[1, 1, 1, 1], [1, 1, 0, 0]]]).bool(), torch.ones(1, 2, 4).bool())
@@ -324,7 +298,7 @@ def test_displacement_by_hand() -> None:
     assert float(Imitation()._displacement(walked, real)) == pytest.approx(4 / 6)
 
 
-def test_the_energy_score_does_not_punish_walks_that_differ() -> None:
+def test_the_energy_score_does_not_punish_walks_that_differ():
     """Two walks 1 m to either side of the truth: 1 m off, 2 m apart."""
     xy = torch.zeros(1, 1, 3, 2)
     yes = torch.ones(1, 1, 3).bool()
@@ -337,7 +311,7 @@ def test_the_energy_score_does_not_punish_walks_that_differ() -> None:
 
 
 @pytest.mark.parametrize("term", ["displacement", "distribution", "tail"])
-def test_training_on_a_term_lowers_it(batch: TensorDict, term: str) -> None:
+def test_training_on_a_term_lowers_it(batch, term):
     """A few steps of Adam from people who walk any way, with the noise of a walker."""
     batch, model = batch[::4], stirred(plain_sgan(residual="bent_line"))
     weights: dict[str, Any] = {"displacement": 0.0, "distribution": 0.0, term: 1.0}
@@ -367,7 +341,7 @@ class Chases(ConstantVelocity):
         return 0.3 * torch.nn.functional.normalize(nearest - position, dim=-1).unsqueeze(2)
 
 
-def test_what_a_safety_layer_changes_is_part_of_the_walk(batch: TensorDict) -> None:
+def test_what_a_safety_layer_changes_is_part_of_the_walk(batch):
     """Of people who run into each other many touch; with the layer under them, none do."""
 
     def touching(safety: bool) -> int:
@@ -382,7 +356,7 @@ def test_what_a_safety_layer_changes_is_part_of_the_walk(batch: TensorDict) -> N
     assert touching(False) > 100 and touching(True) == 0
 
 
-def test_models_without_noise_or_weights_walk_too(batch: TensorDict) -> None:
+def test_models_without_noise_or_weights_walk_too(batch):
     terms = Imitation(distribution=0.0)(Walker(ConstantVelocity()), batch, torch.Generator())
     walked = unroll(lambda seen: toward(seen, "velocity"), batch, 12)
     assert terms.keys() == {"loss", "displacement"}
@@ -398,12 +372,12 @@ def test_models_without_noise_or_weights_walk_too(batch: TensorDict) -> None:
         ({"samples": 0}, "samples 0"),
     ],
 )
-def test_weights_are_checked(options: dict[str, Any], said: str) -> None:
+def test_weights_are_checked(options, said):
     with pytest.raises(UserError, match=said):
         Imitation(**options)
 
 
-def test_tails_by_hand() -> None:
+def test_tails_by_hand():
     """Every person accelerates 1.5 times as much: so do the largest accelerations."""
     true = torch.rand(501)
     assert float(tail(1.5 * true, true)) == pytest.approx(0.5, rel=1e-5)
@@ -423,7 +397,7 @@ def adversary() -> Imitation:
     return Imitation(adversarial=1.0, discriminator=judge, samples=2, tail=0.5)
 
 
-def test_discriminator_and_generator_learn_from_each_other(batch: TensorDict) -> None:
+def test_discriminator_and_generator_learn_from_each_other(batch):
     """People who stand are told from real ones; then the way out is to walk, for the generator alone."""
     imitation, model = adversary(), plain_sgan()
     judge = cast("Discriminator", imitation.discriminator)
@@ -449,13 +423,13 @@ def test_discriminator_and_generator_learn_from_each_other(batch: TensorDict) ->
 
 
 @pytest.mark.parametrize("signed", [False, True])
-def test_scores_may_be_negative_if_they_are_to(signed: bool) -> None:
+def test_scores_may_be_negative_if_they_are_to(signed):
     judge, way = Discriminator(hidden_dim=8, mlp_dim=8, signed=signed), torch.randn(200, 10, 2)
     scores = judge(way, way[:, 0], Crowd.of(torch.ones(1, 200, dtype=torch.bool)))
     assert bool((scores < 0).any()) == signed
 
 
-def test_only_who_walks_in_all_judged_steps_is_judged(batch: TensorDict) -> None:
+def test_only_who_walks_in_all_judged_steps_is_judged(batch):
     imitation = adversary()
     walked = recorded(batch, 12)
     agents = agents_of(batch)
@@ -467,24 +441,3 @@ def test_only_who_walks_in_all_judged_steps_is_judged(batch: TensorDict) -> None
 
 
 # -- with Lightning
-
-
-class _Losses(PlainModule):
-    """Learns from what the loaders give: open loop, and unrolled."""
-
-    def training_step(self, batch: Any, batch_idx: int) -> Tensor:
-        self.seen = [*getattr(self, "seen", []), set(batch)]
-        result = Imitation()(Walker(self.generator, "episode"), batch["unrolled"], torch.Generator())
-        return cast("Tensor", super().training_step(batch["forecast"], batch_idx)) + result["loss"]
-
-
-def test_a_lightning_module_gets_both_batches(tmp_path: Path) -> None:
-    data = TrajectoryDataModule(
-        goal="destination", loading=Loading(batch_size=8), imitated=ImitationWindows(4, 4)
-    )
-    module = _Losses(plain_sgan(residual="bent_line"))
-    trainer = quiet_trainer(max_steps=2, limit_val_batches=0, default_root_dir=tmp_path)
-    trainer.fit(module, data)
-    assert module.seen == [{"forecast", "unrolled"}] * 2
-    # an epoch is over when all windows of both kinds were seen
-    assert trainer.num_training_batches == max(len(loader) for loader in data.train_dataloader().values())

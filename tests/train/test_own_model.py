@@ -1,7 +1,5 @@
 """A model of one's own is tried on one batch before it is trained."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from textwrap import dedent, indent
 from typing import Any
@@ -41,7 +39,7 @@ def changed(name: str, value: Any) -> _Line:
     return type("Mine", (_Line,), {name: value})()
 
 
-def test_a_sound_model_stays_as_it_is() -> None:
+def test_a_sound_model_stays_as_it_is():
     model, batch = _Line(), make_batch((2, 3), goal=False)
     torch.manual_seed(3)
     before = torch.get_rng_state()
@@ -91,7 +89,7 @@ def test_a_sound_model_stays_as_it_is() -> None:
         ("parameters", None, ""),
     ],
 )
-def test_what_a_model_must_keep(name: str, value: Any, message: str) -> None:
+def test_what_a_model_must_keep(name, value, message):
     batch = make_batch((4, 4), goal=False)
     if name == "parameters":
         model, message = _Line(), "_Line has no parameters to train"
@@ -103,7 +101,7 @@ def test_what_a_model_must_keep(name: str, value: Any, message: str) -> None:
     assert "\n" not in str(error.value)
 
 
-def test_parameters_that_learn_nothing_are_named(capsys: pytest.CaptureFixture[str]) -> None:
+def test_parameters_that_learn_nothing_are_named(capsys):
     model = _Line()
     model.other = nn.Linear(2, 2)
     check_model(model, make_batch((2, 3), goal=False), by_loss=True)
@@ -129,9 +127,7 @@ FILE = """
 """
 
 
-def test_fit_refuses_it_before_the_first_epoch(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_fit_refuses_it_before_the_first_epoch(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("mine.py").write_text(dedent(FILE))
     plain = "model:\n  class_path: pedzoo.train.module.PlainModule\n"

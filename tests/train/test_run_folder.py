@@ -1,7 +1,5 @@
 """Run folders: whole files whatever happens, and one process at a time."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal
@@ -33,9 +31,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
 
 
-def test_a_write_that_fails_leaves_the_old_checkpoint(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_write_that_fails_leaves_the_old_checkpoint(tmp_path, monkeypatch):
     path = tmp_path / "checkpoints" / "last.ckpt"
     saver = WholeCheckpoints()
     saver.save_checkpoint({"epoch": 1}, path)
@@ -56,7 +52,7 @@ def test_a_write_that_fails_leaves_the_old_checkpoint(
 
 
 @pytest.mark.parametrize("moment", ["fsync", "replace"])
-def test_a_process_killed_while_it_writes_leaves_the_old_file(moment: str, tmp_path: Path) -> None:
+def test_a_process_killed_while_it_writes_leaves_the_old_file(moment, tmp_path):
     path = tmp_path / "config.yaml"
     path.write_text("old")
     code = f"""
@@ -71,7 +67,7 @@ write_atomically(Path({str(path)!r}), b"new")
 
 
 @pytest.mark.parametrize("file", ["last.ckpt", "config.yaml", "versions.json"])
-def test_a_run_goes_on_after_it_was_cut_off_in_a_write(file: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_goes_on_after_it_was_cut_off_in_a_write(file, monkeypatch):
     assert main(FIT) == 0
     replace, before = os.replace, (RUN / "config.yaml").read_bytes()
 
@@ -95,7 +91,7 @@ def test_a_run_goes_on_after_it_was_cut_off_in_a_write(file: str, monkeypatch: p
     assert [path.name for path in LAST.parent.iterdir() if path.name.startswith(".")] == []
 
 
-def test_a_run_goes_on_with_the_data_that_it_began_with(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_goes_on_with_the_data_that_it_began_with(capsys):
     assert main(FIT) == 0
     before = contents(RUN)
     capsys.readouterr()
@@ -131,7 +127,7 @@ def test_a_run_goes_on_with_the_data_that_it_began_with(capsys: pytest.CaptureFi
     assert said == ["note: goes on with --trainer.max_epochs 3, it was 2"]
 
 
-def test_a_checkpoint_that_is_damaged_is_refused_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_checkpoint_that_is_damaged_is_refused_in_one_line(capsys):
     assert main(FIT) == 0
     whole, config = torch.load(LAST, weights_only=True), (RUN / "config.yaml").read_bytes()
     state = dict(whole["state_dict"])
@@ -157,9 +153,7 @@ def test_a_checkpoint_that_is_damaged_is_refused_in_one_line(capsys: pytest.Capt
         assert (RUN / "config.yaml").read_bytes() == config
 
 
-def test_an_absent_logger_leaves_no_folder(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_absent_logger_leaves_no_folder(monkeypatch, capsys):
     monkeypatch.setattr("pedzoo.core.errors.find_spec", lambda name: None)
     for wandb in ("offline", "online"):
         assert main([*FIT, "--wandb", wandb]) == 2
@@ -167,7 +161,7 @@ def test_an_absent_logger_leaves_no_folder(
         assert not Path("runs").exists()
 
 
-def test_options_with_which_a_run_cannot_go_on_are_not_kept(capsys: pytest.CaptureFixture[str]) -> None:
+def test_options_with_which_a_run_cannot_go_on_are_not_kept(capsys):
     assert main([*FIT, "--trainer.max_epochs", "3"]) == 0
     config, record = ((RUN / name).read_bytes() for name in ("config.yaml", "versions.json"))
     capsys.readouterr()
@@ -184,16 +178,14 @@ def test_options_with_which_a_run_cannot_go_on_are_not_kept(capsys: pytest.Captu
         (["--monitor", "train/varity"], "train/variety"),
     ],
 )
-def test_a_metric_that_is_not_logged_leaves_no_folder(
-    options: list[str], near: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_metric_that_is_not_logged_leaves_no_folder(options, near, capsys):
     assert main([*FIT, *options]) == 2
     error = capsys.readouterr().err
     assert f"unknown metric to --monitor '{options[1]}': did you mean '{near}'?" in error
     assert error.count("\n") == 1 and not Path("runs").exists()
 
 
-def test_a_run_does_not_go_on_with_a_misspelt_metric(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_does_not_go_on_with_a_misspelt_metric(capsys):
     assert main(FIT) == 0
     config = (RUN / "config.yaml").read_bytes()
     assert main(["fit", "--resume", str(RUN), "--monitor", "val/adee", "--trainer.max_epochs", "2"]) == 2
@@ -201,7 +193,7 @@ def test_a_run_does_not_go_on_with_a_misspelt_metric(capsys: pytest.CaptureFixtu
     assert (RUN / "config.yaml").read_bytes() == config and LAST.is_file()
 
 
-def test_one_process_at_a_time_trains_in_a_folder(capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_process_at_a_time_trains_in_a_folder(capsys):
     assert main(FIT) == 0
     before = contents(RUN)
     other = RunFolder.resume(RUN)
@@ -218,7 +210,7 @@ def test_one_process_at_a_time_trains_in_a_folder(capsys: pytest.CaptureFixture[
     assert resume(2) == 0 and torch.load(LAST)["epoch"] == 1
 
 
-def test_a_dead_process_holds_no_folder() -> None:
+def test_a_dead_process_holds_no_folder():
     run = RunFolder.claim(RUN)
     code = f"""
 import os, signal
@@ -241,7 +233,7 @@ signal.pause()
     assert not RUN.exists()
 
 
-def test_metrics_tell_the_whole_run_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_metrics_tell_the_whole_run_once(monkeypatch):
     long = [*FIT, "--trainer.max_epochs", "3", "--trainer.check_val_every_n_epoch", "2"]
     assert main([*long, "--runs", "whole"]) == 0
     expected = rows_of(next(Path("whole").rglob("metrics.csv")))
@@ -268,16 +260,14 @@ def test_metrics_tell_the_whole_run_once(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @pytest.mark.parametrize("place", ["file", "file/below", "/proc/runs"])
-def test_runs_that_cannot_be_written(place: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_runs_that_cannot_be_written(place, capsys):
     Path("file").write_text("mine")
     assert main([*FIT, "--runs", place]) == 2
     assert "cannot make the run folder" in (error := capsys.readouterr().err) and error.count("\n") == 1
     assert Path("file").read_text() == "mine"
 
 
-def test_a_full_disk_is_said_in_one_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_full_disk_is_said_in_one_line(monkeypatch, capsys):
     save = WholeCheckpoints.save_checkpoint
 
     def full(self: WholeCheckpoints, checkpoint: dict[str, Any], path: Any, **settings: Any) -> None:
@@ -293,7 +283,7 @@ def test_a_full_disk_is_said_in_one_line(
 
 
 @pytest.fixture
-def slurm(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+def slurm(monkeypatch):
     """A job of Slurm with one process."""
     names = {"NTASKS": "1", "JOB_ID": "7", "PROCID": "0", "LOCALID": "0", "NODEID": "0", "JOB_NAME": "fit"}
     for name, value in names.items():
@@ -301,7 +291,7 @@ def slurm(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     return monkeypatch
 
 
-def test_the_checkpoint_of_another_run_is_not_continued(slurm: pytest.MonkeyPatch) -> None:
+def test_the_checkpoint_of_another_run_is_not_continued(slurm):
     assert main([*FIT, "--seed_everything", "5", "--runs", "other"]) == 0
     shutil.copy(next(Path("other").glob("*/*/checkpoints/last.ckpt")), "hpc_ckpt_1.ckpt")
     assert main([*FIT, "--trainer.max_epochs", "2"]) == 0
@@ -318,7 +308,7 @@ def distributed(*words: str) -> subprocess.Popen[str]:
 
 
 @pytest.mark.slow
-def test_two_killed_processes_end_as_uninterrupted_ones() -> None:
+def test_two_killed_processes_end_as_uninterrupted_ones():
     words = [*FIT, "--trainer.max_epochs", "4", "--trainer.accelerator", "cpu", "--trainer.devices", "2"]
     words += ["--trainer.strategy", "ddp_find_unused_parameters_true"]
     with distributed(*words) as killed:

@@ -1,14 +1,12 @@
 """Signals end every command as Ctrl-C does, and what was begun goes on."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +61,7 @@ pytestmark = [pytest.mark.usefixtures("elsewhere", "hangups")]
 
 
 @pytest.fixture(name="hangups")
-def processes_that_hear_hangups() -> Iterator[None]:
+def processes_that_hear_hangups():
     """Let processes that a test starts hear SIGHUP: below ``nohup`` they would inherit that it is ignored."""
     before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
     yield
@@ -82,14 +80,14 @@ def stopped(number: int, **variables: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def whole(tmp_path_factory):
     """Return the last checkpoint of the same training that nothing stopped."""
     runs = tmp_path_factory.mktemp("whole")
     assert main([*FIT, "--runs", str(runs)]) == 0
     return runs / LAST.relative_to("runs")
 
 
-def test_a_training_that_sigterm_ended_is_resumed(whole: Path) -> None:
+def test_a_training_that_sigterm_ended_is_resumed(whole):
     ended = stopped(signal.SIGTERM)
     assert ended.returncode == 143, ended.stderr
     assert f"interrupted; continue with: pedzoo fit --resume {RUN}\n" in ended.stdout
@@ -99,7 +97,7 @@ def test_a_training_that_sigterm_ended_is_resumed(whole: Path) -> None:
     assert assert_same_end(LAST, whole)["epoch"] == 1  # to the last bit, of both networks
 
 
-def test_a_job_that_slurm_runs_again_goes_on(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_job_that_slurm_runs_again_goes_on(whole, monkeypatch):
     scontrol = Path("bin/scontrol")
     scontrol.parent.mkdir()
     scontrol.write_text('#!/bin/sh\necho "$@" >> asked\nls -A runs/sgan/embedded-seed0 >> asked\n')
@@ -135,7 +133,7 @@ def started(words: list[str], until: Callable[[], bool]) -> subprocess.Popen[str
 
 
 @pytest.mark.slow
-def test_an_evaluation_whose_terminal_was_closed_goes_on() -> None:
+def test_an_evaluation_whose_terminal_was_closed_goes_on():
     Path("waits.py").write_text(WAITS)
     words = ["evaluate", "go_to_goal", "--suite", "waits.py:Waits", "--episodes", "1"]
     words += ["--json", "report.json"]
