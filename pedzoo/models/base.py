@@ -15,6 +15,9 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.spec import build_ungrouped, flattened
 from pedzoo.core.types import PRED_LEN, GoalProtocol
 
+Random = torch.Generator | None
+"""Where random numbers come from; None for torch's own."""
+
 Noise = Literal["episode", "step", "scene", "mixed"]
 """How often noise is drawn for people who walk; see `pedzoo.policies.walker.Walker`."""
 
@@ -67,15 +70,11 @@ class Forecaster(nn.Module):
         """Return a model of settings that are named without their groups, as files of weights have them."""
         return build_ungrouped(cls, settings)
 
-    def sample(
-        self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
-    ) -> Tensor:
+    def sample(self, batch: TensorDict, samples: int, steps: int, generator: Random = None) -> Tensor:
         """Return ``samples`` random futures (B, K, A, T, 2): displacements, metres; zero for padding."""
         raise NotImplementedError
 
-    def candidates(
-        self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
-    ) -> Tensor:
+    def candidates(self, batch: TensorDict, samples: int, steps: int, generator: Random = None) -> Tensor:
         """Return futures (B, K, A, T, 2) for a best of K: random ones, or a set that stands for all."""
         return self.sample(batch, samples, steps, generator)
 
@@ -103,11 +102,11 @@ class Forecaster(nn.Module):
     def prepare(self, batches: Iterable[TensorDict], seed: int = 0) -> None:
         """Take from training batches, once before the first step, what is not trained: here nothing."""
 
-    def loss(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor:
+    def loss(self, batch: TensorDict, generator: Random = None) -> Tensor:
         """Return the training loss, summed over scenes. A forecaster without one cannot be trained."""
         raise UserError(f"{type(self).__name__} has nothing to train")
 
-    def log_likelihood(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor | None:
+    def log_likelihood(self, batch: TensorDict, generator: Random = None) -> Tensor | None:
         """Return how likely each person's true future was (B, A), nats; None for a model without a density.
 
         Log densities, or a lower bound of them, of the displacements that `known_displacements` tells, all
@@ -128,7 +127,7 @@ def known_displacements(batch: TensorDict) -> Tensor:
     return valid & functional.pad(valid[..., :-1], (1, 0), value=True)
 
 
-def normal(like: Tensor, generator: torch.Generator | None) -> Tensor:
+def normal(like: Tensor, generator: Random) -> Tensor:
     """Return standard normal numbers of the shape of ``like``, drawn where ``generator`` lives."""
     device = like.device if generator is None else generator.device
     return torch.randn(like.shape, generator=generator, device=device, dtype=like.dtype).to(like.device)

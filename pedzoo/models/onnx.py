@@ -267,7 +267,11 @@ class PlanInput(MapBank):
         super().__init__()
         self._image, self._affine = image, affine
 
-    __eq__, __hash__ = object.__eq__, object.__hash__
+    def __eq__(self, other: object) -> bool:
+        return self is other
+
+    def __hash__(self) -> int:
+        return id(self)
 
     def to(self, device: torch.device | str) -> MapBank:
         """Return the bank itself."""

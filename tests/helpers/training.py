@@ -11,6 +11,8 @@ import torch
 from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from torch.utils._pytree import tree_flatten
 
+from pedzoo.cli.main import main
+
 FIT = ["fit", "--config", "sgan", "--data.fold", "embedded", "--data.loading.batch_size", "8"]
 FIT += ["--trainer.limit_train_batches", "2", "--trainer.limit_val_batches", "1", "--trainer.max_epochs", "1"]
 FIT += ["--model.samples", "2", "--trainer.enable_progress_bar", "false"]
@@ -38,6 +40,14 @@ def quiet_trainer(*callbacks: Callback, **options: Any) -> L.Trainer:
         {"accelerator": "cpu", "log_every_n_steps": 1, "enable_checkpointing": saving} | quiet | options
     )
     return L.Trainer(callbacks=list(callbacks), **own)
+
+
+def fitted(*words: str) -> Path:
+    """Train by the command line and return the new run folder."""
+    before = set(Path().glob("runs/*/*"))
+    assert main(["fit", *words]) == 0
+    (run,) = set(Path().glob("runs/*/*")) - before
+    return run
 
 
 def last(run: Path) -> Path:

@@ -38,10 +38,7 @@ QUICK += ["--rollout.episodes=2"]
 SUCCESS = "rollout/door/success"
 BEST = ["--monitor", SUCCESS, "--monitor_mode", "max"]
 
-pytestmark = [
-    pytest.mark.usefixtures("elsewhere"),
-    *LIGHTNING_MARKS,
-]
+pytestmark = [pytest.mark.usefixtures("elsewhere"), *LIGHTNING_MARKS]
 
 
 def measured(run: Path, name: str = SUCCESS) -> list[dict[str, str]]:

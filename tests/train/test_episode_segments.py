@@ -75,12 +75,7 @@ def standing_and_walking() -> Segment:
         # a layer holds two back who ask to walk into each other; whom nothing moves stays
         ((0.0, 0.0), (1.0, 0.0), {}, 0.7),
         ((0.0, 0.0), (1.0, 0.0), {"asked": torch.tensor([[[[1.0, 0.0], [-1.0, 0.0]]]])}, -0.1),
-        (
-            (0.0, 0.0),
-            (1.0, 0.0),
-            {"asked": torch.tensor([[[[1.0, 0.0], [-1.0, 0.0]]]]), "moved": FIRST},
-            0.3,
-        ),
+        ((0.0, 0.0), (1.0, 0.0), {"asked": torch.tensor([[[[1.0, 0.0], [-1.0, 0.0]]]]), "moved": FIRST}, 0.3),
     ],
 )
 def test_gaps_are_between_bodies_along_what_is_asked_for(speeds, other, changes, expected):

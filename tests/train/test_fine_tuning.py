@@ -8,6 +8,7 @@ import pytest
 import torch
 import yaml
 from helpers.runs import make_run
+from helpers.training import fitted
 from safetensors.torch import save_file
 
 import pedzoo
@@ -34,11 +35,7 @@ pytestmark = pytest.mark.usefixtures("elsewhere")
 
 
 def fit(*options: str) -> Path:
-    """Train and return the new run folder."""
-    before = set(Path().glob("runs/*/*"))
-    assert main(["fit", *options, *QUICK]) == 0
-    (run,) = set(Path().glob("runs/*/*")) - before
-    return run
+    return fitted(*options, *QUICK)
 
 
 def assert_same_weights(first: str, second: str) -> None:

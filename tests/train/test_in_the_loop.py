@@ -10,7 +10,7 @@ import torch
 import yaml
 from helpers.lightning_marks import LIGHTNING_MARKS
 from helpers.loop_training import MEETING, module, small, train
-from helpers.training import assert_same_end, last
+from helpers.training import assert_same_end, fitted, last
 from lightning.pytorch.callbacks import LambdaCallback
 from torch import Tensor, nn
 
@@ -35,19 +35,13 @@ QUICK += ["--trainer.limit_train_batches", "3", "--trainer.limit_val_batches", "
 QUICK += ["--trainer.check_val_every_n_epoch", "1", "--trainer.enable_progress_bar", "false"]
 STILL = ["--rollout.scenarios", "null", "--monitor", "val/ade", "--monitor_mode", "min"]
 
-pytestmark = [
-    pytest.mark.usefixtures("elsewhere"),
-    *LIGHTNING_MARKS,
-]
+pytestmark = [pytest.mark.usefixtures("elsewhere"), *LIGHTNING_MARKS]
 
 
 def fit(weights: str, *options: str, epochs: int = 1) -> Path:
     """Train in the loop from weights, and return the new run folder."""
-    before = set(Path().glob("runs/*/*"))
-    words = ["fit", "--config", CONFIG, "--weights", weights, *QUICK, "--trainer.max_epochs", str(epochs)]
-    assert main([*words, *options]) == 0
-    (run,) = set(Path().glob("runs/*/*")) - before
-    return run
+    words = ["--config", CONFIG, "--weights", weights, *QUICK, "--trainer.max_epochs", str(epochs)]
+    return fitted(*words, *options)
 
 
 def walked(model: SGAN) -> tuple[Segment, Tensor]:

@@ -1,10 +1,9 @@
 """Baseline: people repeat their last displacement."""
 
-import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from pedzoo.models.base import Forecaster, for_all_samples
+from pedzoo.models.base import Forecaster, Random, for_all_samples
 from pedzoo.models.blocks.people import linear_extrapolation
 
 
@@ -18,9 +17,7 @@ class ConstantVelocity(Forecaster):
         super().__init__()
         self.config = {}
 
-    def sample(
-        self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
-    ) -> Tensor:
+    def sample(self, batch: TensorDict, samples: int, steps: int, generator: Random = None) -> Tensor:
         """Return the same future (B, K, A, T, 2) for every sample."""
         history = batch["agents", "history"]
         path = linear_extrapolation.constant_velocity(history[..., -1, :] - history[..., -2, :], steps)

@@ -16,7 +16,7 @@ from torch.nn import functional
 from pedzoo.core.batch import agents_of, goals_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import PRED_LEN, STEP_SECONDS, TIMED, GoalProtocol
-from pedzoo.models.base import Forecaster, Walking, normal
+from pedzoo.models.base import Forecaster, Random, Walking, normal
 from pedzoo.models.blocks.map_encoders import ENCODERS, Viewpoints
 from pedzoo.models.blocks.mlp import init_like_sgan, init_with_zeros, mlp
 from pedzoo.models.blocks.people import ego_frame, linear_extrapolation
@@ -205,7 +205,7 @@ class SGAN(Forecaster):
             return linear_extrapolation.constant_velocity(last_step, steps)
         return linear_extrapolation.bent_line(last_step, goal, steps, self.goal_protocol in TIMED)
 
-    def draw(self, encoded: Encoded, samples: int, generator: torch.Generator | None = None) -> Tensor:
+    def draw(self, encoded: Encoded, samples: int, generator: Random = None) -> Tensor:
         """Return noise (K, P, noise_dim), the same for all people of a scene or not, as ``noise`` says."""
         crowd, like = encoded.crowd, encoded.context
         rows = crowd.shape[0] if self.noise == "scene" else len(like)
@@ -228,9 +228,7 @@ class SGAN(Forecaster):
         path = ego_frame.out_of(encoded.heading, path.view(samples, people, steps, 2))
         return path if encoded.base is None else path + encoded.base[:, :steps]
 
-    def sample(
-        self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
-    ) -> Tensor:
+    def sample(self, batch: TensorDict, samples: int, steps: int, generator: Random = None) -> Tensor:
         """Return random futures (B, K, A, T, 2)."""
         encoded = self.encode(batch, steps)
         path = self.decode(encoded, self.draw(encoded, samples, generator), steps)
@@ -259,14 +257,14 @@ class SGAN(Forecaster):
         step = encoded.crowd.unpack(at_own_speed(step, alone, history[:, -1] - history[:, -2], wanted))
         return step, step
 
-    def loss(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor:
+    def loss(self, batch: TensorDict, generator: Random = None) -> Tensor:
         """Return the variety loss, summed over scenes."""
         return self.variety(batch, generator, sample=False)[0]
 
     def variety(
         self,
         batch: TensorDict,
-        generator: torch.Generator | None = None,
+        generator: Random = None,
         encoded: Encoded | None = None,
         sample: bool = True,
     ) -> tuple[Tensor, Tensor | None]:

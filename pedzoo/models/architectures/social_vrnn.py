@@ -22,7 +22,7 @@ from torch.nn import functional
 
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
-from pedzoo.models.base import Forecaster, known_displacements, normal, true_displacements
+from pedzoo.models.base import Forecaster, Random, known_displacements, normal, true_displacements
 from pedzoo.models.blocks.map_encoders import PatchEncoder, Viewpoints
 from pedzoo.models.blocks.mixture import FutureMixture
 from pedzoo.models.blocks.people import ego_frame, linear_extrapolation
@@ -183,9 +183,7 @@ class SocialVRNN(Forecaster):
         written = self.decoder(seen.features.repeat(samples, 1), latent.flatten(0, 1), base)
         return FutureMixture(*(values.view(samples, -1, *values.shape[1:]) for values in written))
 
-    def sample(
-        self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
-    ) -> Tensor:
+    def sample(self, batch: TensorDict, samples: int, steps: int, generator: Random = None) -> Tensor:
         """Return random futures (B, K, A, T, 2), of random latent, component and position in it."""
         seen = self.see(batch)
         z = _draw(seen.prior, samples, generator)
@@ -214,7 +212,7 @@ class SocialVRNN(Forecaster):
         component = mixture.at_quantile(torch.special.ndtr(drawn[:, -1]).unsqueeze(0))
         return self._world(seen, mixture.mean_of(component))[:, 0]
 
-    def loss(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor:
+    def loss(self, batch: TensorDict, generator: Random = None) -> Tensor:
         """Return minus the evidence lower bound, nats per step, summed over people.
 
             E_q(z | x, y) [log p(y | z, x)] - KL(q(z | x, y) || p(z | x))
@@ -235,9 +233,7 @@ class SocialVRNN(Forecaster):
         return cost.sum() / truth.shape[1]
 
     @torch.no_grad()
-    def log_likelihood(
-        self, batch: TensorDict, generator: torch.Generator | None = None, samples: int = 20
-    ) -> Tensor:
+    def log_likelihood(self, batch: TensorDict, generator: Random = None, samples: int = 20) -> Tensor:
         """Return a lower bound of each person's log p(y | x) (B, A), nats; 0 where nothing of y is known.
 
         The importance-weighted bound (Burda et al., ICLR 2016, eq. 8), which rises to the likelihood with the
@@ -270,7 +266,7 @@ class SocialVRNN(Forecaster):
         return seen.crowd.unpack_samples(ego_frame.out_of(seen.heading, path))
 
 
-def _draw(given: Normal, samples: int, generator: torch.Generator | None) -> Tensor:
+def _draw(given: Normal, samples: int, generator: Random) -> Tensor:
     """Return draws (K, P, D) of a distribution (P, D), which pass gradients on to it."""
     like = given.mean.expand(samples, *given.mean.shape)
     return given.mean + given.stddev * normal(like, generator)

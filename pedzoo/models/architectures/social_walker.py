@@ -17,7 +17,7 @@ from torch.nn import functional
 
 from pedzoo.core.geometry import rotate, smooth_norm, unrotate
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS, GoalProtocol
-from pedzoo.models.base import Forecaster, Walking, known_displacements, true_displacements
+from pedzoo.models.base import Forecaster, Random, Walking, known_displacements, true_displacements
 from pedzoo.models.blocks.mlp import mlp
 from pedzoo.models.blocks.people.evasion import evasion
 from pedzoo.models.blocks.people.following import held_back
@@ -247,9 +247,7 @@ class SocialWalker(Forecaster):
             now = now.after(step) if len(path) < steps else now
         return torch.stack(path, 2)
 
-    def sample(
-        self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
-    ) -> Tensor:
+    def sample(self, batch: TensorDict, samples: int, steps: int, generator: Random = None) -> Tensor:
         """Return random futures (B, K, A, T, 2): each sample is one in which all people walk together."""
         now = Situation.of(batch, self.sees_walls)
         scenes = len(now.mask)
@@ -264,7 +262,7 @@ class SocialWalker(Forecaster):
             now = now.after(path[-1])
         return torch.stack(path, 3).transpose(2, 3).unflatten(0, (samples, scenes)).transpose(0, 1)
 
-    def loss(self, batch: TensorDict, generator: torch.Generator | None = None) -> Tensor:
+    def loss(self, batch: TensorDict, generator: Random = None) -> Tensor:
         """Return the energy score of two forecasts at every step, metres, summed over people.
 
         Its minimum is the true distribution (Gneiting and Raftery, JASA 2007, eq. 21).

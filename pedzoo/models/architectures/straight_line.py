@@ -1,12 +1,11 @@
 """Baseline: people walk straight to their goal."""
 
-import torch
 from tensordict import TensorDict
 from torch import Tensor
 
 from pedzoo.core.batch import goals_of
 from pedzoo.core.types import TIMED, GoalProtocol
-from pedzoo.models.base import Forecaster, for_all_samples
+from pedzoo.models.base import Forecaster, Random, for_all_samples
 from pedzoo.models.blocks.people import linear_extrapolation
 
 
@@ -23,9 +22,7 @@ class StraightLine(Forecaster):
         self.config = {"goal_protocol": goal_protocol}
         self.goal_protocol = goal_protocol
 
-    def sample(
-        self, batch: TensorDict, samples: int, steps: int, generator: torch.Generator | None = None
-    ) -> Tensor:
+    def sample(self, batch: TensorDict, samples: int, steps: int, generator: Random = None) -> Tensor:
         """Return the same future (B, K, A, T, 2) for every sample."""
         history = batch["agents", "history"]
         goal, _ = goals_of(batch, type(self).__name__)

@@ -13,13 +13,13 @@ import numpy as np
 import torch
 from scipy.cluster.vq import kmeans2
 from tensordict import TensorDict
-from torch import Generator, Tensor, nn
+from torch import Tensor, nn
 from torch.nn import functional
 
 from pedzoo.core.batch import agents_of, goals_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TIMED, GoalProtocol
-from pedzoo.models.base import Forecaster, known_displacements
+from pedzoo.models.base import Forecaster, Random, known_displacements
 from pedzoo.models.blocks.mixture import FutureMixture
 from pedzoo.models.blocks.people import ego_frame, linear_extrapolation
 from pedzoo.models.blocks.people.crowd import Crowd
@@ -176,9 +176,7 @@ class AnchorForecaster(Forecaster):
         scale = written.log_scale.exp() * seen.unit.view(-1, 1, 1, 1) + LEAST
         return FutureMixture(written.logits, _displacements(path), scale)
 
-    def sample(
-        self, batch: TensorDict, samples: int, steps: int, generator: Generator | None = None
-    ) -> Tensor:
+    def sample(self, batch: TensorDict, samples: int, steps: int, generator: Random = None) -> Tensor:
         """Return random futures (B, K, A, T, 2): modes by their probabilities.
 
         A sample is one of all people of a scene: who would touch others draws once more.
@@ -195,9 +193,7 @@ class AnchorForecaster(Forecaster):
         near.diagonal(dim1=-2, dim2=-1).fill_(False)  # nobody touches themselves
         return torch.where(near.any(-1).any(2)[..., None, None], again, path)
 
-    def candidates(
-        self, batch: TensorDict, samples: int, steps: int, generator: Generator | None = None
-    ) -> Tensor:
+    def candidates(self, batch: TensorDict, samples: int, steps: int, generator: Random = None) -> Tensor:
         """Return the ``samples`` likeliest modes of each person (B, K, A, T, 2), and draws beyond all."""
         seen, mixture = self._futures(batch)
         order = mixture.logits.argsort(-1, descending=True).T[:samples]
@@ -220,7 +216,7 @@ class AnchorForecaster(Forecaster):
         chosen = mixture.at_quantile(torch.special.ndtr(seen.crowd.pack(noise)[:, 0]))
         return self._world(seen, mixture.mean_of(chosen).unsqueeze(0), steps)[:, 0]
 
-    def loss(self, batch: TensorDict, generator: Generator | None = None) -> Tensor:
+    def loss(self, batch: TensorDict, generator: Random = None) -> Tensor:
         """Return the loss, summed over people: that of `AnchorLosses`, and the likelihood of the widths."""
         self.check(batch)
         if self.losses.reverse and torch.rand((), generator=generator) < 0.5:
@@ -245,7 +241,7 @@ class AnchorForecaster(Forecaster):
         return ((cost + own.choice_weight * choice + nats) * known.any(-1)).sum()
 
     @torch.no_grad()
-    def log_likelihood(self, batch: TensorDict, generator: Generator | None = None) -> Tensor | None:
+    def log_likelihood(self, batch: TensorDict, generator: Random = None) -> Tensor | None:
         """Return each person's log density (B, A), nats; None for other numbers of steps than trained."""
         if agents_of(batch)["future"].shape[2] != self.steps:
             return None
@@ -258,7 +254,7 @@ class AnchorForecaster(Forecaster):
         return seen, self.mixture(self.write(batch, seen), seen)
 
     def _drawn(
-        self, seen: AnchorInputs, mixture: FutureMixture, samples: int, steps: int, random: Generator | None
+        self, seen: AnchorInputs, mixture: FutureMixture, samples: int, steps: int, random: Random
     ) -> Tensor:
         device = mixture.logits.device
         drawn_on = random.device if random else device
