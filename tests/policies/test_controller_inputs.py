@@ -49,7 +49,7 @@ def test_a_radius_of_nobody_is_refused_and_changes_nothing(radius: Any, message:
     with pytest.raises(UserError, match="no goal for 'anna'"):
         walk.step(people)
     walk.step(people, goals, others=others, radius={"robot": 1.0, "anna": 0.2})
-    assert walk._agents.radius.tolist() == pytest.approx([0.2, 1.0])
+    assert walk._agents.state["radius"].tolist() == pytest.approx([0.2, 1.0])
 
 
 def test_a_radius_of_people_who_have_left_does_not_matter() -> None:
@@ -149,7 +149,7 @@ def test_a_goal_at_a_wall_is_moved_with_a_warning(name: str, goal: Any) -> None:
         walk.step({"a": place, "b": (2, 2)}, {"b": goal})
     assert (len(said), again) == (1, [])
     moved = np.array([float(part) for part in re.findall(r"to \((.*), (.*)\)$", str(said[0].message))[0]])
-    assert bool(walk._agents.stands[walk._agents.row["a"]])
+    assert bool(walk._agents.state["stands"][walk._agents.row["a"]])
     away = np.linalg.norm(moved - asked)
     assert np.linalg.norm(place - asked) < max(0.31, away + 0.16)
     assert place[0] < 4  # on this side of the wall

@@ -27,47 +27,47 @@ from pedzoo.maps.plans import load_plan
 from pedzoo.policies.controller.arguments import (
     PREF_SPEED,
     ZERO,
+    Array,
+    CallerClock,
     as_discs,
     as_places,
     as_velocities,
     by_id,
-    check_radius_ids,
+    check_ids,
+    number_of,
     of_present,
     origin_of,
 )
-from pedzoo.policies.controller.ease import CallerClock, eased, expected, setting_out
+from pedzoo.policies.controller.ease import eased, expected
 from pedzoo.policies.controller.roster import OnlineGoals, Roster
 
 Id = TypeVar("Id", bound=Hashable)
 
+_SEEN = "heading", "pref_speed", "radius", "group", "goal_since", "number", "other"
+"""What policies see of agents as it is."""
+
 
 class WalkingPolicy(Protocol):
-    """Policies of a controller: a `Walker`, or any from `pedzoo.policies.load.load_policy`.
-
-    One that remembers what it has seen has a method ``fresh``, which returns it as before its first scene.
-    """
+    """Writes ``agents/action``; ``fresh()``, if there is one, returns it as before its first scene."""
 
     decision_dt: float
 
-    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write ``agents/action``."""
-        ...
+    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase: ...  # noqa: D102
 
 
 class Controller:
     """Moves the people of another simulator: call `step` with the positions of all agents.
 
-    At every call positions are recorded. At the calls nearest to every ``policy.decision_dt`` the policy
-    decides, from the same scene batch that the environment makes: the last 8 positions 0.4 s apart, the
-    planner's carrot and desired velocity, radii and kinds. Velocities are those of the last ``dt``, at least
-    of 0.1 s, by the positions. In between, velocities blend as in the environment: half-way in the first
-    0.1 s, and the decision ends where the decided velocity alone would lead. The caller moves people: walls
-    do not stop agents here, and positions may differ from where the velocities lead.
+    At the calls nearest to every ``policy.decision_dt`` the policy decides, from the same scene batch that the
+    environment makes: the last 8 positions 0.4 s apart, the planner's carrot and desired velocity, radii and
+    kinds. Velocities are those of the last ``dt``, at least of 0.1 s, by the positions. In between they blend
+    as in the environment: half-way in the first 0.1 s, and the decision ends where the decided velocity alone
+    would lead. The caller moves people: walls do not stop agents here, and positions may differ from where
+    the velocities lead.
 
     People come and go: a person not named in a call is forgotten, and is new afterwards. For new people the
-    policy decides at once, and later together with all others. Their history is a straight walk to here at
-    their present velocity: models would take a history on the spot for a standing person. That velocity is
-    the one given to `step`, else their preferred speed along the planner's path.
+    policy decides at once, and later together with all others. Their history is a straight walk to here, at
+    the velocity given to `step`, else at their preferred speed along the planner's path.
 
     A goal is reached within 0.3 m of it, once. The person comes to rest on it, or beside a person who stands
     there. With the goal None a person stops at once. Both stand until `step` gets another goal, and the
@@ -76,11 +76,10 @@ class Controller:
     place, until that and the goal are within 0.3 m, or that is within 0.15 m.
 
     Other agents (robots, people of another simulator) are moved by the caller alone. All people see them,
-    with their histories and radii, as agents of kind `pedzoo.core.batch.ROBOT` that the policy does not
-    control.
+    with their histories and radii, as agents of kind `pedzoo.core.batch.ROBOT`.
 
     Noise is drawn by seed and id alone: a person's does not depend on the other agents. The policy decides in
-    torch's inference mode: no gradients, and fewer microseconds.
+    torch's inference mode, without gradients.
     """
 
     def __init__(
@@ -152,7 +151,6 @@ class Controller:
         self._agents = Roster.empty(len(self._clock.times), self._ticks)
         self._sized: set[Hashable] = set()
 
-    @torch.inference_mode()  # a sixth less time than `torch.no_grad`
     def step(
         self,
         people: Mapping[Id, Any],
@@ -196,104 +194,105 @@ class Controller:
         """
         people, others, radius = by_id(people, "people"), by_id(others, "others"), by_id(radius, "radius")
         discs, velocities = as_discs(others), by_id(velocities, "velocities")
-        check_radius_ids(radius, people, others, self._sized)
-        if both := [one for one in people if one in others]:
-            raise UserError(f"{both[0]!r} is in people and in others: expected every id in one of them")
+        check_ids(people, others, radius, self._sized)
         clock, dropped = self._clock.called(time)
         present = {**people, **discs}
-        agents = self._agents.now(present, self.pref_speed).with_radius(radius)
-        agents = agents.with_groups(of_present(people, by_id(groups, "groups")))
-        online_goals = self._online_goals
-        if present and not (self._agents.row or online_goals.planner.bank.grids):
+        agents, online_goals = self._agents.now(present, self.pref_speed), self._online_goals
+        agents.resize(radius)
+        state, bank = agents.state, online_goals.planner.bank
+        for one, name in of_present(people, by_id(groups, "groups")).items():
+            state["group"][agents.row[one]] = -1 if name is None else number_of(name)
+        if present and not (self._agents.row or bank.grids):
             online_goals = online_goals._replace(origin=origin_of(people or present))
-        position = agents.past.new_empty(len(present), 2)
-        position[agents.rows(present)] = as_places(present, "position", online_goals.origin).float()
+        position = np.empty((len(present), 2), np.float32)
+        position[agents.rows(present)] = as_places(present, "position", online_goals.origin)
         agents.check_moves(position)
         # on the way since the last call, or at once for a new goal
-        agents = before = agents.arrived(agents.past[:, -1], position)
-        asked, new = of_present(people, by_id(goals, "goals")), agents.is_new
+        agents.arrive(agents.past[:, -1], position)
+        asked, new, stood = of_present(people, by_id(goals, "goals")), agents.is_new, state["stands"].copy()
         comes = bool(new.any())
         if asked or comes:
-            online_goals, with_goals = online_goals.with_goals(agents, position, asked, clock.now)
-            if with_goals is not agents:
-                agents = setting_out(with_goals.arrived(position, position), before, position, self.dt)
+            online_goals = online_goals.with_goals(agents, position, asked, clock.now, self.dt)
         if comes and not self._warned and (misplaced := online_goals.misplaced(agents, position)):
-            warnings.warn(misplaced, stacklevel=3)  # beyond the wrapper of torch
+            warnings.warn(misplaced, stacklevel=2)
             self._warned = True
-        past = torch.cat((agents.past[:, dropped:], position.unsqueeze(1)), dim=1)
-        trace = torch.where(agents.walks[:, None, None], agents.trace, 0.0)
-        trace[before.stands & agents.walks] = torch.nan  # until the next decision: a goal counts from then on
-        agents = agents._replace(past=past, trace=trace)
-        decides = (new | clock.decides) & agents.walks
+        past = np.concatenate((agents.past[:, dropped:], position[:, None]), axis=1)
+        agents, walks = agents._replace(past=past), agents.walks
+        state["trace"][~walks] = 0.0
+        state["trace"][stood & walks] = np.nan  # until the next decision: a goal counts from then on
+        decides = (new | clock.decides) & walks
         if comes or decides.any():
             guidance = online_goals.guide(agents, position)
             if comes or velocities:
                 given = of_present(people, velocities)
                 given |= {disc: velocities.get(disc.of, (0.0, 0.0)) for disc in discs}
-                rows, known = agents.rows(given), as_velocities(given).float()
-                moving = guidance.desired_velocity.index_put((rows,), known)
-                agents = agents.begun(position, moving, clock.times, new, rows)
-            velocity = clock.velocity(agents.past)
-            agents = agents._replace(heading=heading_of(velocity, agents.heading, TURNS_FROM))
+                rows, moving = agents.rows(given), guidance.desired_velocity.numpy().copy()
+                moving[rows] = as_velocities(given)
+                agents.begin(position, moving, clock.times, new, rows)
+            velocity, heading = clock.velocity(past), torch.from_numpy(state["heading"])
+            state["heading"] = heading_of(torch.from_numpy(velocity), heading, TURNS_FROM).numpy()
             if decides.any():
-                batch = self._batch(agents, velocity, guidance, clock)
-                agents = self._decided(agents, batch, decides, new | agents.eases)
-        wish = (agents.trace * clock.parts(self._ticks).view(-1, 1)).sum(1)
-        answer, agents = eased(agents, wish, position, clock, online_goals.planner.bank)
+                with torch.inference_mode():  # a sixth less time than `torch.no_grad`
+                    batch = self._batch(agents, velocity, guidance, clock, online_goals)
+                    trace = self._trace(agents, batch, new | state["eases"])
+                state["trace"][decides] = trace.numpy()[decides]
+        wish = (state["trace"] * clock.parts(self._ticks)[:, None]).sum(1)
+        answer = eased(state, wish, past, clock, bank)
         self._online_goals, self._agents, self._clock = online_goals, agents, clock
         self._sized |= set(radius)
         return {one: answer[agents.row[one]] for one in people}
 
-    def _decided(self, agents: Roster, batch: TensorDict, decides: Tensor, begin: Tensor) -> Roster:
-        """Return the roster in which some agents (N,) have a new decision; ``begin``: without blending."""
-        before, device = cast("Tensor", batch["agents", "velocity"])[0], agents.past.device
+    def _trace(self, agents: Roster, batch: TensorDict, begin: Array) -> Tensor:
+        """Return the velocities (N, S, 2) of a new decision, m/s; agents who ``begin`` (N,) do not blend."""
+        velocity, device = cast("Tensor", batch["agents", "velocity"])[0], batch.device
         if isinstance(self.policy, nn.Module):
-            device = next(self.policy.parameters(), agents.past).device
-        batch = batch if device == agents.past.device else batch.to(device)
+            device = next(self.policy.parameters(), velocity).device
+        batch = batch if device == velocity.device else batch.to(device)
         kind = ExplorationType.DETERMINISTIC if self.deterministic else ExplorationType.RANDOM
         with set_exploration_type(kind):
-            action = actions_of(self.policy(batch))[0].to(agents.past)
-        broken = ~action.isfinite().all(1) & agents.walks
+            action = actions_of(self.policy(batch))[0].to(velocity)
+        broken = ~action.isfinite().all(1).numpy() & agents.walks
         if broken.any():
             raise UserError(
                 f"the policy's velocity is not finite for {agents.names(broken)}: are its weights damaged?"
             )
-        top_speed = TOP_SPEED_RATIO * agents.pref_speed
-        command = limit_speed(action, top_speed)
-        before = torch.where(begin.unsqueeze(1), command, limit_speed(before, top_speed))
+        top_speed = TOP_SPEED_RATIO * torch.from_numpy(agents.state["pref_speed"])
+        command, before = limit_speed(action, top_speed), limit_speed(velocity, top_speed)
+        before = torch.where(torch.from_numpy(begin).unsqueeze(1), command, before)
         trace = blended(before.T, command.T, self._ticks).permute(2, 1, 0)
-        if self._ticks > 1:
-            trace = limit_speed(trace, top_speed.unsqueeze(1))
-        return agents._replace(trace=torch.where(decides[:, None, None], trace, agents.trace))
+        return limit_speed(trace, top_speed.unsqueeze(1)) if self._ticks > 1 else trace
 
-    def _batch(self, agents: Roster, velocity: Tensor, guidance: Guidance, clock: CallerClock) -> TensorDict:
+    def _batch(
+        self, agents: Roster, velocity: Array, guidance: Guidance, clock: CallerClock, goals: OnlineGoals
+    ) -> TensorDict:
         """Return the scene batch (1,) of N agents at ``velocity`` (N, 2), m/s, as the environment does."""
-        size = (1, len(agents.row))
+        size, position = (1, len(agents.row)), torch.from_numpy(agents.past[:, -1])
         all_known = torch.ones(size, dtype=torch.bool)
         # the caller's way with others is not known: they go on as they do
-        other = agents.other.unsqueeze(1)
-        ahead = agents.past[:, -1] + AHEAD_SECONDS * velocity
-        velocity, top_speed = expected(agents, agents.past[:, -1], velocity, clock)
+        ahead = position + AHEAD_SECONDS * torch.from_numpy(velocity)
+        moving, top_speed = map(torch.from_numpy, expected(agents.state, agents.past[:, -1], velocity, clock))
+        of = {name: torch.from_numpy(agents.state[name].copy()).unsqueeze(0) for name in _SEEN}
+        other = of["other"].unsqueeze(-1)
         return scene_batch(
-            maps=self._online_goals.planner.bank,
-            map_id=self._online_goals.map_id.view(1, 1),
+            maps=goals.planner.bank,
+            map_id=goals.map_id.view(1, 1),
             pose=identity_pose(1),
-            history=clock.history(agents.past).unsqueeze(0),
+            history=torch.from_numpy(clock.history(agents.past)).unsqueeze(0),
             valid=all_known.unsqueeze(-1).expand(*size, OBS_LEN),
             mask=all_known,
-            velocity=velocity.unsqueeze(0),
-            heading=agents.heading.view(*size, 1),
-            pref_speed=agents.pref_speed.view(*size, 1),
+            velocity=moving.unsqueeze(0),
+            heading=of["heading"].unsqueeze(-1),
+            pref_speed=of["pref_speed"].unsqueeze(-1),
             top_speed=top_speed.view(*size, 1),
-            radius=agents.radius.view(*size, 1),
-            kind=torch.where(agents.other, ROBOT, PERSON).unsqueeze(0),
-            group=agents.group.unsqueeze(0),
-            goal=torch.where(other, ahead, guidance.goal).unsqueeze(0),
-            desired_velocity=torch.where(other, velocity, guidance.desired_velocity).unsqueeze(0),
+            radius=of["radius"].unsqueeze(-1),
+            kind=torch.where(of["other"], ROBOT, PERSON),
+            group=of["group"],
+            goal=torch.where(other, ahead, guidance.goal),
+            desired_velocity=torch.where(other, moving, guidance.desired_velocity),
             remaining_path=guidance.distance.view(*size, 1),
-            goal_since=agents.goal_since.view(*size, 1),
-            controlled=agents.walks.unsqueeze(0),
-            id=agents.number.unsqueeze(0),
+            goal_since=of["goal_since"].unsqueeze(-1),
+            controlled=torch.from_numpy(agents.walks).unsqueeze(0),
+            id=of["number"],
             key=self._key.unsqueeze(1),
             time=torch.tensor([[clock.now]]),
         )

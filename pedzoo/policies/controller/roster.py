@@ -7,28 +7,30 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Hashable, Iterable, Mapping
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nan
+from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import heading_of, identity_pose, passes_goal
-from pedzoo.core.types import AHEAD_SECONDS, BODY_RADIUS
+from pedzoo.core.types import AHEAD_SECONDS, BODY_RADIUS, GOAL_RADIUS
 from pedzoo.maps.planning.graph import format_point
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.maps.planning.planner import Planner
 from pedzoo.policies.controller.arguments import (
     JUMP,
     OTHER_RADIUS,
+    Array,
     DiscKey,
     as_places,
     metres_of,
     number_of,
     speed_of,
 )
+from pedzoo.policies.controller.ease import set_out
 
 _THERE = 0.15
 """Metres: so near to where the planner has put a goal it is reached in any case."""
@@ -36,184 +38,131 @@ _THERE = 0.15
 _KEPT = 64
 """Goals are forgotten when there are more than this and more than 4 per agent."""
 
+_BEGIN: dict[str, tuple[str, Any]] = {
+    "number": ("i8", -1),  # by which their noise is drawn, see `number_of`
+    "pref_speed": ("f4", np.nan),  # the speed that they like, m/s
+    "radius": ("f4", np.nan),  # of their bodies, metres
+    "group": ("i8", -1),  # number of the company that they walk in, -1 for alone
+    "other": ("?", False),  # whether they are others, moved by the caller
+    "goal": ("2f8", np.nan),  # as it was asked for; NaN where none was
+    "goal_point": ("2f4", np.nan),  # where the planner has put it, metres; NaN without one, or at rest
+    "goal_id": ("i8", -1),  # the planner's number of it, -1 for none
+    "goal_since": ("f4", -np.inf),  # when it was given, seconds since the first call
+    "stands": ("?", False),  # whether a person has no goal, or has reached it
+    "heading": ("f4", np.nan),  # of the body, radians
+    "told": ("2f8", np.nan),  # what was answered last, m/s: new people's present velocity
+    "eases": ("?", False),  # whether they set out, and have not yet walked as fast as they like
+}
+"""What is known of an agent: the fields of a state, and their values for newcomers."""
+
 
 class Roster(NamedTuple):
     """N agents, in the order of their numbers: another order of their names gives the same answers.
 
-    Never written in place: a call that fails leaves all agents as they were.
-
     Attributes:
         row: Which row each person's id, and each `DiscKey` of another agent, has.
-        number: Numbers by which their noise is drawn (N,) long, see `number_of`.
-        past: Latest positions (N, L, 2), oldest first; NaN for agents that have just come.
-        pref_speed: The speed that they like (N,), m/s.
-        radius: Of their bodies (N,), metres.
-        group: Number of the company that they walk in (N,) long, -1 for alone.
-        other: Which agents are others, moved by the caller (N,) bool.
-        goal: Their goals as they were asked for (N, 2) float64; NaN where none was.
-        goal_point: Where the planner has put these (N, 2), metres; NaN where none was, or they are at rest.
-        goal_id: The planner's numbers of these (N,) long, -1 for none.
-        goal_since: When they were given these (N,), seconds since the first call; -inf where none was.
-        stands: Which people have no goal, or have reached theirs (N,) bool.
-        heading: Directions of the bodies (N,), radians; NaN for agents that have just come.
-        trace: Velocities of the trace steps of their last decision (N, S, 2), m/s; NaN before the first.
-        told: What was answered last (N, 2) float64, m/s: new people's present velocity.
-        eases: Which people set out, and have not yet walked as fast as they like (N,) bool.
+        state: Of each (N,): the fields above, and ``trace`` (S, 2) f4: velocities of the trace steps of the
+            last decision, m/s, NaN before the first.
+        past: Latest positions (N, L, 2), oldest first, metres; NaN for agents that have just come.
     """
 
     row: dict[Hashable, int]
-    number: Tensor
-    past: Tensor
-    pref_speed: Tensor
-    radius: Tensor
-    group: Tensor
-    other: Tensor
-    goal: Tensor
-    goal_point: Tensor
-    goal_id: Tensor
-    goal_since: Tensor
-    stands: Tensor
-    heading: Tensor
-    trace: Tensor
-    told: Tensor
-    eases: Tensor
+    state: Array
+    past: Array
 
     @classmethod
     def empty(cls, length: int, ticks: int) -> Roster:
         """Return an empty roster, with room for ``length`` positions and ``ticks`` trace steps."""
-        return cls({}, **_newcomers(0, length, ticks))
+        fields = [(name, kind) for name, (kind, _) in _BEGIN.items()]
+        kinds = np.dtype([*fields, ("trace", "f4", (ticks, 2))], align=True)
+        return cls({}, np.empty(0, kinds), np.empty((0, length, 2), np.float32))
 
     @property
-    def ids(self) -> list[Hashable]:
-        """The ids of all agents, row by row."""
-        return list(self.row)
-
-    @property
-    def is_new(self) -> Tensor:
+    def is_new(self) -> Array:
         """Which agents have no past (N,) bool."""
-        return self.past[:, -1, 0].isnan()
+        return np.isnan(self.past[:, -1, 0])
 
     @property
-    def walks(self) -> Tensor:
+    def walks(self) -> Array:
         """Which agents the policy moves (N,) bool."""
-        return ~(self.stands | self.other)
+        return ~(self.state["stands"] | self.state["other"])
 
-    def rows(self, ids: Iterable[Any]) -> Tensor:
-        """Return the rows of agents (n,) long."""
-        return torch.tensor([self.row[one] for one in ids], dtype=torch.long)
+    def rows(self, ids: Iterable[Any]) -> list[int]:
+        """Return the rows of agents."""
+        return [self.row[one] for one in ids]
 
-    def names(self, which: Tensor) -> str:
+    def names(self, which: Array) -> str:
         """Return the ids of some agents (N,) bool for a message: the first few."""
-        ids = self.ids
-        result = [repr(ids[i]) for i in which.nonzero()[:, 0].tolist()]
+        result = [repr(one) for one, i in self.row.items() if which[i]]
         return ", ".join(result[:5]) + (f" and {len(result) - 5} more" if len(result) > 5 else "")
 
     def now(self, present: Mapping[Any, Any], pref_speed: float | Mapping[Any, float]) -> Roster:
-        """Return the roster of exactly the agents of ``present``; newcomers have neither past nor goal.
+        """Return a roster to be written, of exactly the agents of ``present``.
 
-        Args:
-            present: By id: the people, and the `DiscKey` of other agents.
-            pref_speed: The speed that newcomers like, m/s: one for all, or by id (1.3 for the others).
+        Newcomers have neither past nor goal. They like the speed that ``pref_speed`` has for them, m/s.
         """
         if present.keys() == self.row.keys():
-            return self
+            return Roster(self.row, self.state.copy(), self.past)
         number = {one: number_of(one) for one in present}
         ids = sorted(present, key=lambda one: (number[one], repr(one)))
-        known, new = ([one for one in ids if (one in self.row) is here] for here in (True, False))
-        place = {one: i for i, one in enumerate((*known, *new))}
-        before = self.rows(known)
-        order = torch.tensor([place[one] for one in ids], dtype=torch.long)
-        added = _newcomers(len(new), self.past.shape[1], self.trace.shape[1])
-        added["pref_speed"] = torch.tensor([speed_of(one, pref_speed) for one in new])
-        added["other"] = torch.tensor([isinstance(one, DiscKey) for one in new], dtype=torch.bool)
-        added["radius"] = torch.where(added["other"], OTHER_RADIUS, BODY_RADIUS)
-        merged = {
-            name: torch.cat((cast("Tensor", getattr(self, name))[before], values))[order]
-            for name, values in added.items()
-        }
-        merged["number"] = torch.tensor([number[one] for one in ids], dtype=torch.long)
-        return Roster({one: i for i, one in enumerate(ids)}, **merged)
+        state = np.empty(len(ids), self.state.dtype)
+        past = np.full((len(ids), *self.past.shape[1:]), np.nan, np.float32)
+        for name, (_, begin) in _BEGIN.items():
+            state[name] = begin
+        state["trace"] = np.nan
+        state["number"] = [number[one] for one in ids]
+        known = [i for i, one in enumerate(ids) if one in self.row]
+        before = self.rows(ids[i] for i in known)
+        state[known], past[known] = self.state[before], self.past[before]
+        for i, one in enumerate(ids):
+            if one not in self.row:
+                other = isinstance(one, DiscKey)
+                state["pref_speed"][i], state["other"][i] = speed_of(one, pref_speed), other
+                state["radius"][i] = OTHER_RADIUS if other else BODY_RADIUS
+        return Roster({one: i for i, one in enumerate(ids)}, state, past)
 
-    def check_moves(self, position: Tensor) -> None:
+    def resize(self, radius: Mapping[Any, Any]) -> None:
+        """Write the ``radius`` of bodies, metres by id; other agents keep theirs."""
+        metres = {one: metres_of(one, value) for one, value in radius.items()}
+        for key, row in self.row.items() if metres else ():
+            if (one := key.of if isinstance(key, DiscKey) else key) in metres:
+                self.state["radius"][row] = metres[one]
+
+    def check_moves(self, position: Array) -> None:
         """Check that agents have come to ``position`` (N, 2), metres, since the last call."""
-        moved = (position - self.past[:, -1]).abs().numpy()
+        moved = np.abs(position - self.past[:, -1])
         if (moved > JUMP).any():
             row, column = np.unravel_index(np.nan_to_num(moved).argmax(), moved.shape)
             raise UserError(
-                f"position of {self.ids[int(row)]!r}: {moved[row, column]:.0f} m from that at the call "
+                f"position of {list(self.row)[int(row)]!r}: {moved[row, column]:.0f} m from that at the call "
                 "before: expected metres in one frame; leave people whom you place anew out of one call"
             )
 
-    def with_radius(self, radius: Mapping[Any, Any]) -> Roster:
-        """Return the roster with bodies of ``radius``, metres by id; other agents keep theirs."""
-        if not radius:
-            return self
-        metres, changed = {one: metres_of(one, value) for one, value in radius.items()}, self.radius.clone()
-        for key, row in self.row.items():
-            if (one := key.of if isinstance(key, DiscKey) else key) in metres:
-                changed[row] = metres[one]
-        return self._replace(radius=changed)
+    def begin(self, position: Array, velocity: Array, times: Array, new: Array, known: list[int]) -> None:
+        """Let ``new`` agents (N,) have come straight to ``position`` (N, 2), metres, at ``velocity``, m/s.
 
-    def with_groups(self, groups: Mapping[Any, Hashable]) -> Roster:
-        """Return the roster with people in companies, by their names; None for alone, others keep theirs."""
-        if not groups:
-            return self
-        group = self.group.clone()
-        numbers = [-1 if name is None else number_of(name) for name in groups.values()]
-        group[self.rows(groups)] = torch.tensor(numbers)
-        return self._replace(group=group)
-
-    def begun(
-        self, position: Tensor, velocity: Tensor, times: NDArray[Any], new: Tensor, known: Tensor
-    ) -> Roster:
-        """Return the roster in which ``new`` agents (N,) have come straight to ``position`` (N, 2), metres.
-
-        They moved at ``velocity`` (N, 2), m/s; ``times`` (L,) are those of the stored positions, seconds.
-        People in the rows ``known`` (n,) set out from that velocity.
+        ``times`` (L,) are those of the stored positions, seconds. Rows ``known`` set out from their velocity.
         """
-        ago = torch.from_numpy(times[-1] - times).float().view(-1, 1)
-        straight = position.unsqueeze(1) - velocity.unsqueeze(1) * ago
-        past = torch.where(new.view(-1, 1, 1), straight, self.past)
-        heading = torch.where(new, heading_of(velocity), self.heading)
-        told = torch.where(new.unsqueeze(1), velocity.double(), self.told)
-        eases = self.eases | (new & torch.zeros_like(new).index_fill(0, known, True) & ~self.other)
-        return self._replace(past=past, heading=heading, told=told, eases=eases)
+        state, ago = self.state, (times[-1] - times).astype(np.float32)[:, None]
+        self.past[new] = (position[:, None] - velocity[:, None] * ago)[new]
+        state["heading"][new] = heading_of(torch.from_numpy(velocity)).numpy()[new]
+        state["told"][new] = velocity[new]
+        state["eases"][known] |= (new & ~state["other"])[known]
 
-    def arrived(self, begin: Tensor, end: Tensor) -> Roster:
-        """Return the roster in which people stand whose goal is within 0.3 m of their last move.
+    def arrive(self, begin: Array, end: Array) -> None:
+        """Let people stand whose goal is within 0.3 m of their last move.
 
         That holds for the goal as it was asked for and for where the planner has put it, which is on their
         side of the wall. Where the one is too far from the other, people go on to the latter.
         """
-        near = passes_goal(begin, end, self.goal_point)
-        if not near.any():
-            return self
-        asked = passes_goal(begin, end, self.goal.float())
-        there = passes_goal(begin, end, self.goal_point, _THERE)
-        return self._replace(stands=self.stands | near & asked | there)
-
-
-def _newcomers(count: int, length: int, ticks: int) -> dict[str, Tensor]:
-    """Return the values (N, ...) of people who have neither past nor goal, by the fields of `Roster`."""
-    no, none = torch.zeros(count, dtype=torch.bool), torch.full((count,), -1)
-    unknown, exact = torch.full((count,), nan), torch.full((count, 2), nan, dtype=torch.float64)
-    return {
-        "number": none,
-        "past": torch.full((count, length, 2), nan),
-        "pref_speed": unknown,
-        "radius": unknown,
-        "group": none,
-        "other": no,
-        "goal": exact,
-        "goal_point": torch.full((count, 2), nan),
-        "goal_id": none,
-        "goal_since": torch.full((count,), -torch.inf),
-        "stands": no,
-        "heading": unknown,
-        "trace": torch.full((count, ticks, 2), nan),
-        "told": exact,
-        "eases": no,
-    }
+        state = self.state
+        away = np.abs(state["goal_point"] - end).max(1) - np.abs(end - begin).max(1)
+        if not (away < 2 * GOAL_RADIUS).any():  # which is quick to see
+            return
+        move = torch.from_numpy(begin), torch.from_numpy(end)
+        point, goal = (torch.from_numpy(state[name]) for name in ("goal_point", "goal"))
+        near = passes_goal(*move, point) & passes_goal(*move, goal.float())
+        state["stands"] |= (near | passes_goal(*move, point, _THERE)).numpy()
 
 
 class OnlineGoals(NamedTuple):
@@ -230,15 +179,19 @@ class OnlineGoals(NamedTuple):
     said: set[tuple[float, ...]]
 
     @property
+    def row(self) -> int:
+        """The floor plan's row in the bank, -1 for none."""
+        return 0 if self.planner.bank.grids else -1
+
+    @property
     def map_id(self) -> Tensor:
         """The floor plan (1,) long, -1 for none."""
-        grids = self.planner.bank.grids
-        return torch.tensor([grids[0].map_id if grids else -1])
+        return torch.tensor([grid.map_id for grid in self.planner.bank.grids] or [-1])
 
     def with_goals(
-        self, people: Roster, position: Tensor, goals: Mapping[Any, Any], now: float
-    ) -> tuple[OnlineGoals, Roster]:
-        """Return the planner with the goals, and the people with theirs. A new goal ends standing.
+        self, people: Roster, position: Array, goals: Mapping[Any, Any], now: float, dt: float
+    ) -> OnlineGoals:
+        """Return the planner with the goals, and write the people's. A new goal ends standing.
 
         Of a goal that the planner moves there is a warning, once.
 
@@ -247,71 +200,78 @@ class OnlineGoals(NamedTuple):
             position: Where they are (N, 2), metres.
             goals: Where some of the people are going, by id; None to stand.
             now: Seconds since the first call.
+            dt: Seconds between two calls.
         """
+        state = people.state
         given = {one: goal for one, goal in goals.items() if goal is not None}
         rows, points = people.rows(given), as_places(given, "goal", self.origin)
-        known = len(given) == len(goals) and torch.equal(people.goal[rows], points)
+        known = len(given) == len(goals) and (state["goal"][rows] == points).all()
         if known and not people.is_new.any():
-            return self, people
-        idle = people.rows(one for one in goals if one not in given)
-        asked, stands = people.goal.clone(), people.stands.clone()
-        asked[rows] = points
-        asked[idle], stands[idle] = nan, True
-        has_goal = ~asked[:, 0].isnan()
-        missing = ~(has_goal | stands | people.other)
+            return self
+        before, idle = state.copy(), people.rows(one for one in goals if one not in given)
+        state["goal"][rows], state["goal"][idle], state["stands"][idle] = points, np.nan, True
+        has_goal = ~np.isnan(state["goal"][:, 0])
+        missing = ~(has_goal | state["stands"] | state["other"])
         if missing.any():
             raise UserError(
                 f"no goal for {people.names(missing)}: a person who is new needs one, "
                 "step(people, {id: (x, y)}), or None to stand, step(people, {id: None})"
             )
-        fresh = (asked != people.goal).any(1) & has_goal
-        goal_id = torch.where(has_goal, people.goal_id, -1)
-        goal_point = torch.where(has_goal.unsqueeze(1), people.goal_point, nan)
-        people = people._replace(goal=asked, goal_id=goal_id, goal_point=goal_point, stands=stands & ~fresh)
-        if not fresh.any():
-            return self, people
-        people = people._replace(goal_since=people.goal_since.masked_fill(fresh, now))
-        planner, added = self.planner, fresh
+        fresh = (state["goal"] != before["goal"]).any(1) & has_goal
+        state["goal_id"][~has_goal], state["goal_point"][~has_goal] = -1, np.nan
+        state["stands"] &= ~fresh
+        result = self._located(people, position, fresh, has_goal) if fresh.any() else self
+        state["goal_since"][fresh] = now
+        people.arrive(position, position)
+        set_out(state, before, position, dt)
+        return result
+
+    def _located(self, people: Roster, position: Array, fresh: Array, has_goal: Array) -> OnlineGoals:
+        """Return the planner with ``fresh`` goals (N,), and write where it has put them."""
+        state, planner, added = people.state, self.planner, fresh
         if planner.goals > max(_KEPT, 4 * len(fresh)):
             # each keeps the distances of all corners, and new goals keep coming
             planner, added = planner.without_goals(), has_goal
-        online_goals, goal_id = self._replace(planner=planner), goal_id.clone()
-        goal_id[added] = online_goals._added(people, asked, added)
-        people = people._replace(goal_id=goal_id)
-        guidance = online_goals.guide(people, position)
-        unreached = guidance.distance.isinf() & fresh
+        result = self._replace(planner=planner)
+        try:
+            state["goal_id"][added] = planner.add_goals(self.row, state["goal"][added]).numpy()
+        except UserError:
+            for one in (one for one, i in people.row.items() if added[i]):  # name the agent
+                try:
+                    planner.add_goals(self.row, state["goal"][people.rows([one])])
+                except UserError as error:
+                    raise UserError(f"goal of {one!r}: {error}") from None
+            raise
+        guidance = result.guide(people, position)
+        unreached = guidance.distance.isinf().numpy() & fresh
         if unreached.any():
             raise UserError(
                 f"no way leads to the goal of {people.names(unreached)}: it is in another room, without a "
                 f"door between that leaves clearance {planner.clearance} m"
             )
-        goal_point = torch.where(fresh.unsqueeze(1), guidance.goal_point, goal_point)
-        if self.planner.bank.grids:
-            self._warn_of_moved(people, goal_point, fresh)
-        return online_goals, people._replace(goal_point=goal_point)
-
-    def _warn_of_moved(self, people: Roster, goal_point: Tensor, which: Tensor) -> None:
-        """Warn of the goals of some people (N,) that the planner has moved to ``goal_point`` (N, 2)."""
-        graph = self.planner.graph(0)
-        if len(self.said) > max(_KEPT, 4 * len(people.ids)):
+        state["goal_point"][fresh] = guidance.goal_point.numpy()[fresh]
+        if len(self.said) > max(_KEPT, 4 * len(fresh)):
             self.said.clear()
-        for i in (which & ((people.goal - goal_point).abs().amax(1) > 0)).nonzero()[:, 0].tolist():
-            asked, place = people.goal[i].numpy(), goal_point[i].double().numpy()
-            text = graph.moved(f"goal of {people.ids[i]!r}:", asked, place, self.origin)
-            if text and tuple(asked.tolist()) not in self.said:
-                self.said.add(tuple(asked.tolist()))
-                warnings.warn(text, stacklevel=4)  # beyond `step` and the wrapper of torch
+        moved = fresh & (np.abs(state["goal"] - state["goal_point"]).max(1) > 0)
+        for one, i in people.row.items() if planner.bank.grids else ():
+            if moved[i] and (asked := tuple(state["goal"][i].tolist())) not in self.said:
+                place = state["goal_point"][i].astype(np.float64)
+                text = planner.graph(0).moved(f"goal of {one!r}:", state["goal"][i], place, self.origin)
+                if text:
+                    self.said.add(asked)
+                    warnings.warn(text, stacklevel=4)  # in the caller of `step`
+        return result
 
-    def misplaced(self, people: Roster, position: Tensor) -> str | None:
+    def misplaced(self, people: Roster, position: Array) -> str | None:
         """Return the warning about new people in walls or outside the floor plan; None where all is well.
 
         Nobody is warned of who is less deep in a wall, or less far outside, than their radius. ``position``
         (N, 2), metres, is that of all agents.
         """
-        new = (people.is_new & ~people.other).nonzero()[:, 0]
+        new = (people.is_new & ~people.state["other"]).nonzero()[0]
         if not len(new) or not self.planner.bank.grids or not len(graph := self.planner.graph(0)):
             return None
-        points, radius = position[new].double().numpy(), people.radius[new].numpy()
+        points, radius = position[new].astype(np.float64), people.state["radius"][new]
         cells, last = graph.to_place(points), np.array(graph.shape)[::-1] - 0.5
         beyond = np.maximum(np.maximum(-0.5 - cells, cells - last), 0.0)  # whole at cell centres
         outside = np.hypot(*beyond.T) * graph.grid.resolution > radius
@@ -319,7 +279,8 @@ class OnlineGoals(NamedTuple):
         wrong = outside | (graph.distance.ravel()[flat] < graph.grid.resolution - radius)
         if wrong.any():
             # at centres of cells the depth is known; what it is between them takes longer
-            gap, _ = self.planner.bank.closest_wall(position[new].unsqueeze(0), self.map_id, identity_pose(1))
+            here = torch.from_numpy(position[new]).unsqueeze(0)
+            gap, _ = self.planner.bank.closest_wall(here, self.map_id, identity_pose(1))
             wrong = outside | (gap[0].numpy() < -radius)
         if not wrong.any():
             return None
@@ -328,36 +289,27 @@ class OnlineGoals(NamedTuple):
         here, free = (format_point(place + self.origin) for place in (points[i], graph.xy[cell]))
         more = f" (and {wrong.sum() - 1} more)" if wrong.sum() > 1 else ""
         return (
-            f"{people.ids[int(new[i])]!r}{more} is at {here}, {'outside' if outside[i] else 'in a wall of'} "
+            f"{list(people.row)[int(new[i])]!r}{more} is at {here}, "
+            f"{'outside' if outside[i] else 'in a wall of'} "
             f"map {graph.grid.name!r}: walks from the nearest free place, {free}; are positions in the floor "
             "plan's frame, in metres?"
         )
 
-    def guide(self, people: Roster, position: Tensor) -> Guidance:
+    def guide(self, people: Roster, position: Array) -> Guidance:
         """Return the carrots and desired velocities (N, 2) of agents at ``position`` (N, 2).
 
         Agents that stand, and others, have their position as carrot and desire no velocity.
         """
-        goal_id = torch.where(people.walks, people.goal_id, -1)
-        fastest = float(people.pref_speed.max()) if len(goal_id) else 1.0
-        points, goal_id, speed = (part.unsqueeze(0) for part in (position, goal_id, people.pref_speed))
+        goal_id, speed = np.where(people.walks, people.state["goal_id"], -1), people.state["pref_speed"]
+        given = (torch.from_numpy(part).unsqueeze(0) for part in (position, goal_id, speed))
+        points, goal, pref_speed = given
         guidance = self.planner.guidance(
-            points, goal_id, torch.tensor([self._row]), identity_pose(1), speed, AHEAD_SECONDS, fastest
+            points,
+            goal,
+            torch.tensor([self.row]),
+            identity_pose(1),
+            pref_speed,
+            AHEAD_SECONDS,
+            float(speed.max(initial=1.0)),
         )
         return Guidance(*(part.squeeze(0) for part in guidance))
-
-    @property
-    def _row(self) -> int:
-        return 0 if self.planner.bank.grids else -1
-
-    def _added(self, people: Roster, asked: Tensor, which: Tensor) -> Tensor:
-        """Return the planner's numbers of the goals ``asked`` (N, 2) of ``which`` people (N,) bool."""
-        try:
-            return self.planner.add_goals(self._row, asked[which])
-        except UserError:
-            for i in which.nonzero()[:, 0].tolist():  # name the agent
-                try:
-                    self.planner.add_goals(self._row, asked[i : i + 1])
-                except UserError as error:
-                    raise UserError(f"goal of {people.ids[i]!r}: {error}") from None
-            raise
