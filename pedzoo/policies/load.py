@@ -65,7 +65,7 @@ def load(
             f"{given}: settings of untrained models, pretrained=False; those of a policy stand behind its "
             f"name, {name}:KEY=VALUE"
         )
-    elif _is_of_policy(name):
+    elif is_crowd(name) or _is_policy(spec := parse(name)) or spec.settings.keys() - _of_model(spec):
         result = load_policy(name)
     elif not (is_file(name) or name in MODELS.names() or find(name)):
         raise no_model(name, [*POLICIES.names(), *baselines()], "model or policy")
@@ -93,32 +93,19 @@ def controller(
 ) -> Controller:
     """Return a model or policy, or the one of a name, as a controller for the people of any simulator.
 
-    Args:
-        model: It, or its name as of `load`.
-        map: The floor plan that they walk on, its name (``apartment.7``) or file; None for open space.
-        noise: As of `policy`.
-        settings: As of `pedzoo.policies.controller.controller.Controller`: ``dt``, ``pref_speed``, ``seed``,
-            ...
-
-    Raises:
-        UserError: No such model, policy or floor plan, or a setting is out of range.
+    Arguments and errors as of `policy` and of `pedzoo.policies.controller.controller.Controller`: ``dt``,
+    ``pref_speed``, ``seed``, ...
     """
     return policy(model, noise).controller(map, **settings)
 
 
-def _is_of_policy(text: str) -> bool:
-    """Return whether a text names a policy, or a model with settings of how it walks."""
-    if is_crowd(text) or _is_policy_class(spec := parse(text)):
-        return True
-    return bool(spec.settings.keys() - _settings_of_model(spec))
-
-
-def _is_policy_class(spec: Spec | SpecText) -> bool:
+def _is_policy(spec: Spec | SpecText) -> bool:
+    """Return whether a name is that of a policy's class, in the registry or in a file."""
     own = names_code(spec.name) and issubclass(POLICIES.get(spec.name), Policy)
     return own or spec.name in POLICIES.names()
 
 
-def _settings_of_model(spec: Spec | SpecText) -> set[str]:
+def _of_model(spec: Spec | SpecText) -> set[str]:
     """Return which settings are those of a model's class in a file, and not of how it walks."""
     if not names_code(spec.name):
         return set()
@@ -134,6 +121,12 @@ def list_scenarios(pattern: str = "*") -> list[str]:
     return [name for name in SCENARIOS.names() if fnmatch(name, pattern)]
 
 
+def list_policies(pattern: str = "*") -> list[str]:
+    """Return the names of all policies that match ``pattern``: those that are no models come first."""
+    models = sorted({*list_models(), *baselines()})
+    return [name for name in (*POLICIES.names(), *models) if fnmatch(name, pattern)]
+
+
 def load_policy(name: str) -> Policy | Walker:
     """Return a policy of the registry, any model as one, or a mixed crowd.
 
@@ -146,45 +139,34 @@ def load_policy(name: str) -> Policy | Walker:
         UserError: Unknown name or setting, with the nearest spelling in the message; impossible shares.
     """
     joined = ("+" in name or "share" in name) and is_crowd(name)
-    result = Teams(crowd_of(name)) if joined else _one_policy(name)
+    result = Teams(crowd_of(name)) if joined else _one_policy(parse(name))
     if not hasattr(result, "decision_dt"):
         raise UserError(f"policy {name!r} has no decision_dt: call super().__init__(dt) in its __init__")
     result.name = name
     return result
 
 
-def _one_policy(name: str) -> Policy | Walker:
-    spec, more = parse(name), {}
-    if names_code(spec.name) and not _is_pedestrian(spec.name):
+def _one_policy(spec: SpecText) -> Policy | Walker:
+    name, settings = spec.name, dict(spec.settings)
+    if names_code(name) and not _is_of_people(name):
         raise UserError(
-            f"{spec.name!r} is no policy: expected a subclass of pedzoo.policies.policy.Policy, or of "
+            f"{name!r} is no policy: expected a subclass of pedzoo.policies.policy.Policy, or of "
             "pedzoo.models.base.Forecaster"
         )
-    if _is_policy_class(spec):
-        kind, cls = "policy", POLICIES.get(spec.name, Policy)
-    elif is_file(spec.name) or spec.name in MODELS.names() or find(spec.name):
-        model, settings = spec.name, dict(spec.settings)
-        if its := _settings_of_model(spec):
-            model += ":" + ",".join(f"{key}={settings.pop(key)}" for key in sorted(its))  # as it was written
-        kind, cls, more = "walker", Walker, {"model": load_model(model)}
-        spec = spec._replace(settings=settings)
-    else:
-        raise no_model(spec.name, [*POLICIES.names(), *baselines()], "policy")
-    return make(cls, kind, spec, **more)
-
-
-def list_policies(pattern: str = "*") -> list[str]:
-    """Return the names of all policies that match ``pattern``: those that are no models come first."""
-    models = sorted({*list_models(), *baselines()})
-    return [name for name in (*POLICIES.names(), *models) if fnmatch(name, pattern)]
+    if _is_policy(spec):
+        return build(POLICIES, spec, Policy)
+    if not (is_file(name) or name in MODELS.names() or find(name)):
+        raise no_model(name, [*POLICIES.names(), *baselines()], "policy")
+    if its := _of_model(spec):
+        name += ":" + ",".join(f"{key}={settings.pop(key)}" for key in sorted(its))  # as it was written
+    return make(Walker, "walker", spec._replace(settings=settings), model=load_model(name))
 
 
 def teams(people: str | Policy | Walker, robots: str | Policy | Walker | None = None) -> Teams:
-    """Return a crowd of policies of people and of robots, or of their names; see `Teams`.
+    """Return a crowd of policies of people and of robots, or of their names; arguments and errors of `Teams`.
 
     Raises:
-        UserError: An unknown name or setting, shares that do not sum to 1, or decision intervals that are no
-            multiples of the shortest.
+        UserError: An unknown name or setting, or shares that do not sum to 1.
     """
     one, other = (crowd_of(given) if isinstance(given, str) else given for given in (people, robots))
     return Teams(cast("Policy | Walker | Crowd", one), other)
@@ -195,7 +177,7 @@ def crowd_of(name: str) -> Crowd:
     return [(load_policy(one.policy), one.share) for one in members(name)]
 
 
-def _is_pedestrian(file: str) -> bool:
+def _is_of_people(file: str) -> bool:
     return issubclass(POLICIES.get(file), Policy | Forecaster)
 
 
@@ -216,7 +198,7 @@ def load_robot_policy(name: str) -> RobotPolicy:
         UserError: Unknown name or setting, with the nearest spelling in the message.
     """
     spec = parse(name)
-    if spec.name not in ROBOT_POLICIES.names() and (not names_code(spec.name) or _is_pedestrian(spec.name)):
+    if spec.name not in ROBOT_POLICIES.names() and (not names_code(spec.name) or _is_of_people(spec.name)):
         if (trained := load_robot_weights(name)) is not None:
             return trained
         if not any(map(is_policy, parts(name))):
@@ -247,11 +229,7 @@ def load_robot_weights(name: str) -> RobotPolicy | None:
 
 
 def load_planner(name: str, time_step: float) -> LocalPlanner:
-    """Return a local planner by its name as of `load_local_planner`, or a trained robot, as one.
-
-    Raises:
-        UserError: An unknown name or setting.
-    """
+    """Return a local planner by its name as of `load_local_planner`, or a trained robot, as one."""
     policy = None if name_of(name) in ROBOT_POLICIES.names() else load_robot_weights(name)
     return LearnedPlanner(policy) if policy else load_local_planner(name, time_step)
 

@@ -1,7 +1,7 @@
 """What policies remember between decisions: of scenes, and of people since they were seen first."""
 
 from collections.abc import Callable
-from typing import Any, Generic, NamedTuple, Self, TypeVar, cast
+from typing import Any, NamedTuple, Self, TypeVar, cast
 
 import torch
 from tensordict import TensorDictBase
@@ -35,7 +35,7 @@ def keys_of(scenes: TensorDictBase) -> Tensor:
     return randomness.join(cast("Tensor", scenes["scene_key"]), scenes["map_id"])[:, 0]
 
 
-class SceneMemory(Generic[Record]):
+class SceneMemory:
     """Values of agents that a policy stores between its decisions: of the last batch, and of recent scenes.
 
     Scenes are known by their key and floor plan, agents by their number. So resets, other environments,
@@ -53,9 +53,9 @@ class SceneMemory(Generic[Record]):
         ``like`` has the scenes' keys, and the values that scenes begin with.
         """
         begin: Any = like
+        self._move(begin.key.device)
         if self._last is None:
             return like
-        self._move(begin.key.device)
         if torch.equal(self._last.key, begin.key):
             return _align_slots(self._last, person)
         stored = self._all()
@@ -125,17 +125,14 @@ def _align_slots(record: Any, person: Tensor) -> Any:
 
 
 class Attempts(NamedTuple):
-    """What B scenes of A people tried: whether they walked when they wished to, or were asked to.
-
-    Attributes:
-        tried: Whether they have wished to walk since they walked last (B, A) bool.
-        asked: Whether the policy asked them to walk at the last decision (B, A) bool.
-        pressing: For how many decisions, one after the other, they were asked to walk and stood (B, A).
-    """
+    """What B scenes of A people tried: whether they walked when they wished to, or were asked to."""
 
     tried: Tensor
+    """Whether they have wished to walk since they walked last (B, A) bool."""
     asked: Tensor
+    """Whether the policy asked them to walk at the last decision (B, A) bool."""
     pressing: Tensor
+    """For how many decisions, one after the other, they were asked to walk and stood (B, A)."""
 
     @classmethod
     def none(cls, people: Tensor) -> Self:
@@ -171,9 +168,7 @@ class FirstSeen(NamedTuple):
         left: Length of the rest at the last decision (S, A), metres.
         last: When that was (S, A), seconds.
         goes_on: Whether the policy moved it on then (S, A) bool; not where it held a place.
-        tried: See `Attempts`, (S, A) bool, ...
-        asked: ... (S, A) bool, ...
-        pressing: ... and (S, A).
+        tried, asked, pressing: See `Attempts`, (S, A).
     """
 
     key: Tensor
@@ -188,11 +183,6 @@ class FirstSeen(NamedTuple):
     asked: Tensor
     pressing: Tensor
 
-    @property
-    def attempts(self) -> Attempts:
-        """What they tried."""
-        return Attempts(self.tried, self.asked, self.pressing)
-
 
 class FirstSeenMemory:
     """Adds to scene batches what they do not show.
@@ -203,15 +193,14 @@ class FirstSeenMemory:
     * ``agents/called`` (B, A, 1) bool: whether another goal was given since the last decision, or the
       policy moves an agent on now that it did not move on then.
     * ``agents/hindered`` (B, A, 1) bool: whether it stands since it wished to walk in vain.
-    * ``agents/pressing`` (B, A, 1): for how many decisions, one after the other, the policy asked it to walk
-      and it stood.
+    * ``agents/pressing`` (B, A, 1): see `Attempts`.
 
     Batches that have them already stay as they are.
     """
 
     def __init__(self) -> None:
         """Remember nothing yet."""
-        self._memory = SceneMemory[FirstSeen]()
+        self._memory = SceneMemory()
         self._last: FirstSeen | None = None
 
     def add(self, scenes: TensorDictBase) -> TensorDictBase:
@@ -236,7 +225,7 @@ class FirstSeenMemory:
             known = known & ~(still & cast("Tensor", agents["sets_out"])[..., 0])
         on_way = known & (path < before.left + _OTHER_GOAL) & ~(moves & ~before.goes_on)
         stands = known & ~walks(history[:, :, -1] - history[:, :, -2])
-        attempts = before.attempts.seen(stands)
+        attempts = Attempts(before.tried, before.asked, before.pressing).seen(stands)
         first = now._replace(
             history=torch.where(known[..., None, None], before.history, history),
             time=torch.where(on_way, before.time, time),
@@ -244,19 +233,19 @@ class FirstSeenMemory:
             **attempts._asdict(),
         )
         self._memory.keep(first)
-        self._last = first
-        result = copied(scenes)
+        self._last, result = first, copied(scenes)
         seen = agents_of(result)
         seen["first_history"] = first.history
-        seen["elapsed"] = (time - first.time).unsqueeze(-1)
-        seen["progress"] = (first.path - left).unsqueeze(-1)
-        seen["called"] = (known & ~on_way).unsqueeze(-1)
-        seen["hindered"] = attempts.tried.unsqueeze(-1)
-        seen["pressing"] = attempts.pressing.unsqueeze(-1)
+        values = time - first.time, first.path - left, known & ~on_way, attempts.tried, attempts.pressing
+        for name, value in zip(
+            ("elapsed", "progress", "called", "hindered", "pressing"), values, strict=True
+        ):
+            seen[name] = value.unsqueeze(-1)
         return result
 
     def remember(self, wish: Tensor, step: Tensor) -> None:
         """Remember the steps (B, A, 2), metres, that people wish for, and those that they are asked for."""
-        if self._last is not None:
-            self._memory.keep(self._last._replace(**self._last.attempts.trying(wish, step)._asdict()))
+        if (last := self._last) is not None:
+            attempts = Attempts(last.tried, last.asked, last.pressing).trying(wish, step)
+            self._memory.keep(last._replace(**attempts._asdict()))
             self._last = None

@@ -20,7 +20,6 @@ from pedzoo.policies.walker import Walker, check_interval
 _ROUNDING = 1e-3
 """Seconds: clocks are sums of decisions."""
 
-
 Crowd: TypeAlias = list[tuple[Policy | Walker, float]]
 """Policies and their shares of the agents."""
 
@@ -54,46 +53,29 @@ class Team(nn.Module):
         every: Decisions of the crowd from one of its own to the next.
     """
 
-    def __init__(self, policy: Policy | Walker, kind: int | None, least: float, below: float) -> None:
-        """Take the parts; ``every`` is set by the crowd."""
+    def __init__(
+        self, policy: Policy | Walker, kind: int | None, least: float, below: float, every: int
+    ) -> None:
+        """Take the parts."""
         super().__init__()
-        self.policy, self.kind, self.least, self.below, self.every = policy, kind, least, below, 1
-        self._memory = SceneMemory[PlannedVelocities]()
-
-    def of(self, draw: Tensor, kind: Tensor) -> Tensor:
-        """Return which agents are of the team (B, A) bool, by their draws and kinds (B, A)."""
-        drawn = (draw >= self.least) & (draw < self.below)
-        return drawn if self.kind is None else drawn & (kind == self.kind)
+        self.policy, self.kind, self.least, self.below, self.every = policy, kind, least, below, every
+        self._memory = SceneMemory()
 
     def velocity(self, scenes: TensorDictBase, mine: Tensor, dt: float) -> Tensor:
         """Return the velocities (B, A, 2) of the agents ``mine`` (B, A), m/s; anything for others.
 
         ``dt``: seconds between two decisions of the crowd.
         """
-        if self.every > 1:
-            return self._planned(scenes, mine, dt)
-        return self._asked(scenes, mine) if bool(mine.any()) else torch.zeros_like(_velocity(scenes))
-
-    def _asked(self, scenes: TensorDictBase, mine: Tensor) -> Tensor:
-        """Return the policy's answer (B, A, 2): it controls no other team's agents."""
-        seen = copied(scenes)
-        agents = agents_of(seen)
-        agents["controlled"] = mine
-        if self.every > 1 and "info" in agents.keys():
-            del agents["info"]  # of the crowd's decision, not of the team's
-        return actions_of(self.policy(seen))
-
-    def _planned(self, scenes: TensorDictBase, mine: Tensor, dt: float) -> Tensor:
-        """Return the running plans' velocities (B, A, 2), of new plans where agents have to decide."""
+        if self.every == 1:
+            return self._asked(scenes, mine) if bool(mine.any()) else torch.zeros_like(_velocity(scenes))
         person, velocity, now = ids_of(scenes), _velocity(scenes), cast("Tensor", scenes["time"])[:, 0]
         never, empty = torch.full_like(now, -torch.inf), torch.full_like(person, -1)
         blank = torch.zeros_like(velocity).unsqueeze(2).expand(-1, -1, self.every, -1)
-        begun = never.unsqueeze(1).expand(person.shape)
-        fresh = PlannedVelocities(keys_of(scenes), never, empty, begun, blank)
-        plans = self._memory.recall(fresh, person)
-        since = now - plans.decided
+        fresh = PlannedVelocities(keys_of(scenes), never, empty, never[:, None].expand(person.shape), blank)
+        plans, now = self._memory.recall(fresh, person), now.unsqueeze(1)
+        since = now[:, 0] - plans.decided
         turn = (since < _ROUNDING) | (since > (self.every - 0.5) * dt)  # a caller's clock may jitter
-        known = (plans.person == person) & (now.unsqueeze(1) - plans.begun > _ROUNDING)
+        known = (plans.person == person) & (now - plans.begun > _ROUNDING)
         decides = mine & (turn.unsqueeze(1) | ~known)
         rows = decides.any(1)
         if bool(rows.any()):
@@ -105,31 +87,35 @@ class Team(nn.Module):
                 command = torch.zeros_like(velocity, dtype=answer.dtype).index_copy(0, index, answer)
             blended = self._blended(scenes, command, dt)
             plans = plans._replace(
-                decided=torch.where(turn & rows, now, plans.decided),
-                begun=torch.where(decides, now.unsqueeze(1), plans.begun),
+                decided=torch.where(turn & rows, now[:, 0], plans.decided),
+                begun=torch.where(decides, now, plans.begun),
                 velocity=torch.where(decides[..., None, None], blended, plans.velocity),
             )
         plans = plans._replace(person=torch.where(mine, person, -1))
         self._memory.keep(plans)
-        place = ((now.unsqueeze(1) - plans.begun) / dt).round().clamp(0, self.every - 1).long()
+        place = ((now - plans.begun) / dt).round().clamp(0, self.every - 1).long()
         return plans.velocity.gather(2, place[..., None, None].expand(*place.shape, 1, 2))[:, :, 0]
 
-    def _blended(self, scenes: TensorDictBase, command: Tensor, dt: float) -> Tensor:
-        """Return velocities (B, A, N, 2) until the next decision, which lead where the command alone would.
+    def _asked(self, scenes: TensorDictBase, mine: Tensor) -> Tensor:
+        """Return the policy's answer (B, A, 2): it controls no other team's agents."""
+        seen = copied(scenes)
+        agents = agents_of(seen)
+        agents["controlled"] = mine
+        if self.every > 1 and "info" in agents.keys():
+            del agents["info"]  # of the crowd's decision, not of the team's
+        return actions_of(self.policy(seen))
 
-        Those of people blend as in `pedzoo.core.geometry.blended`. Those of robots may be speeds of wheels,
-        and are held.
-        """
+    def _blended(self, scenes: TensorDictBase, command: Tensor, dt: float) -> Tensor:
+        """Return velocities (B, A, N, 2) until the next decision; those of robots (of wheels?) are held."""
         agents = agents_of(scenes)
-        person = (agents["kind"] != ROBOT).unsqueeze(-1)
+        person = (agents["kind"] != ROBOT)[..., None, None]
         top_speed = cast("Tensor", agents["top_speed"])[..., 0]
         # what is not finite ends the scene, and is not hidden here
         wanted = torch.where(command.isfinite(), limit_speed(command, top_speed), command)
         points = max(1, round(dt / TRACE_SECONDS))
-        begin, end = _velocity(scenes).movedim(-1, 0), wanted.movedim(-1, 0)
-        smooth = blended(begin, end, self.every * points)
+        smooth = blended(_velocity(scenes).movedim(-1, 0), wanted.movedim(-1, 0), self.every * points)
         smooth = smooth.unflatten(1, (self.every, points)).mean(2).movedim(0, -1).movedim(0, 2)
-        return torch.where(person.unsqueeze(-1), smooth, command.unsqueeze(2))
+        return torch.where(person, smooth, command.unsqueeze(2))
 
 
 class Teams(Policy):
@@ -138,9 +124,8 @@ class Teams(Policy):
     An agent's team is drawn by the scene's key and the agent's number. So it is the same in every batch and
     process, and stays for the episode.
 
-    All teams see all agents. In the batch of a team ``controlled`` are its own agents alone; its policy does
-    not move any other agent. A policy takes on all of the avoidance of agents that it does not move. Where
-    two teams meet, both do.
+    All teams see all agents. In the batch of a team ``controlled`` are its own agents alone. A policy takes
+    on all of the avoidance of agents that it does not move. Where two teams meet, both do.
 
     The crowd decides as often as its fastest team. A slower team is asked when its interval has passed. For
     people who are new or just taken over it is asked at once; later they decide with their team. In
@@ -163,32 +148,37 @@ class Teams(Policy):
             UserError: Decision intervals are no multiples of the shortest.
         """
         self._crowds = [
-            crowd if crowd is None or isinstance(crowd, list) else [(crowd, 1.0)]
+            [] if crowd is None else crowd if isinstance(crowd, list) else [(crowd, 1.0)]
             for crowd in (people, robots)
         ]
-        teams = _teams(self._crowds[0] or [], None if robots is None else PERSON)
-        teams += _teams(self._crowds[1] or [], ROBOT)
-        steps = [team.policy.decision_dt for team in teams]
+        steps = [policy.decision_dt for crowd in self._crowds for policy, _ in crowd]
         super().__init__(min(steps))
-        for team, step in zip(teams, steps, strict=True):
-            team.every = round(step / self.decision_dt)
-            if abs(team.every * self.decision_dt - step) > 1e-6:
-                listed = ", ".join(f"{one:g}" for one in steps)
-                raise UserError(
-                    f"teams decide every {listed} s: expected multiples of the shortest, "
-                    f"{self.decision_dt:g} s; change the setting dt of one"
-                )
-            execute = getattr(team.policy, "execute_steps", 1)
-            if execute != 1 and len(teams) > 1:
-                raise UserError(
-                    f"execute_steps {execute}: a team decides anew for people who are taken over: expected 1"
-                )
+        teams, kinds = [], (None,) if robots is None else (PERSON, ROBOT)
+        for crowd, kind in zip(self._crowds, kinds, strict=False):
+            least = 0.0  # draws of teams lie side by side between 0 and 1
+            for number, (policy, share) in enumerate(crowd, start=1):
+                below = math.inf if number == len(crowd) else least + share
+                every = round(policy.decision_dt / self.decision_dt)
+                if abs(every * self.decision_dt - policy.decision_dt) > 1e-6:
+                    listed = ", ".join(f"{one:g}" for one in steps)
+                    raise UserError(
+                        f"teams decide every {listed} s: expected multiples of the shortest, "
+                        f"{self.decision_dt:g} s; change the setting dt of one"
+                    )
+                execute = getattr(policy, "execute_steps", 1)
+                if execute != 1 and len(steps) > 1:
+                    raise UserError(
+                        f"execute_steps {execute}: a team decides anew for people who are taken over: "
+                        "expected 1"
+                    )
+                teams.append(Team(policy, kind, least, below, every))
+                least = below
         self.teams = nn.ModuleList(teams)
 
     def fresh(self) -> Self:
         """Return a crowd of the same policies that has seen no scene yet."""
-        crowds = [crowd and [(one.fresh(), share) for one, share in crowd] for crowd in self._crowds]
-        result = type(self)(crowds[0] or [], crowds[1])
+        people, robots = ([(one.fresh(), share) for one, share in crowd] for crowd in self._crowds)
+        result = type(self)(people, robots or None)
         result.name = self.name
         return result
 
@@ -209,21 +199,12 @@ class Teams(Policy):
 
     def assigned(self, scenes: TensorDictBase) -> list[Tensor]:
         """Return which agents are of each team (B, A) bool; every agent is of exactly one."""
-        draw = randomness.uniform(
-            randomness.join(cast("Tensor", scenes["scene_key"]), "team", ids_of(scenes))
-        )
-        kind = cast("Tensor", agents_of(scenes)["kind"])
-        return [team.of(draw, kind) for team in cast("list[Team]", list(self.teams))]
-
-
-def _teams(crowd: Crowd, kind: int | None) -> list[Team]:
-    """Return the teams of a crowd, whose draws lie side by side between 0 and 1."""
-    teams, least = [], 0.0
-    for number, (policy, share) in enumerate(crowd, start=1):
-        below = math.inf if number == len(crowd) else least + share
-        teams.append(Team(policy, kind, least, below))
-        least = below
-    return teams
+        key, kind = cast("Tensor", scenes["scene_key"]), cast("Tensor", agents_of(scenes)["kind"])
+        draw = randomness.uniform(randomness.join(key, "team", ids_of(scenes)))
+        return [
+            (draw >= team.least) & (draw < team.below) & (True if team.kind is None else kind == team.kind)
+            for team in cast("list[Team]", list(self.teams))
+        ]
 
 
 def _velocity(scenes: TensorDictBase) -> Tensor:

@@ -21,51 +21,42 @@ from pedzoo.policies.walker import Walker
 
 
 class Robot(NamedTuple):
-    """One robot in each scene.
-
-    Attributes:
-        position: Centre (B, 2), metres.
-        velocity: Current velocity (B, 2), m/s.
-        goal: Where it shall go (B, 2), metres.
-        radius: Of its disc (B,), metres.
-        v_pref: The speed it likes, which is its top speed (B,), m/s.
-    """
+    """One robot in each scene."""
 
     position: Tensor
+    """Centre (B, 2), metres."""
     velocity: Tensor
+    """Current velocity (B, 2), m/s."""
     goal: Tensor
+    """Where it shall go (B, 2), metres."""
     radius: Tensor
+    """Of its disc (B,), metres."""
     v_pref: Tensor
+    """The speed it likes, which is its top speed (B,), m/s."""
 
 
 class DriveState(NamedTuple):
-    """How B differential drives move.
-
-    Attributes:
-        heading: Where they face (B,), radians from the x axis.
-        speed: Forwards (B,), m/s.
-        turn_rate: To the left (B,), rad/s.
-    """
+    """How B differential drives move."""
 
     heading: Tensor
+    """Where they face (B,), radians from the x axis."""
     speed: Tensor
+    """Forwards (B,), m/s."""
     turn_rate: Tensor
+    """To the left (B,), rad/s."""
 
 
 class ObservedPeople(NamedTuple):
-    """The people that the robot knows of.
-
-    Attributes:
-        position: Centres (B, N, 2), metres; any numbers where there is no person.
-        velocity: Velocities (B, N, 2), m/s; likewise.
-        radius: Of their discs (B, N), metres; likewise.
-        mask: Which of them are there (B, N) bool.
-    """
+    """The people that the robot knows of; any numbers where there is no person."""
 
     position: Tensor
+    """Centres (B, N, 2), metres."""
     velocity: Tensor
+    """Velocities (B, N, 2), m/s."""
     radius: Tensor
+    """Of their discs (B, N), metres."""
     mask: Tensor
+    """Which of them are there (B, N) bool."""
 
 
 Clearance = Callable[[Tensor], Tensor]
@@ -121,7 +112,6 @@ class PedestrianRobotPolicy(RobotPolicy):
         self.policy = policy
 
     def action(self, scenes: TensorDictBase) -> Tensor:
-        """See `RobotPolicy.action`."""
         bodies, seen, agents = bodies_of(scenes), scenes.copy(), agents_of(scenes).copy()
         agents["controlled"] = agents["mask"] & (agents["kind"] == ROBOT)
         del agents["info"]  # of the environment's decision, which may be shorter than the policy's
@@ -140,10 +130,8 @@ class LocalPlannerPolicy(RobotPolicy):
         self._takes_walls = "walls" in inspect.signature(planner).parameters
 
     def action(self, scenes: TensorDictBase) -> Tensor:
-        """See `RobotPolicy.action`."""
         bodies = bodies_of(scenes)
-        shape = bodies.radius.shape
-        robot, drive, people = _seen(scenes, bodies)
+        shape, (robot, drive, people) = bodies.radius.shape, _seen(scenes, bodies)
         command = getattr(self.planner, "command", None)
         walls = _walls(scenes, shape[1]) if command or self._takes_walls else None
         if command:
@@ -152,8 +140,7 @@ class LocalPlannerPolicy(RobotPolicy):
                 raise UserError(f"{name} plans for wheels: expected robot=diff_drive, unicycle or the like")
             speed, turn = command(robot, drive, people, walls)
             return bodies.from_speed(speed.view(shape), turn.view(shape))
-        more = {"walls": walls} if self._takes_walls else {}
-        velocity = self.planner(robot, people, **more)
+        velocity = self.planner(robot, people, **{"walls": walls} if self._takes_walls else {})
         return tracked(velocity.view(*shape, 2), drive.heading.view(shape), bodies)
 
 
@@ -166,9 +153,8 @@ class LearnedPlanner:
 
     def __call__(self, robot: Robot, people: ObservedPeople) -> Tensor:
         """Return the next velocities (B, 2), m/s; robots face along the x axis of the world."""
-        shape = (len(robot.goal), 1)
-        goal = robot.goal - robot.position
-        place = people.position - robot.position.unsqueeze(1)
+        shape, goal = (len(robot.goal), 1), robot.goal - robot.position
+        place, nothing = people.position - robot.position.unsqueeze(1), torch.zeros_like(goal[:, :1])
         rows = torch.cat((place, people.velocity, people.radius.unsqueeze(-1)), dim=-1)
         seen = {
             "goal": goal,
@@ -176,8 +162,8 @@ class LearnedPlanner:
             "velocity": robot.velocity,
             "remaining_path": torch.linalg.vector_norm(goal, dim=-1, keepdim=True),
             "radius": robot.radius.unsqueeze(1),
-            "turn_rate": torch.zeros_like(goal[:, :1]),
-            "heading": torch.zeros_like(goal[:, :1]),
+            "turn_rate": nothing,
+            "heading": nothing,
             "people": torch.where(people.mask.unsqueeze(-1), rows, 0),
             "people_mask": people.mask,
         }
@@ -212,8 +198,7 @@ def _seen(scenes: TensorDictBase, bodies: Fleet) -> tuple[Robot, DriveState, Obs
 
 def _walls(scenes: TensorDictBase, robots: int) -> Clearance | None:
     """Return how far points (B * R, M, 2) are from walls; None where there are none."""
-    maps = maps_of(scenes)
-    if not maps.grids:
+    if not (maps := maps_of(scenes)).grids:
         return None
     map_id, pose = cast("Tensor", scenes["map_id"]), cast("Tensor", scenes["scene_pose"])
     around = maps.walls_around(map_id[:, 0].repeat_interleave(robots), pose.repeat_interleave(robots, 0))

@@ -14,11 +14,8 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import rotate, unrotate
 from pedzoo.policies.robots._base import RobotPolicy, bodies_of
 
-FAR = 6.0
-"""Metres: what is farther away is all alike."""
-
-SOON = 4.0
-"""Seconds, likewise."""
+FAR, SOON = 6.0, 4.0
+"""Metres and seconds: what is farther away, or later, is all alike."""
 
 TURN_GAIN = 2.5
 """Turning rate of untrained wheels for each radian by which they face away, 1/s; weights rely on it."""
@@ -62,7 +59,7 @@ class Attention(RobotPolicy):
         self.net = head(self.encoder.features, 2 * width, 2)
 
     def action(self, scenes: TensorDictBase) -> Tensor:
-        """See `RobotPolicy.action`."""
+        """Return the actions (B, R, 2)."""
         bodies = bodies_of(scenes)
         return as_action(self.mean(scenes), frame_of(scenes, bodies), bodies)
 
@@ -79,15 +76,13 @@ class Attention(RobotPolicy):
                 f"the robot's observation has no {', '.join(sorted(missing))}: attention needs "
                 f"sensors={self.sensors}"
             )
-        return self.straight_on(seen, bodies) + self.net(self.encoder(seen, bodies))
-
-    def straight_on(self, seen: TensorDictBase, bodies: Fleet) -> Tensor:
-        """Return the decisions (B, R, 2) of a robot that goes its way at top speed as if it were alone."""
+        # straight on its way at top speed as if it were alone
         off = torch.atan2(seen["waypoint"][..., 1], seen["waypoint"][..., 0])
         turn = (TURN_GAIN * off / bodies.top_turn).clamp(-1, 1)
         wheels = torch.stack((off.cos().clamp_min(0), turn), dim=-1)
         disc = torch.stack((torch.ones_like(off), torch.zeros_like(off)), dim=-1)
-        return torch.where((bodies.drive == HOLONOMIC).unsqueeze(-1), disc, wheels)
+        alone = torch.where((bodies.drive == HOLONOMIC).unsqueeze(-1), disc, wheels)
+        return alone + self.net(self.encoder(seen, bodies))
 
 
 class Encoder(nn.Module):
@@ -139,16 +134,14 @@ class Encoder(nn.Module):
         bodies = people[..., 4:] + seen["radius"].unsqueeze(-2)
         distance = torch.linalg.vector_norm(place, dim=-1, keepdim=True)
         gap = (distance - bodies).clamp_max(FAR)
-        message = [
-            place / FAR,
-            place / distance.clamp_min(1e-6),
-            move,
-            gap / FAR,
-            (-2 * gap.clamp_min(0)).exp(),
-            bodies,
-        ]
-        for own_way in (velocity, along):
-            message += _closest(place, move - own_way.unsqueeze(-2), bodies)
+        touch = (-2 * gap.clamp_min(0)).exp()
+        message = [place / FAR, place / distance.clamp_min(1e-6), move, gap / FAR, touch, bodies]
+        for own_way in (velocity, along):  # when they are nearest if all go on, and how far apart then
+            passing = move - own_way.unsqueeze(-2)
+            when = -(place * passing).sum(-1, keepdim=True)
+            when = (when / passing.square().sum(-1, keepdim=True).clamp_min(1e-6)).clamp(0, SOON)
+            apart = torch.linalg.vector_norm(place + passing * when, dim=-1, keepdim=True) - bodies
+            message += [when / SOON, apart.clamp(-1, 2)]
         rows = torch.cat((*message, own.unsqueeze(-2).expand(*mask.shape, _OWN)), dim=-1)
         feature = self.person(rows * mask.unsqueeze(-1))
         # one more to attend to, of weight 1 and without features: then no people is no special case
@@ -173,13 +166,7 @@ def head(features: int, hidden: int, out: int) -> nn.Sequential:
 
 
 def as_action(decision: Tensor, frame: Tensor, bodies: Fleet) -> Tensor:
-    """Return actions (B, R, 2), see `pedzoo.core.bodies.RobotBody`, of decisions (B, R, 2).
-
-    Args:
-        decision: See `Attention.mean`.
-        frame: See `frame_of`.
-        bodies: Of the robots.
-    """
+    """Return actions (B, R, 2) of decisions (B, R, 2), see `Attention.mean`, in the frames of `frame_of`."""
     disc = rotate(decision * bodies.top_speed.unsqueeze(-1), frame)
     speed = (decision[..., 0] * bodies.top_speed).maximum(bodies.slowest).minimum(bodies.top_speed)
     turn = (decision[..., 1] * bodies.top_turn).maximum(-bodies.top_turn).minimum(bodies.top_turn)
@@ -204,11 +191,3 @@ def _frame(waypoint: Tensor, bodies: Fleet) -> Tensor:
     ahead[..., 0] = 1.0
     along = torch.where(waypoint.norm(dim=-1, keepdim=True) > 1e-6, normalize(waypoint, dim=-1), ahead)
     return torch.where((bodies.drive == HOLONOMIC).unsqueeze(-1), along, ahead)
-
-
-def _closest(place: Tensor, move: Tensor, bodies: Tensor) -> list[Tensor]:
-    """Return when (..., 1) bodies are nearest if all go on, a share of `SOON`, and how far apart (..., 1)."""
-    when = -(place * move).sum(-1, keepdim=True) / move.square().sum(-1, keepdim=True).clamp_min(1e-6)
-    when = when.clamp(0, SOON)
-    apart = torch.linalg.vector_norm(place + move * when, dim=-1, keepdim=True) - bodies
-    return [when / SOON, apart.clamp(-1, 2)]

@@ -28,38 +28,36 @@ class Straight:
         return normalize(robot.goal - robot.position, dim=-1) * robot.v_pref[:, None]
 
 
+@dataclass
 class CrowdnavOrca:
     """Baseline: optimal reciprocal collision avoidance with CrowdNav's constants.
 
     It does half of the avoidance, even if people do not see it and do nothing.
+
+    Attributes:
+        time_step: Seconds for which the velocities are held.
+        neighbor_dist: Metres between centres from which on people are ignored.
+        max_neighbors: So many nearest people count.
+        time_horizon: Seconds for which velocities are safe.
+        margin: Metres by which all radii are longer than they are.
+        safety_space: Further metres, which CrowdNav's users tune.
     """
 
-    def __init__(
-        self,
-        time_step: float = 0.25,
-        neighbor_dist: float = 10.0,
-        max_neighbors: int = 10,
-        time_horizon: float = 5.0,
-        margin: float = 0.01,
-        safety_space: float = 0.0,
-    ) -> None:
-        """Set the constants; the defaults are those of CrowdNav's ``ORCA``.
+    time_step: float = 0.25
+    neighbor_dist: float = 10.0
+    max_neighbors: int = 10
+    time_horizon: float = 5.0
+    margin: float = 0.01
+    safety_space: float = 0.0
 
-        Args:
-            time_step: Seconds for which the velocities are held.
-            neighbor_dist: Metres between centres from which on people are ignored.
-            max_neighbors: So many nearest people count.
-            time_horizon: Seconds for which velocities are safe.
-            margin: Metres by which all radii are longer than they are.
-            safety_space: Further metres, which CrowdNav's users tune.
-
-        Raises:
-            UserError: A setting is out of range.
-        """
+    def __post_init__(self) -> None:
+        """Check the constants, as those of people."""
         self.settings = OrcaSettings(
-            dt=time_step, neighbor_dist=neighbor_dist, max_neighbors=max_neighbors, time_horizon=time_horizon
+            dt=self.time_step,
+            neighbor_dist=self.neighbor_dist,
+            max_neighbors=self.max_neighbors,
+            time_horizon=self.time_horizon,
         )
-        self.wider = margin + safety_space
 
     def __call__(self, robot: Robot, people: ObservedPeople) -> Tensor:
         """Return the velocities (B, 2), m/s."""
@@ -72,7 +70,9 @@ class CrowdnavOrca:
         position, velocity = (torch.where(mask[..., None], part, 0) for part in (position, velocity))
         rows = torch.arange(scenes, device=mask.device) * (slots + 1)
         share = torch.full_like(radius, 0.5)
-        lines = agent_lines(position, velocity, radius + self.wider, share, mask, rows, self.settings)
+        lines = agent_lines(
+            position, velocity, radius + (self.margin + self.safety_space), share, mask, rows, self.settings
+        )
         wanted = toward(robot.goal - robot.position).float().T.contiguous()
         return solve(lines, 0, wanted, robot.v_pref.float()).T.to(robot.position)
 

@@ -63,11 +63,7 @@ class Dwa:
     _drive: DriveState | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            UserError: A count is below 1, a margin or weight below 0, or something else not above 0.
-        """
+        """Check the values."""
         check_range(self, "dwa", "speeds turn_rates horizon", "1 or more", least=1)
         limits = "acceleration turn_acceleration top_turn_rate step time_step"
         check_range(self, "dwa", limits, "a number above 0", above=True)
@@ -81,11 +77,7 @@ class Dwa:
         An arc is admissible if the robot can stop before it comes nearer to anything than the margin. The
         best of these by the sum of heading, clearance and speed is taken. Without any, the robot brakes.
 
-        Args:
-            robot: Places, goals, radii and top speeds; velocities are ignored.
-            drive: How they move now.
-            people: Those known to them, at constant velocity.
-            walls: How far points are from walls; None: there are none.
+        Velocities of robots are ignored; people go on at theirs. Without ``walls`` there are none.
         """
         speed, turn_rate = self.window(drive, robot.v_pref)
         free = self.free_seconds(robot, drive, people, speed, turn_rate, walls)
@@ -107,15 +99,14 @@ class Dwa:
         They do not go backwards, nor faster than the ``top_speed`` (B,), m/s.
         """
         more, turn_more = (self.time_step * most for most in (self.acceleration, self.turn_acceleration))
-        top_rate = torch.full_like(top_speed, self.top_turn_rate)
         low, high = (drive.speed - more).clamp_min(0), (drive.speed + more).minimum(top_speed)
-        left = (drive.turn_rate + turn_more).minimum(top_rate)
-        right = (drive.turn_rate - turn_more).maximum(-top_rate)
+        left = (drive.turn_rate + turn_more).clamp_max(self.top_turn_rate)
+        right = (drive.turn_rate - turn_more).clamp_min(-self.top_turn_rate)
+        spans = ((low.minimum(high), high, self.speeds), (right.minimum(left), left, self.turn_rates))
         speed, turn_rate = (
-            least.minimum(most)[:, None]
-            + (most - least.minimum(most))[:, None]
-            * torch.linspace(0, 1, count, device=low.device, dtype=low.dtype)
-            for least, most, count in ((low, high, self.speeds), (right, left, self.turn_rates))
+            least[:, None]
+            + (most - least)[:, None] * torch.linspace(0, 1, count, device=low.device, dtype=low.dtype)
+            for least, most, count in spans
         )
         shape = (len(low), self.speeds, self.turn_rates)
         return speed[:, :, None].expand(shape).flatten(1), turn_rate[:, None].expand(shape).flatten(1)
@@ -133,8 +124,7 @@ class Dwa:
 
         The other arguments are those of `command`, and the speeds (B, S), m/s, and turn rates (B, S), rad/s.
         """
-        steps = torch.arange(self.horizon + 1, device=speed.device, dtype=speed.dtype)
-        seconds = steps * self.step
+        seconds = torch.arange(self.horizon + 1, device=speed.device, dtype=speed.dtype) * self.step
         moved = arc(drive.heading[:, None, None], speed[..., None], turn_rate[..., None], seconds)
         place = robot.position[:, None, None] + moved
         gap = torch.full_like(place[..., 0], torch.inf)

@@ -45,11 +45,7 @@ class Sampling:
     time_step: float = 0.25
 
     def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            UserError: A count is below 1, a cost or margin is negative, or the discount is not in (0, 1].
-        """
+        """Check the values."""
         check_range(self, "sampling", "directions speeds horizon", "1 or more", least=1)
         check_range(self, "sampling", "margin margin_cost collision_cost", "0 or more")
         check_range(self, "sampling", "discount", "above 0 and at most 1", most=1, above=True)
@@ -59,12 +55,7 @@ class Sampling:
 
         A sample earns the distance by which the robot comes nearer to its goal, step by step, until it
         arrives or touches something. It pays for contacts, and for every moment nearer to people than the
-        margin. A robot already in contact pays for going deeper.
-
-        Args:
-            robot: The robots; ``v_pref`` is their top speed.
-            people: Those known to them.
-            walls: How far points are from walls; None: there are none.
+        margin. A robot already in contact pays for going deeper. Without ``walls`` there are none.
         """
         samples = self.velocities(robot)
         steps = torch.arange(self.horizon + 1, device=samples.device, dtype=samples.dtype)
