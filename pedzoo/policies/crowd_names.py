@@ -64,28 +64,29 @@ def members(text: str) -> list[Member]:
             )
         name, settings = parse(part)
         own = ",".join(f"{key}={value}" for key, value in settings.items() if key != _SHARE)
-        shares.append((f"{name}:{own}" if own else name, _share_of(part, settings.get(_SHARE))))
+        share = _share_of(part, settings[_SHARE]) if _SHARE in settings else None
+        shares.append((f"{name}:{own}" if own else name, share))
     without = [policy for policy, share in shares if share is None]
     given = sum(share or 0.0 for _, share in shares)
-    if given > 1 + _ROUNDING:
-        raise UserError(f"{text!r:.200}: the shares sum to {given:g}: expected at most 1; make them smaller")
-    if not without and 1 - given > _ROUNDING:
-        raise UserError(
-            f"{text!r:.200}: the shares sum to {given:g}, and the rest has no policy: leave out one share, "
-            "which then is the rest, or make them larger"
-        )
-    if without and 1 - given <= _ROUNDING:
-        left = f"nothing is left for {without[0]!r:.200}"
-        raise UserError(f"{text!r:.200}: {left}: make the other shares smaller")
-    return [Member(one, (1 - given) / len(without) if share is None else share) for one, share in shares]
+    rest, wrong = 1 - given, ""
+    if rest < -_ROUNDING:
+        wrong = f"the shares sum to {given:g}: expected at most 1; make them smaller"
+    elif not without and rest > _ROUNDING:
+        wrong = f"the shares sum to {given:g}, and the rest has no policy: leave out one share, "
+        wrong += "which then is the rest, or make them larger"
+    elif without and rest <= _ROUNDING:
+        wrong = f"nothing is left for {without[0]!r:.200}: make the other shares smaller"
+    if wrong:
+        raise UserError(f"{text!r:.200}: {wrong}")
+    return [Member(one, rest / len(without) if share is None else share) for one, share in shares]
 
 
-def _share_of(part: str, text: str | None) -> float | None:
+def _share_of(part: str, text: str) -> float:
     try:
-        share = None if text is None else float(text)
+        share = float(text)
     except ValueError:
         share = math.nan
-    if share is not None and not 0 < share < math.inf:
+    if not 0 < share < math.inf:
         raise UserError(f"{part!r:.200}: share {text:.200}: expected a number above 0, at most 1")
     return share
 

@@ -1,20 +1,18 @@
-"""What policies remember between decisions: of scenes, and of people since they were seen first."""
+"""What policies remember between decisions: of agents, and of people since they were seen first."""
 
-from collections.abc import Callable
 from typing import Any, NamedTuple, Self, TypeVar, cast
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
-from torch.nn import functional
 
 from pedzoo.core import randomness
 from pedzoo.core.adapters import copied
 from pedzoo.core.batch import agents_of, ids_of, is_walking
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS
 
-MOST = 1024
-"""Most stored scenes beside those of the last batch; four times the last batch, if that is more."""
+MOST = 2**14
+"""Most stored agents beside those of the last batch; four times the last batch, if that is more."""
 
 _WALKS = 0.1
 """m/s: slower people stand."""
@@ -26,102 +24,62 @@ _ABSENT = OBS_LEN * STEP_SECONDS
 """Seconds: agents who were away for as long as a history lasts are seen for the first time."""
 
 Record = TypeVar("Record", bound=tuple[Any, ...])
-"""A NamedTuple of tensors: ``key`` (S,) long names the scenes, ``person`` (S, A) long the agent in each slot,
--1 for none. All other fields are of scenes (S,) or of agents (S, A, ...)."""
+"""A NamedTuple of tensors (B, A, ...)."""
 
 
-def keys_of(scenes: TensorDictBase) -> Tensor:
-    """Return the keys (S,) long by which a `SceneMemory` knows scenes."""
-    return randomness.join(cast("Tensor", scenes["scene_key"]), scenes["map_id"])[:, 0]
-
-
-class SceneMemory:
+class AgentMemory:
     """Values of agents that a policy stores between its decisions: of the last batch, and of recent scenes.
 
     Scenes are known by their key and floor plan, agents by their number. So resets, other environments,
-    partial batches and changed slots do not mix them up.
+    partial batches and changed slots do not mix them up. Who is not in a scene any more is forgotten.
     """
 
     def __init__(self) -> None:
         """Keep nothing yet."""
-        self._last: Any = None
-        self._others: Any = None
+        self._asked: tuple[Tensor, Tensor] | None = None
+        # scenes and keys, and then the values: of the last batch (B, A, ...), and of others (M, ...)
+        self._last: list[Tensor] = []
+        self._others: list[Tensor] = []
 
-    def recall(self, like: Record, person: Tensor) -> Record:
-        """Return what is known of scenes, for the agents ``person`` (S, A) long, -1 where one is unknown.
-
-        ``like`` has the scenes' keys, and the values that scenes begin with.
-        """
-        begin: Any = like
-        self._move(begin.key.device)
-        if self._last is None:
-            return like
-        if torch.equal(self._last.key, begin.key):
-            return _align_slots(self._last, person)
-        stored = self._all()
-        order = stored.key.argsort()
-        place = torch.searchsorted(stored.key[order], begin.key).clamp_max(len(order) - 1)
-        found = _each(stored, lambda value: value[order[place]])
-        known = found.key == begin.key
-        values = [
-            torch.where(known, value, new) if value.dim() == 1 else value
-            for value, new in zip(found, begin, strict=True)
-        ]
-        seated = torch.where(known.unsqueeze(1), found.person, -1)
-        return _align_slots(type(begin)(*values)._replace(person=seated), person)
-
-    def keep(self, record: Record) -> None:
-        """Keep the record of a batch, and those of other scenes for a while."""
-        now: Any = record
-        self._move(now.key.device)
-        if self._last is not None and not torch.equal(self._last.key, now.key):
-            stored = self._all()
-            others = ~torch.isin(stored.key, now.key)
-            self._others = _each(stored, lambda value: value[others][: max(MOST, 4 * len(now.key))])
-        self._last = now
-
-    def _move(self, device: torch.device) -> None:
-        """Take all records to a device, where the policy goes on with scenes of another one."""
-        if self._last is not None and self._last.key.device != device:
+    def recall(self, scenes: TensorDictBase, person: Tensor, begin: Record) -> Record:
+        """Return what is known of agents ``person`` (B, A) long; the others ``begin`` with something."""
+        scene = randomness.join(cast("Tensor", scenes["scene_key"]), scenes["map_id"])
+        key = randomness.join(scene, person)
+        self._asked = scene.expand_as(key), key
+        if not self._last:
+            return begin
+        if self._last[0].device != key.device:  # the policy goes on with scenes of another one
             self._last, self._others = (
-                record and _each(record, lambda value: value.to(device))
-                for record in (self._last, self._others)
+                [part.to(key.device) for part in parts] for parts in (self._last, self._others)
             )
+        make: Any = type(begin)
+        if torch.equal(self._last[1], key):
+            return make(*self._last[2:])
+        _, keys, *values = self._all()
+        order = keys.argsort()
+        place = order[torch.searchsorted(keys[order], key).clamp_max(len(order) - 1)]
+        known = keys[place] == key
+        return make(
+            *(
+                torch.where(known.view(*key.shape, *[1] * (new.dim() - 2)), value[place], new)
+                for value, new in zip(values, begin, strict=True)
+            )
+        )
 
-    def _all(self) -> Any:
-        """Return the records of all scenes, the latest first, with empty slots where others have more."""
-        if self._others is None or not len(self._others.key):
-            return self._last
-        slots = max(self._last.person.shape[1], self._others.person.shape[1])
-        pairs = zip(_padded(self._last, slots), _padded(self._others, slots), strict=True)
-        return type(self._last)(*map(torch.cat, pairs))
+    def keep(self, values: tuple[Any, ...]) -> None:
+        """Keep the values of the agents who were recalled last, and those of other scenes for a while."""
+        assert self._asked is not None
+        scene, key = self._asked
+        if self._last and not torch.equal(self._last[1], key):
+            stored = self._all()
+            others = ~torch.isin(stored[0], scene[:, 0])
+            self._others = [part[others][: max(MOST, 4 * key.numel())] for part in stored]
+        self._last = [scene, key, *values]
 
-
-def _each(record: Any, change: Callable[[Tensor], Tensor], of_agents: bool = False) -> Any:
-    """Return the record with changed values: all of them, or only those ``of_agents``."""
-    return type(record)(*(value if of_agents and value.dim() == 1 else change(value) for value in record))
-
-
-def _padded(record: Any, slots: int) -> Any:
-    """Return the scenes with empty slots up to so many."""
-    more = slots - record.person.shape[1]
-    result = _each(record, lambda value: functional.pad(value, (*(0, 0) * (value.dim() - 2), 0, more)), True)
-    return result._replace(person=functional.pad(record.person, (0, more), value=-1))
-
-
-def _align_slots(record: Any, person: Tensor) -> Any:
-    """Return the scenes with slots reordered to match ``person`` (S, A') long."""
-    mine = record.person
-    if mine.shape == person.shape and not bool(((mine >= 0) & (mine != person)).any()):
-        return record
-    same = (person.unsqueeze(2) == mine.unsqueeze(1)) & (person >= 0).unsqueeze(2)
-    slot = same.long().argmax(2)
-
-    def moved(value: Tensor) -> Tensor:
-        index = slot.view(*slot.shape, *[1] * (value.dim() - 2))
-        return value.gather(1, index.expand(*slot.shape, *value.shape[2:]))
-
-    return _each(record, moved, True)._replace(person=torch.where(same.any(2), person, -1))
+    def _all(self) -> list[Tensor]:
+        """Return scenes, keys and values of all agents (M, ...), the latest first."""
+        last = [part.flatten(0, 1) for part in self._last]
+        return [torch.cat(pair) for pair in zip(last, self._others, strict=True)] if self._others else last
 
 
 class Attempts(NamedTuple):
@@ -157,28 +115,20 @@ def walks(step: Tensor) -> Tensor:
 
 
 class FirstSeen(NamedTuple):
-    """How agents began in S scenes of A slots; see `SceneMemory`.
+    """How agents (B, A) began: then come the fields of `Attempts`."""
 
-    Attributes:
-        key: Of the scenes (S,) long.
-        person: Number of the agent in each slot (S, A) long, -1 where not all of its positions are known yet.
-        history: Its first 8 known positions (S, A, 8, 2), metres.
-        time: When its way to the present goal began (S, A), seconds.
-        path: Length of that way then (S, A), metres.
-        left: Length of the rest at the last decision (S, A), metres.
-        last: When that was (S, A), seconds.
-        goes_on: Whether the policy moved it on then (S, A) bool; not where it held a place.
-        tried, asked, pressing: See `Attempts`, (S, A).
-    """
-
-    key: Tensor
-    person: Tensor
     history: Tensor
+    """The first 8 known positions (B, A, 8, 2), metres."""
     time: Tensor
+    """When the way to the present goal began (B, A), seconds."""
     path: Tensor
+    """Length of that way then (B, A), metres."""
     left: Tensor
+    """Length of the rest at the last decision (B, A), metres."""
     last: Tensor
+    """When that was (B, A), seconds; -inf while not all of the positions are known."""
     goes_on: Tensor
+    """Whether the policy moved it on then (B, A) bool; not where it held a place."""
     tried: Tensor
     asked: Tensor
     pressing: Tensor
@@ -200,7 +150,7 @@ class FirstSeenMemory:
 
     def __init__(self) -> None:
         """Remember nothing yet."""
-        self._memory = SceneMemory()
+        self._memory = AgentMemory()
         self._last: FirstSeen | None = None
 
     def add(self, scenes: TensorDictBase) -> TensorDictBase:
@@ -213,27 +163,30 @@ class FirstSeenMemory:
         person = ids_of(scenes).where(complete, -1)
         time = cast("Tensor", scenes["time"]).expand(person.shape)
         history, path = cast("Tensor", agents["history"]).detach(), left.detach()
-        moves, tried = is_walking(scenes), Attempts.none(path)
-        now = FirstSeen(keys_of(scenes), person, history, time, path, path, time, moves, *tried)
-        before = self._memory.recall(now._replace(person=torch.full_like(person, -1)), person)
+        moves, never = is_walking(scenes), torch.full_like(time, -torch.inf)
+        begin = FirstSeen(history, time, path, path, never, moves, *Attempts.none(path))
+        before = self._memory.recall(scenes, person, begin)
         # a scene that is walked a second time has the same key, and its clock went back
         since = time - before.last
-        known = (before.person == person) & complete & (since > -1e-3) & (since < _ABSENT)
+        known = complete & (since > -1e-3) & (since < _ABSENT)
         if "sets_out" in agents.keys():
             # people who stood without a goal do not walk by that history
             still = ~walks(before.history.diff(dim=2)).any(2)
             known = known & ~(still & cast("Tensor", agents["sets_out"])[..., 0])
         on_way = known & (path < before.left + _OTHER_GOAL) & ~(moves & ~before.goes_on)
         stands = known & ~walks(history[:, :, -1] - history[:, :, -2])
-        attempts = Attempts(before.tried, before.asked, before.pressing).seen(stands)
-        first = now._replace(
-            history=torch.where(known[..., None, None], before.history, history),
-            time=torch.where(on_way, before.time, time),
-            path=torch.where(on_way, before.path, path),
-            **attempts._asdict(),
+        attempts = Attempts(*before[-3:]).seen(stands)
+        self._last = first = FirstSeen(
+            torch.where(known[..., None, None], before.history, history),
+            torch.where(on_way, before.time, time),
+            torch.where(on_way, before.path, path),
+            path,
+            torch.where(complete, time, never),
+            moves,
+            *attempts,
         )
         self._memory.keep(first)
-        self._last, result = first, copied(scenes)
+        result = copied(scenes)
         seen = agents_of(result)
         seen["first_history"] = first.history
         values = time - first.time, first.path - left, known & ~on_way, attempts.tried, attempts.pressing
@@ -245,7 +198,7 @@ class FirstSeenMemory:
 
     def remember(self, wish: Tensor, step: Tensor) -> None:
         """Remember the steps (B, A, 2), metres, that people wish for, and those that they are asked for."""
-        if (last := self._last) is not None:
-            attempts = Attempts(last.tried, last.asked, last.pressing).trying(wish, step)
-            self._memory.keep(last._replace(**attempts._asdict()))
+        if self._last is not None:
+            attempts = Attempts(*self._last[-3:]).trying(wish, step)
+            self._memory.keep((*self._last[:-3], *attempts))
             self._last = None

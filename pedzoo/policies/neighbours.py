@@ -33,12 +33,8 @@ def nearest(
     b * A + a in the flattened batch (K, N) long, the person's own where there is none, and which of the K
     there are (K, N) bool, None for all.
 
-    Args:
-        position: Positions (B, A, 2), metres; anything for absent people.
-        mask: Which people are present (B, A) bool.
-        reach: Metres between centres from which on others are ignored.
-        most: So many at most; None: all within reach.
-        rows: Which of the B * A people are asked for (N,) long; None: all.
+    Positions (B, A, 2) are in metres, anything for those absent by the ``mask`` (B, A). Others count whose
+    centres are nearer than ``reach``, at most so many. ``rows`` (N,) long are the B * A people asked for.
     """
     agents = mask.shape[1]
     most = agents - 1 if most is None else min(agents - 1, most)
@@ -72,13 +68,10 @@ def _of_trees(position: Tensor, reach: float, place: Tensor) -> tuple[Tensor, Te
     """Return the same (N, C) of as many others as anybody has."""
     scenes, agents = position.shape[:2]
     points: NDArray[np.float32 | np.float64] = position.detach().cpu().numpy()
-    there = np.asarray(np.isfinite(points).all(-1))
-    found = [np.zeros((2, 0), dtype=np.int64)]
-    for scene in range(scenes):
-        here = there[scene].nonzero()[0]
-        found.append(
-            scene * agents + here[pairs_within(KDTree(points[scene, here].astype(np.float64)), reach)]
-        )
+    found = []
+    for scene, places in enumerate(points.astype(np.float64)):
+        here = np.isfinite(places).all(-1).nonzero()[0]
+        found.append(scene * agents + here[pairs_within(KDTree(places[here]), reach)])
     own, other = np.concatenate(found, axis=1)
     apart = points.reshape(-1, 2)[other] - points.reshape(-1, 2)[own]
     squared = apart[:, 0] * apart[:, 0] + apart[:, 1] * apart[:, 1]
@@ -90,8 +83,7 @@ def _of_trees(position: Tensor, reach: float, place: Tensor) -> tuple[Tensor, Te
     table = np.full((scenes * agents, max(1, count.max())), np.inf, dtype=np.float32)
     whose = np.zeros(table.shape, dtype=np.int64)
     table[own, rank], whose[own, rank] = squared, other
-    result = (torch.from_numpy(part).to(place.device) for part in (table, whose))
-    few, them = (part.index_select(0, place) for part in result)
+    few, them = (torch.from_numpy(part).to(place.device)[place] for part in (table, whose))
     return few, them
 
 

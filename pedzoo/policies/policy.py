@@ -89,9 +89,8 @@ def drawn_vectors(scenes: TensorDictBase, key: Tensor) -> Tensor:
     They lie in the floor plan's frame, and without one in that of each agent's way: a turned scene is walked
     alike.
     """
-    x, y = randomness.normal(randomness.join(key.unsqueeze(-1), torch.arange(2, device=key.device))).unbind(
-        -1
-    )
+    keys = randomness.join(key.unsqueeze(-1), torch.arange(2, device=key.device))
+    x, y = randomness.normal(keys).unbind(-1)
     pose, way = scenes["scene_pose"], normalize(cast("Tensor", agents_of(scenes)["desired_velocity"]), dim=-1)
     frame = torch.where(scenes["map_id"].unsqueeze(-1) < 0, way, direction_of(pose[:, :1]))
     return rotate(torch.stack((x, y * pose[:, 1:2]), -1), frame)

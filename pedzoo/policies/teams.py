@@ -6,6 +6,7 @@ from typing import NamedTuple, Self, TypeAlias, cast
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor, nn
+from torch.nn import functional
 
 from pedzoo.core import randomness
 from pedzoo.core.adapters import copied
@@ -13,7 +14,7 @@ from pedzoo.core.batch import PERSON, ROBOT, actions_of, agents_of, ids_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import blended, limit_speed
 from pedzoo.core.types import TRACE_SECONDS
-from pedzoo.policies.memory import SceneMemory, keys_of
+from pedzoo.policies.memory import AgentMemory
 from pedzoo.policies.policy import Policy
 from pedzoo.policies.walker import Walker, check_interval
 
@@ -25,32 +26,18 @@ Crowd: TypeAlias = list[tuple[Policy | Walker, float]]
 
 
 class PlannedVelocities(NamedTuple):
-    """Velocities that are being walked in S scenes of A slots; see `pedzoo.policies.memory.SceneMemory`.
+    """Velocities that are being walked by A - 1 agents; the last slot is for the team as a whole."""
 
-    Attributes:
-        key: Of the scenes (S,) long.
-        decided: When the whole team decided last (S,), seconds; -inf for never.
-        person: Number of the team's person in each slot (S, A) long, -1 for none.
-        begun: When each person's velocities were decided (S, A), seconds.
-        velocity: For each of the N decisions of the crowd from then on (S, A, N, 2), m/s.
-    """
-
-    key: Tensor
-    decided: Tensor
-    person: Tensor
     begun: Tensor
+    """When they were decided (B, A), seconds; inf for never."""
     velocity: Tensor
+    """For each of the N decisions of the crowd from then on (B, A, N, 2), m/s."""
 
 
 class Team(nn.Module):
-    """A policy and the agents that it moves.
+    """A policy and the agents that it moves: those of a ``kind`` (None for all) with draws in [least, below).
 
-    Attributes:
-        policy: Decides.
-        kind: Of its agents, ``PERSON`` or ``ROBOT``; None for both.
-        least: Agents whose draw is at least this, ...
-        below: ... and below this, are its agents.
-        every: Decisions of the crowd from one of its own to the next.
+    It decides at ``every`` so many decisions of the crowd.
     """
 
     def __init__(
@@ -59,7 +46,7 @@ class Team(nn.Module):
         """Take the parts."""
         super().__init__()
         self.policy, self.kind, self.least, self.below, self.every = policy, kind, least, below, every
-        self._memory = SceneMemory()
+        self._memory = AgentMemory()
 
     def velocity(self, scenes: TensorDictBase, mine: Tensor, dt: float) -> Tensor:
         """Return the velocities (B, A, 2) of the agents ``mine`` (B, A), m/s; anything for others.
@@ -68,15 +55,15 @@ class Team(nn.Module):
         """
         if self.every == 1:
             return self._asked(scenes, mine) if bool(mine.any()) else torch.zeros_like(_velocity(scenes))
-        person, velocity, now = ids_of(scenes), _velocity(scenes), cast("Tensor", scenes["time"])[:, 0]
-        never, empty = torch.full_like(now, -torch.inf), torch.full_like(person, -1)
+        # those who leave the team, for another or for good, are forgotten
+        person = functional.pad(ids_of(scenes).where(mine, -2), (0, 1), value=-1)
+        velocity, now = functional.pad(_velocity(scenes), (0, 0, 0, 1)), cast("Tensor", scenes["time"])
         blank = torch.zeros_like(velocity).unsqueeze(2).expand(-1, -1, self.every, -1)
-        fresh = PlannedVelocities(keys_of(scenes), never, empty, never[:, None].expand(person.shape), blank)
-        plans, now = self._memory.recall(fresh, person), now.unsqueeze(1)
-        since = now[:, 0] - plans.decided
+        never = torch.full_like(now, torch.inf).expand(person.shape)
+        begun, planned = self._memory.recall(scenes, person, PlannedVelocities(never, blank))
+        since = now - begun[:, -1:]
         turn = (since < _ROUNDING) | (since > (self.every - 0.5) * dt)  # a caller's clock may jitter
-        known = (plans.person == person) & (now - plans.begun > _ROUNDING)
-        decides = mine & (turn.unsqueeze(1) | ~known)
+        decides = mine & (turn | (now - begun[:, :-1] <= _ROUNDING))
         rows = decides.any(1)
         if bool(rows.any()):
             if bool(rows.all()):
@@ -84,17 +71,14 @@ class Team(nn.Module):
             else:  # scenes that wait would cost as much
                 index = rows.nonzero()[:, 0]
                 answer = self._asked(scenes[index], mine[index])
-                command = torch.zeros_like(velocity, dtype=answer.dtype).index_copy(0, index, answer)
-            blended = self._blended(scenes, command, dt)
-            plans = plans._replace(
-                decided=torch.where(turn & rows, now[:, 0], plans.decided),
-                begun=torch.where(decides, now, plans.begun),
-                velocity=torch.where(decides[..., None, None], blended, plans.velocity),
-            )
-        plans = plans._replace(person=torch.where(mine, person, -1))
-        self._memory.keep(plans)
-        place = ((now - plans.begun) / dt).round().clamp(0, self.every - 1).long()
-        return plans.velocity.gather(2, place[..., None, None].expand(*place.shape, 1, 2))[:, :, 0]
+                command = torch.zeros_like(_velocity(scenes), dtype=answer.dtype).index_copy(0, index, answer)
+            begun = torch.where(torch.cat((decides, turn & rows.unsqueeze(1)), 1), now, begun)
+            fresh = functional.pad(self._blended(scenes, command, dt), (0, 0, 0, 0, 0, 1))
+            decides = functional.pad(decides, (0, 1))[..., None, None]
+            planned = torch.where(decides, fresh, planned)
+        self._memory.keep(PlannedVelocities(begun, planned))
+        place = ((now - begun[:, :-1]) / dt).round().clamp(0, self.every - 1).long()
+        return planned[:, :-1].gather(2, place[..., None, None].expand(*place.shape, 1, 2))[:, :, 0]
 
     def _asked(self, scenes: TensorDictBase, mine: Tensor) -> Tensor:
         """Return the policy's answer (B, A, 2): it controls no other team's agents."""

@@ -21,6 +21,9 @@ from pedzoo.policies.policy import NamedPolicy, deterministic
 from pedzoo.policies.safety_layer.clearance import SHOULDERS
 from pedzoo.policies.safety_layer.layer import safe
 
+AT_FIRST, _ROUNDING = 1.0, 1e-3
+"""Seconds within which people set out, and by which a step is rounded."""
+
 
 def stay_in_place(batch: TensorDictBase, step: Tensor) -> Tensor:
     """Return the ``step`` (B, A, 2), metres, of a model, in which people who hold a place go to it instead.
@@ -36,22 +39,14 @@ def stay_in_place(batch: TensorDictBase, step: Tensor) -> Tensor:
     return torch.where(share < WAITING_SPEED_SHARE, torch.lerp(there, step, share.clamp_max(1)), step)
 
 
-AT_FIRST = 1.0
-"""Seconds within which people set out."""
-
-_ROUNDING = 1e-3
-"""Of a step."""
-
-
 @torch.no_grad()
 def with_walked_history(batch: TensorDictBase) -> TensorDictBase:
     """Return scenes in which people who stood when they were given their goal have walked until then.
 
-    An interface makes people stand: a static start, a host that places them, a scenario in which they wait.
     No model has learned to set out when it is asked to: most take a history on the spot for a standing
-    person's. Places before that moment are on a straight line, at the desired velocity; later ones stay. So
-    new people of a controller begin, too. ``agents/sets_out`` (B, A, 1) bool says who did it in the last
-    second. Scenes without such people stay, as do those without ``agents/goal_since``.
+    person's. Places before that moment are on a straight line, at the desired velocity; later ones stay.
+    ``agents/sets_out`` (B, A, 1) bool says who did it in the last second. Scenes without such people stay, as
+    do those without ``agents/goal_since``.
     """
     agents = agents_of(batch)
     if "goal_since" not in agents.keys():
@@ -114,8 +109,6 @@ class Walker(NamedPolicy):
             extend_goal: Whether goals are moved out to where people are 3.2 s later, also where the way bends
                 before, see `extend_goals`. None: as the model says.
 
-        Raises:
-            UserError: A setting is out of range.
         """
         super().__init__()
         noise = noise or model.walking_noise
@@ -133,8 +126,8 @@ class Walker(NamedPolicy):
     def _remember_nothing(self) -> None:
         # predictions that are being walked: keys (B,), steps at which they were made (B,), displacements
         self._stored: tuple[Tensor, Tensor, Tensor] | None = None
-        # of the last scenes: keys (B, 1), numbers of agents (B, A), and their noise for the episode
-        self._episode_noise: tuple[Tensor, Tensor, Tensor] | None = None
+        # of the last scenes: keys of the agents (B, A), and their noise for the episode
+        self._episode_noise: tuple[Tensor, Tensor] | None = None
         self._first_seen = FirstSeenMemory() if self.model.remembers else None
 
     def fresh(self) -> Self:
@@ -172,7 +165,7 @@ class Walker(NamedPolicy):
         if known := before.shape == key.shape:
             # the same walker may have been asked about other scenes in between
             over = (now == 0) | (before != key) | (now < begun) | (now >= begun + self.execute_steps)
-        if not known or bool(over.any()):
+        if bool(over.any()):
             noise, seen = self.noise_of(tensordict), self._seen(tensordict)
             fresh = self.model.next_steps(seen, noise, self.execute_steps, PRED_LEN)
             steps = torch.where(over.view(-1, 1, 1, 1), fresh, steps) if known else fresh
@@ -194,28 +187,22 @@ class Walker(NamedPolicy):
         if self.model.noise_periods:
             key = randomness.join(scene_key, "noise", self.noise_seed)
             return timed_noise(key, agent, time, self.model.noise_periods)
-        if self.noise in ("step", "mixed") or agent.device.type != "cpu":
-            return self._drawn(scene_key, agent, time)
-        last = self._episode_noise
-        if last is None or not (torch.equal(last[0], scene_key) and torch.equal(last[1], agent)):
-            with torch.inference_mode(False):  # the next call may ask for gradients
-                noise = self._drawn(scene_key, agent, time)
-                last = self._episode_noise = scene_key.clone(), agent.clone(), noise
-        return last[2]
-
-    def _drawn(self, scene_key: Tensor, agent: Tensor, time: Tensor) -> Tensor:
-        """Return the noise (B, A, noise_dim) of scenes (B, 1) and agents (B, A) at times (B, 1)."""
-        drawn_for = torch.zeros_like(agent) if self.noise == "scene" else agent
-        key = randomness.join(scene_key, "noise", drawn_for)
-        if self.noise_seed:
-            key = randomness.join(key, self.noise_seed)
-        key, dims = key.unsqueeze(-1), torch.arange(self.model.noise_dim, device=agent.device)
-        if self.noise in ("step", "mixed"):
-            step = (time / STEP_SECONDS).round().long()
-            now = randomness.join(key, step.unsqueeze(-1))
-            lasts = dims < ((self.model.noise_dim + 1) // 2 if self.noise == "mixed" else 0)
-            key = torch.where(lasts, key, now)
-        return randomness.normal(randomness.join(key, dims))
+        key = randomness.join(scene_key, "noise", torch.zeros_like(agent) if self.noise == "scene" else agent)
+        key = randomness.join(key, self.noise_seed) if self.noise_seed else key
+        changes, kept = self.noise in ("step", "mixed"), self._episode_noise
+        keeps = not changes and key.device.type == "cpu"
+        if keeps and kept and torch.equal(kept[0], key):
+            return kept[1]
+        with torch.inference_mode(False):  # the next call may ask for gradients
+            drawn, dims = key.clone().unsqueeze(-1), torch.arange(self.model.noise_dim, device=agent.device)
+            if changes:
+                step = (time / STEP_SECONDS).round().long().unsqueeze(-1)
+                lasts = dims < ((self.model.noise_dim + 1) // 2 if self.noise == "mixed" else 0)
+                drawn = torch.where(lasts, drawn, randomness.join(drawn, step))
+            noise = randomness.normal(randomness.join(drawn, dims))
+        if keeps:
+            self._episode_noise = key.clone(), noise
+        return noise
 
 
 def check_interval(scenes: TensorDictBase, decision_dt: float, what: str) -> None:
@@ -231,9 +218,9 @@ def check_interval(scenes: TensorDictBase, decision_dt: float, what: str) -> Non
 def extend_goals(batch: TensorDictBase) -> TensorDictBase:
     """Return scenes in which no short-term goal is nearer than where the desired velocity leads in 3.2 s.
 
-    Goals ``window_end`` of recordings are where people are 3.2 s later. A model that learned from them slows
-    down for a near goal. A planner's goal is near where the path turns a corner: people go round it at their
-    own speed. Nearer goals are moved out along the line to them. Scenes without goals stay.
+    A model that learned from goals ``window_end`` of recordings slows down for a near one. A planner's goal
+    is near where the path turns a corner: people go round it at their own speed. Nearer goals are moved out
+    along the line to them. Scenes without goals stay.
     """
     agents = agents_of(batch)
     if "goal" not in agents.keys():

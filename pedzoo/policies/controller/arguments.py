@@ -18,11 +18,8 @@ from pedzoo.core.types import OBS_LEN, STEP_SECONDS, TRACE_SECONDS
 
 Array = NDArray[Any]
 
-PREF_SPEED = 1.3
-"""Preferred speed of people without a given one, m/s."""
-
-OTHER_RADIUS = 0.3
-"""Metres: the radius of other agents for which none is given, about that of a service robot."""
+PREF_SPEED, OTHER_RADIUS = 1.3, 0.3
+"""Where none is given: the speed that people like, m/s, and the radius of others, metres: of a robot."""
 
 WIDEST, FASTEST, SWIFTEST, JUMP = 10.0, 10.0, 100.0, 1e3
 """Most of radii (m), preferred speeds and given velocities (m/s), and moves between two calls (m)."""
@@ -32,20 +29,14 @@ FARTHEST = 1e4
 
 ZERO = np.zeros(2)
 
-_OBSERVED = (OBS_LEN - 1) * STEP_SECONDS
-"""Seconds that a history reaches back."""
-
-_ROUNDING = 1e-9
-"""Seconds."""
+_OBSERVED, _ROUNDING = (OBS_LEN - 1) * STEP_SECONDS, 1e-9
+"""Seconds that a history reaches back, and by which times may be wrong."""
 
 SHORTEST, LONGEST = 1e-3, STEP_SECONDS
 """Seconds between two calls: positions of all calls of 2.8 s are kept, and histories have one every 0.4 s."""
 
-_LATEST = 1e11
-"""Seconds: no clock that counts from 1970, or from a later moment, is there yet."""
-
-_PAUSE, _CALLS = 30.0, 500.0
-"""Seconds, and times ``dt``: longer gaps are no late calls but another unit, if they are as long again."""
+_LATEST, _PAUSE, _CALLS = 1e11, 30.0, 500.0
+"""Seconds that no clock shows yet; seconds and calls after which a gap, repeated, is of another unit."""
 
 
 @dataclass(frozen=True)
@@ -132,18 +123,6 @@ def check_ids(
         raise UserError(f"{both[0]!r} is in people and in others: expected every id in one of them")
 
 
-def origin_of(places: Mapping[Any, Any]) -> NDArray[np.float64]:
-    """Return the origin (2,) of a scene amid most of the places of its agents, by id.
-
-    A scene is walked alike wherever it lies, and whoever is far away from it. What is no place counts as
-    zeros: `as_points` refuses it.
-    """
-    points = [_pair(place) for place in places.values()]
-    given = [ZERO if point is None or not np.isfinite(point).all() else point for point in points]
-    middle: NDArray[np.float64] = np.sort(given, axis=0)
-    return middle[(len(middle) - 1) // 2]
-
-
 def as_discs(others: Mapping[Any, Any]) -> dict[DiscKey, Any]:
     """Return the discs of other agents, each with its position (2,): given as (2,), or (k, 2) for several."""
     discs: dict[DiscKey, Any] = {}
@@ -161,42 +140,52 @@ def as_discs(others: Mapping[Any, Any]) -> dict[DiscKey, Any]:
     return discs
 
 
-def as_points(given: Mapping[Any, Any], what: str, origin: Array = ZERO, farthest: float = FARTHEST) -> Array:
-    """Return the values of a dictionary, each two numbers, less an origin (2,), as (n, 2) float64.
-
-    Messages call the values ``what``.
-    """
+def as_points(given: Mapping[Any, Any], what: str) -> Array:
+    """Return the values of a dictionary, each two numbers, as (n, 2) float64; messages call them ``what``."""
     try:
         points: Array = np.array([_plain(xy) for xy in given.values()], dtype=np.float64)
-        points = points.reshape(len(given), 2) - origin
+        points = points.reshape(len(given), 2)
     except (TypeError, ValueError):
-        wrong = next((item for item in given.items() if _pair(item[1]) is None), None)
-        shown = f"{what} {wrong[1]!r} of {wrong[0]!r}" if wrong else f"{what}s {given!r}"
+        shown = f"{what}s {given!r}"
+        for one, value in given.items():
+            try:
+                alone = np.shape(np.asarray(_plain(value), dtype=np.float64))
+            except (TypeError, ValueError):
+                alone = None
+            if alone != (2,):
+                shown = f"{what} {value!r} of {one!r}"
+                break
         raise UserError(f"{shown}: expected two numbers, (x, y)") from None
-    size = np.abs(points)
-    if not size.max(initial=0.0) <= farthest:  # nor NaN
-        finite = np.isfinite(size)
-        one = list(given)[int((~finite if not finite.all() else size > farthest).any(1).argmax())]
-        if not finite.all():
-            raise UserError(f"{what} {given[one]!r} of {one!r}: expected finite numbers, (x, y)")
+    if not (finite := np.isfinite(points)).all():
+        one = list(given)[int(finite.all(1).argmin())]
+        raise UserError(f"{what} {given[one]!r} of {one!r}: expected finite numbers, (x, y)")
+    return points
+
+
+def origin_of(points: Array) -> Array:
+    """Return the origin (2,) of a scene amid most points (n, 2): it is walked alike wherever it lies."""
+    return np.sort(points, axis=0)[(len(points) - 1) // 2]
+
+
+def as_places(given: Mapping[Any, Any], what: str, origin: Array, points: Array | None = None) -> Array:
+    """Return values less an origin (2,), in whole micrometres; ``points`` are theirs by `as_points`.
+
+    So those of a scene that was moved are the very same. Less the origin, the last digits tell how far away
+    a scene is, and where forces balance they decide.
+    """
+    places = (as_points(given, what) if points is None else points) - origin
+    if (size := np.abs(places)).max(initial=0.0) > FARTHEST:
+        one = list(given)[int((size > FARTHEST).any(1).argmax())]
         raise UserError(
             f"{what} {given[one]!r} of {one!r} is more than {FARTHEST:g} m from the scene's origin, the "
             "floor plan's or the first agent's place: are all in one frame, and in metres?"
         )
-    return points
-
-
-def as_places(given: Mapping[Any, Any], what: str, origin: Array) -> Array:
-    """Return `as_points` in whole micrometres: those of a scene that was moved are the very same.
-
-    Less the origin, the last digits tell how far away a scene is, and where forces balance they decide.
-    """
-    return as_points(given, what, origin).round(6)
+    return places.round(6)
 
 
 def as_velocities(given: Mapping[Any, Any]) -> Array:
-    """Return given velocities, as `as_points` does."""
-    result = as_points(given, "velocity", farthest=np.finfo(np.float64).max)
+    """Return given velocities (n, 2), m/s."""
+    result = as_points(given, "velocity")
     if (fast := np.hypot(*result.T) > SWIFTEST).any():
         one = list(given)[int(fast.argmax())]
         raise UserError(
@@ -208,15 +197,6 @@ def as_velocities(given: Mapping[Any, Any]) -> Array:
 
 def _plain(value: Any) -> Any:
     return value.detach().cpu().numpy() if isinstance(value, Tensor) else value
-
-
-def _pair(xy: Any) -> NDArray[np.float64] | None:
-    """Return two numbers (2,); None for anything else."""
-    try:
-        pair: NDArray[np.float64] = np.asarray(_plain(xy), dtype=np.float64)
-    except (TypeError, ValueError):
-        return None
-    return pair if pair.shape == (2,) else None
 
 
 class CallerClock(NamedTuple):

@@ -31,6 +31,7 @@ from pedzoo.policies.controller.arguments import (
     CallerClock,
     as_discs,
     as_places,
+    as_points,
     as_velocities,
     by_id,
     check_ids,
@@ -202,10 +203,10 @@ class Controller:
         state, bank = agents.state, online_goals.planner.bank
         for one, name in of_present(people, by_id(groups, "groups")).items():
             state["group"][agents.row[one]] = -1 if name is None else number_of(name)
+        points, position = as_points(present, "position"), np.empty((len(present), 2), np.float32)
         if present and not (self._agents.row or bank.grids):
-            online_goals = online_goals._replace(origin=origin_of(people or present))
-        position = np.empty((len(present), 2), np.float32)
-        position[agents.rows(present)] = as_places(present, "position", online_goals.origin)
+            online_goals = online_goals._replace(origin=origin_of(points[: len(people) or None]))
+        position[agents.rows(present)] = as_places(present, "position", online_goals.origin, points)
         agents.check_moves(position)
         # on the way since the last call, or at once for a new goal
         agents.arrive(agents.past[:, -1], position)

@@ -1,7 +1,4 @@
-"""The agents of a scene that they enter and leave, their state, and their goals, which keep changing.
-
-What a caller gives wrongly raises a `UserError`: see `pedzoo.policies.controller.controller.Controller.step`.
-"""
+"""The agents of a scene that they enter and leave, their state, and their goals, which keep changing."""
 
 from __future__ import annotations
 
@@ -275,24 +272,19 @@ class OnlineGoals(NamedTuple):
         cells, last = graph.to_place(points), np.array(graph.shape)[::-1] - 0.5
         beyond = np.maximum(np.maximum(-0.5 - cells, cells - last), 0.0)  # whole at cell centres
         outside = np.hypot(*beyond.T) * graph.grid.resolution > radius
-        flat = graph.locate(points)[0]
-        wrong = outside | (graph.distance.ravel()[flat] < graph.grid.resolution - radius)
-        if wrong.any():
-            # at centres of cells the depth is known; what it is between them takes longer
-            here = torch.from_numpy(position[new]).unsqueeze(0)
-            gap, _ = self.planner.bank.closest_wall(here, self.map_id, identity_pose(1))
-            wrong = outside | (gap[0].numpy() < -radius)
+        here = torch.from_numpy(position[new]).unsqueeze(0)
+        gap, _ = self.planner.bank.closest_wall(here, self.map_id, identity_pose(1))
+        wrong = outside | (gap[0].numpy() < -radius)
         if not wrong.any():
             return None
         i = int(wrong.argmax())
-        cell = graph.nearest[flat[i]]
-        here, free = (format_point(place + self.origin) for place in (points[i], graph.xy[cell]))
+        free = graph.xy[graph.nearest[graph.locate(points[i : i + 1])[0][0]]]
         more = f" (and {wrong.sum() - 1} more)" if wrong.sum() > 1 else ""
+        here, free = (format_point(place + self.origin) for place in (points[i], free))
         return (
             f"{list(people.row)[int(new[i])]!r}{more} is at {here}, "
-            f"{'outside' if outside[i] else 'in a wall of'} "
-            f"map {graph.grid.name!r}: walks from the nearest free place, {free}; are positions in the floor "
-            "plan's frame, in metres?"
+            f"{'outside' if outside[i] else 'in a wall of'} map {graph.grid.name!r}: walks from the nearest "
+            f"free place, {free}; are positions in the floor plan's frame, in metres?"
         )
 
     def guide(self, people: Roster, position: Array) -> Guidance:
@@ -301,15 +293,8 @@ class OnlineGoals(NamedTuple):
         Agents that stand, and others, have their position as carrot and desire no velocity.
         """
         goal_id, speed = np.where(people.walks, people.state["goal_id"], -1), people.state["pref_speed"]
-        given = (torch.from_numpy(part).unsqueeze(0) for part in (position, goal_id, speed))
-        points, goal, pref_speed = given
-        guidance = self.planner.guidance(
-            points,
-            goal,
-            torch.tensor([self.row]),
-            identity_pose(1),
-            pref_speed,
-            AHEAD_SECONDS,
-            float(speed.max(initial=1.0)),
-        )
+        points, goal, liked = (torch.from_numpy(part).unsqueeze(0) for part in (position, goal_id, speed))
+        row, fastest = torch.tensor([self.row]), float(speed.max(initial=1.0))
+        pose = identity_pose(1)
+        guidance = self.planner.guidance(points, goal, row, pose, liked, AHEAD_SECONDS, fastest)
         return Guidance(*(part.squeeze(0) for part in guidance))
