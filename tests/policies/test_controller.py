@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -206,33 +205,17 @@ def test_velocities_are_shortened_to_the_top_speed():
     assert still["a"].tolist() == [0, 0]
 
 
-def test_orca_at_its_own_clock_and_through_the_door():
-    controller = Controller(load_policy("orca"), ROOMS, dt=0.1)
-    people: dict[str, np.ndarray] = {"a": np.array([2.0, 1.0]), "b": np.array([8.0, 1.0])}
-    goals = {"a": (8.0, 1.0), "b": (2.0, 1.0)}
-    nearest = np.inf
-    for _ in range(90):
-        people = {who: people[who] + 0.1 * v for who, v in controller.step(people, goals).items()}
-        nearest = min(nearest, float(np.linalg.norm(people["a"] - people["b"])))
-        if people["a"][0] > 7.5 and people["b"][0] < 2.5:
-            break
-    assert people["a"][0] > 7.5 and people["b"][0] < 2.5
-    assert nearest > 0.3
-
-
 def test_goals_that_no_person_has_any_more_are_forgotten():
     policy = Watch()
     controller = Controller(policy, rectangles(room((0, 0), (5, 5), 0.1), resolution=0.1))
-    cells = np.stack(np.meshgrid(np.arange(1, 4, 0.2), np.arange(1, 4, 0.2)), -1).reshape(-1, 2)
-    for goal in cells[:100]:
-        velocity = controller.step(
-            {"stays": (1.0, 3.0), "turns": (2.0, 2.0)}, {"stays": (4.0, 3.0), "turns": goal}
-        )
+    people = {"stays": (1.0, 3.0), "turns": (2.0, 2.0)}
+    for goal in np.stack(np.meshgrid(np.arange(1, 4, 0.3), np.arange(1, 4, 0.3)), -1).reshape(-1, 2):
+        velocity = controller.step(people, {"stays": (4.0, 3.0), "turns": goal})
         np.testing.assert_allclose(velocity["stays"], (1.3, 0), atol=1e-5)
-        way, seen = goal - (2.0, 2.0), agents_of(policy.seen[-1])["desired_velocity"][0]
+        way, told = goal - (2.0, 2.0), seen(policy, "desired_velocity")[0]
         if np.linalg.norm(way) > GOAL_RADIUS:
             wanted = torch.from_numpy(1.3 * way / np.linalg.norm(way)).float()
-            torch.testing.assert_close(seen[controller._agents.row["turns"]], wanted, atol=1e-5, rtol=0)
+            torch.testing.assert_close(told[controller._agents.row["turns"]], wanted, atol=1e-5, rtol=0)
     assert controller._online_goals.planner.goals < 80
 
 
@@ -258,26 +241,6 @@ def test_what_cannot_be_walked_is_refused(positions, goals, message):
     assert list(controller.step({"cy": (1, 1)}, {"cy": (3, 3)})) == ["cy"]
 
 
-@pytest.mark.parametrize("dt", [0.41, 0.8, 100, 1e8, 0.0, -0.1, float("nan"), float("inf")])
-def test_steps_that_are_no_steps_of_a_simulator_are_refused(dt: float):
-    unit = r"; 100 milliseconds are 0\.1$" if dt == 100 else "$"
-    with pytest.raises(
-        UserError, match=rf"dt {dt}: expected seconds between two .* at most 0\.4 s{unit}".replace("+", r"\+")
-    ):
-        Controller(Watch(), dt=dt)
-
-
-def test_settings_out_of_range_are_refused(tmp_path: Path):
-    with pytest.raises(UserError, match=r"nowhere\.yaml"):
-        pedzoo.controller("orca", tmp_path / "nowhere.yaml")
-    with pytest.raises(UserError, match="execute_steps 4"):
-        Controller(pedzoo.policy("sgan_goal.zara1", execute_steps=4))
-    with pytest.raises(UserError, match=r"pref_speed -1 of 'a'"):
-        Controller(Watch(), pref_speed=-1).step({"a": (0, 0)}, {"a": (1, 0)})
-    with pytest.raises(UserError, match="not finite for 'a'"):
-        Controller(Watch(factor=float("nan"))).step({"a": (0, 0)}, {"a": (1, 0)})
-
-
 def test_ids_have_numbers_that_no_run_changes():
     assert [number_of(one) for one in (0, 3, np.int64(3), True)] == [0, 3, 3, 1]
     assert number_of("anna") == 1857110474486603798
@@ -294,15 +257,14 @@ def test_companies_are_seen_until_they_change() -> None:
     controller = Controller(policy)
     people = {name: (0.0, float(y)) for y, name in enumerate("abc")}
     goals = {name: (9.0, float(y)) for y, name in enumerate("abc")}
-    seen: list[torch.Tensor] = []
+    known: list[torch.Tensor] = []
     for groups in (None, {"a": "family", "c": "family"}, {}, {"c": None}):
         controller.step(people, goals, groups=groups, others={"robot": (5.0, 9.0)})
-        batch = policy.seen[-1]
-        seen.append(companions_of(batch)[0])
-        assert batch["agents", "group"].shape == (1, 4)
-    assert [int(pairs.sum()) for pairs in seen] == [0, 2, 2, 0]
+        known.append(companions_of(policy.seen[-1])[0])
+        assert seen(policy, "group").shape == (1, 4)
+    assert [int(pairs.sum()) for pairs in known] == [0, 2, 2, 0]
     a, c = (controller._agents.row[name] for name in "ac")
-    assert seen[1][a, c] and seen[2][a, c]
+    assert known[1][a, c] and known[2][a, c]
 
 
 def row_of(batch: Any, radius: float) -> int:
@@ -312,20 +274,19 @@ def row_of(batch: Any, radius: float) -> int:
     return int(rows[0])
 
 
-@pytest.mark.parametrize("goal", [None, (0.8, 0.0)])
-@pytest.mark.parametrize("name", ["sgan_goal_map.zara1", "sgan_goal.indoor"])
+@pytest.mark.parametrize(("name", "goal"), [("sgan_goal_map.zara1", (0.8, 0.0)), ("sgan_goal.indoor", None)])
 def test_who_has_arrived_stands_until_another_goal(name: str, goal: Any):
     room_of_ten = rectangles(room((-5, -5), (5, 5), 0.1), resolution=0.1)
     controller = pedzoo.controller(name, room_of_ten, dt=0.1)
     people = {"stands": np.array([0.0, 0.0]), "passes": np.array([-4.0, 0.3])}
     path = []
-    for tick in range(450):
+    for tick in range(250):
         # the same goal again is no other goal
-        goals = {"stands": goal if tick < 300 else (3.0, 3.0)} | ({} if tick else {"passes": (4.0, 0.3)})
+        goals = {"stands": goal if tick < 120 else (3.0, 3.0)} | ({} if tick else {"passes": (4.0, 0.3)})
         people = {who: people[who] + 0.1 * v for who, v in controller.step(people, goals).items()}
         path.append(people["stands"])
-    assert np.linalg.norm(path[299] - (goal or (0.0, 0.0))) <= GOAL_RADIUS
-    assert np.linalg.norm(np.stack(path[100:300]) - path[299], axis=1).max() < 0.2
+    assert np.linalg.norm(path[119] - (goal or (0.0, 0.0))) <= GOAL_RADIUS
+    assert np.linalg.norm(np.stack(path[60:120]) - path[119], axis=1).max() < 0.2
     assert np.linalg.norm(path[-1] - (3.0, 3.0)) <= GOAL_RADIUS
 
 
@@ -441,39 +402,6 @@ def test_people_walk_alike_by_a_clock_that_jitters(name: str):
         ends.append(place)
     assert np.linalg.norm(ends[1] - ends[0]) < 1e-3
     assert np.linalg.norm(ends[2] - ends[1]) < 0.01
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ({"others": {"anna": (3, 3)}}, "'anna' is in people and in others"),
-        ({"others": {"r": (1, 2, 3)}}, r"others: position \(1, 2, 3\) of 'r': expected two numbers"),
-        ({"others": {"r": []}}, r"others: position \[\] of 'r'"),
-        ({"others": {"r": "there"}}, "others: position 'there' of 'r'"),
-        ({"others": {"r": (float("nan"), 1)}}, "position .* of 'r'.*expected finite"),
-        ({"others": {"r": (3, 3)}, "velocities": {"r": (1,)}}, "velocity .* of 'r'"),
-        ({"radius": {"anna": 0}}, "radius 0 of 'anna': expected metres, above 0"),
-        ({"radius": {"anna": float("nan")}}, "radius nan of 'anna'"),
-        ({"others": {"r": (3, 3)}, "radius": {"r": "wide"}}, "radius 'wide' of 'r'"),
-        ({"time": 3.0}, r"time 3\.0: expected later than at the call before, 3"),
-        ({"time": 2.9}, r"time 2\.9: expected later"),
-        ({"time": float("nan")}, "time nan: expected seconds"),
-        ({"time": None}, "time None: expected at every call or at none"),
-    ],
-)
-def test_wrong_others_radii_and_times_change_nothing(given, message):
-    policy = Watch()
-    controller = Controller(policy)
-    controller.step({"anna": (1, 1)}, {"anna": (8, 1)}, time=3.0)
-    with pytest.raises(UserError, match=message):
-        controller.step({"anna": (1.5, 1)}, **({"time": 3.4} | given))
-    controller.step({"anna": (1.52, 1)}, time=3.4)
-    np.testing.assert_allclose(seen(policy, "velocity")[0, 0], (1.3, 0), atol=1e-4)
-    assert seen(policy, "radius").flatten().tolist() == [pytest.approx(0.15)]
-    counted = Controller(policy)
-    counted.step({"anna": (1, 1)}, {"anna": (8, 1)})
-    with pytest.raises(UserError, match=r"time 3\.0: expected at every call or at none"):
-        counted.step({"anna": (1, 1)}, time=3.0)
 
 
 @pytest.mark.parametrize("name", ["sgan_goal_map.indoor", "social_walker.eth_ucy"])

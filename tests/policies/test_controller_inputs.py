@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.scenes import Watch
 
 import pedzoo
 from pedzoo.core.errors import UserError
@@ -57,6 +58,7 @@ def test_a_radius_of_people_who_have_left_does_not_matter() -> None:
     radius = {"anna": 0.2, 7: 0.3}
     walk.step({"anna": (-4, -2), 7: (-3, -2)}, {"anna": (-4, 2), 7: (-3, 2)}, radius=radius)
     assert list(walk.step({"anna": (-4, -1.9)}, radius=radius)) == ["anna"]
+    assert list(walk.step({"anna": (-4, -1.8)}, radius={7: 0.3})) == ["anna"]
     walk.reset()
     with pytest.raises(UserError, match="unknown id in radius '7'"):
         walk.step({"anna": (-4, -2)}, {"anna": (-4, 2)}, radius=radius)
@@ -136,15 +138,24 @@ def test_who_is_known_may_go_anywhere() -> None:
 EDGE = rectangles(room((0, 0), (8, 6), 0.1) + wall((4, 0), (4, 6), 0.1), 0.05, name="edge")
 
 
-@pytest.mark.parametrize("name", ["go_to_goal", "orca", "sgan_goal_map.indoor"])
-@pytest.mark.parametrize("goal", [(3.2, 0.1), (3.9, 3.0), (3.95, 3.0), (3.8, 4.0), (0.07, 5.93)])
+AT_WALLS = (3.2, 0.1), (3.9, 3.0), (3.95, 3.0), (3.8, 4.0), (0.07, 5.93)
+
+
+@pytest.mark.parametrize(
+    ("name", "goal"),
+    [
+        *(("go_to_goal", goal) for goal in AT_WALLS),
+        ("orca", AT_WALLS[2]),
+        ("sgan_goal_map.indoor", AT_WALLS[4]),
+    ],
+)
 def test_a_goal_at_a_wall_is_moved_with_a_warning(name: str, goal: Any) -> None:
     walk = Controller(load_policy(name), EDGE, dt=0.1)
     place, asked = np.array([1.5, 1.5]), np.array(goal)
     with pytest.warns(UserWarning, match="goal of 'a'.*0.25 m from a wall of map 'edge'.*moved by") as said:
         place = place + 0.1 * walk.step({"a": place}, {"a": goal})["a"]
     with warnings.catch_warnings(record=True) as again:
-        for _ in range(200):
+        for _ in range(100):
             place = place + 0.1 * walk.step({"a": place}, {"a": goal})["a"]
         walk.step({"a": place, "b": (2, 2)}, {"b": goal})
     assert (len(said), again) == (1, [])
@@ -216,32 +227,82 @@ def test_without_noise_the_seed_does_not_matter(name: str) -> None:
     assert first(0, False) != first(1, False) or name == "social_force"  # which fluctuates only if asked to
 
 
+DT = r"dt {}: expected seconds between two .* at most 0\.4 s$"
+SPEED = "pref_speed {} of 0: expected metres per second, above 0"
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
+        *(({"dt": dt}, DT.format(str(dt).replace("+", "[+]"))) for dt in (0.41, 0.8, 1e8, 0.0, -0.1)),
+        *(({"dt": float(dt)}, DT.format(dt)) for dt in ("nan", "inf")),
+        ({"dt": 100}, r"dt 100: .* at most 0\.4 s; 100 milliseconds are 0\.1$"),
         ({"dt": "0.1"}, r"dt '0\.1': expected seconds"),
         ({"dt": None}, "dt None: expected seconds"),
         ({"seed": 1.5}, r"seed 1\.5: expected a whole number"),
         ({"seed": None}, "seed None: expected a whole number"),
         ({"map": np.zeros((3, 3))}, "map of type ndarray: expected the name or file of a floor plan"),
+        ({"map": "nowhere.yaml"}, r"nowhere\.yaml"),
         ({"clearance": float("nan")}, "clearance nan"),
+        *(({"pref_speed": speed}, SPEED.format(speed)) for speed in (50.0, 10.1, 0.0, -1, float("inf"))),
+        ({"pref_speed": "fast"}, "pref_speed 'fast' of 0: expected metres per second"),
     ],
 )
 def test_wrong_settings_are_refused(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(UserError, match=message):
-        pedzoo.controller("go_to_goal", **settings)
+        pedzoo.controller("go_to_goal", **settings).step({0: (0, 0)}, {0: (5, 0)})
 
 
-def test_wrong_times_and_speeds_are_refused() -> None:
-    policy = load_policy("go_to_goal")
-    with pytest.raises(UserError, match="pref_speed 'fast' of 1: expected metres per second"):
-        Controller(policy, pref_speed="fast").step({1: (0, 0)}, {1: (5, 0)})  # pyright: ignore
-    with pytest.raises(UserError, match="time 'now': expected seconds"):
-        Controller(policy).step({1: (0, 0)}, {1: (5, 0)}, time="now")  # pyright: ignore
-    walk = Controller(policy)
-    walk.step({1: (0, 0), 2: (2, 0)}, {1: (5, 0), 2: (7, 0)}, radius={1: 0.2})
-    walk.step({2: (2, 0)})
-    assert list(walk.step({2: (2, 0)}, radius={1: 0.2})) == [2]
+def test_policies_that_no_controller_can_ask_are_refused() -> None:
+    with pytest.raises(UserError, match="execute_steps 4"):
+        Controller(pedzoo.policy("sgan_goal.zara1", execute_steps=4))
+    with pytest.raises(UserError, match="not finite for 'a'"):
+        Controller(Watch(factor=float("nan"))).step({"a": (0, 0)}, {"a": (1, 0)})
+
+
+R = {"r": (3, 3)}
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"others": {"anna": (3, 3)}}, "'anna' is in people and in others"),
+        ({"others": {"r": (1, 2, 3)}}, r"others: position \(1, 2, 3\) of 'r': expected two numbers"),
+        ({"others": {"r": []}}, r"others: position \[\] of 'r'"),
+        ({"others": {"r": "there"}}, "others: position 'there' of 'r'"),
+        ({"others": {"r": (float("nan"), 1)}}, "position .* of 'r'.*expected finite"),
+        ({"others": R, "velocities": {"r": (1,)}}, "velocity .* of 'r'"),
+        ({"others": R, "velocities": {"r": (0.0, 1e6)}}, "velocity .* of 'r': .* at most 100"),
+        ({"velocities": {"bo": (1e6, 0.0)}}, "velocity .* of 'bo': expected metres per second, at most 100"),
+        ({"people": {"anna": (5000.0, 0.0)}}, "position of 'anna': 4999 m from that at the call before"),
+        ({"radius": {"anna": 0}}, "radius 0 of 'anna': expected metres, above 0"),
+        ({"radius": {"anna": float("nan")}}, "radius nan of 'anna'"),
+        ({"radius": {"anna": 1e9}}, "radius 1000000000.0 of 'anna': .* at most 10: .*millimetres"),
+        ({"radius": {"anna": 30}}, "radius 30 of 'anna': .* are these centimetres"),
+        ({"others": R, "radius": {"r": "wide"}}, "radius 'wide' of 'r'"),
+        ({"others": R, "radius": {"r": 300}}, "radius 300 of 'r'"),
+        ({"time": 3.0}, r"time 3\.0: expected later than at the call before, 3"),
+        ({"time": 2.9}, r"time 2\.9: expected later"),
+        ({"time": float("nan")}, "time nan: expected seconds"),
+        ({"time": "now"}, "time 'now': expected seconds"),
+        ({"time": None}, "time None: expected at every call or at none"),
+    ],
+)
+def test_wrong_values_are_refused_and_change_nothing(given: dict[str, Any], message: str) -> None:
+    walk, other = Controller(Watch(), dt=0.1), Controller(Watch(), dt=0.1)
+    goals = {"anna": (8, 1), "bo": (8, 2)}
+    usual: dict[str, Any] = {"people": {"anna": (1.1, 1), "bo": (1, 2)}, "goals": goals, "time": 3.1}
+    for one in (walk, other):
+        one.step({"anna": (1, 1)}, goals, time=3.0)
+    with pytest.raises(UserError, match=message):
+        walk.step(**usual | given)
+    for step in range(2):
+        answers = [one.step(**usual | {"time": 3.1 + step}) for one in (walk, other)]
+        np.testing.assert_array_equal(list(answers[0].values()), list(answers[1].values()))
+    counted = Controller(Watch())
+    counted.step({"anna": (1, 1)}, {"anna": (8, 1)})
+    with pytest.raises(UserError, match=r"time 3\.0: expected at every call or at none"):
+        counted.step({"anna": (1, 1)}, time=3.0)
 
 
 CELLS = np.zeros((24, 32), dtype=np.uint8)  # rooms of 0.5 m cells, joined by doors of 1 m

@@ -52,14 +52,6 @@ def test_a_new_goal_begins_a_new_way_but_not_a_new_style() -> None:
     assert not begun["called"].any() and later["called"][0, :, 0].tolist() == [True, False]
 
 
-def test_a_scene_that_is_walked_again_begins_anew() -> None:
-    memory, left = FirstSeenMemory(), torch.tensor([9.0, 6.0])
-    memory.add(scenes(3, left))
-    again = agents_of(memory.add(scenes(0, left)))
-    assert torch.equal(again["first_history"], agents_of(FIRST)["history"])
-    assert not again["elapsed"].any()
-
-
 def test_people_who_are_not_known_for_eight_rows_wait_for_them() -> None:
     memory, left = FirstSeenMemory(), torch.tensor([9.0, 6.0])
     new = scenes(0, left)
