@@ -96,7 +96,7 @@ def controller(
     Arguments and errors as of `policy` and of `pedzoo.policies.controller.controller.Controller`: ``dt``,
     ``pref_speed``, ``seed``, ...
     """
-    return policy(model, noise).controller(map, **settings)
+    return Controller(policy(model, noise), map, **settings)
 
 
 def _is_policy(spec: Spec | SpecText) -> bool:

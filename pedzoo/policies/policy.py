@@ -1,8 +1,5 @@
 """The interface of policies: what all have, and the class of those that are no models."""
 
-from __future__ import annotations
-
-from pathlib import Path
 from typing import Any, ClassVar, Self, cast
 
 import torch
@@ -17,8 +14,6 @@ from pedzoo.core import randomness
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import direction_of, rotate
-from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.policies.controller.controller import Controller
 
 _DETERMINISTIC = (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN)
 
@@ -41,17 +36,9 @@ class NamedPolicy(TensorDictModuleBase):
     in_keys: ClassVar[list[Any]] = ["agents", "maps", "map_id", "scene_pose", "scene_key", "time"]
     out_keys: ClassVar[list[Any]] = [("agents", "action")]
 
-    def policy(self) -> Self:
-        """Return itself, as models return their policy."""
-        return self
-
     def fresh(self) -> Self:
         """Return the policy as it is before its first scene: itself, for policies that remember nothing."""
         return self
-
-    def controller(self, map: OccupancyGrid | str | Path | None = None, **settings: Any) -> Controller:
-        """Return the policy as a controller for the people of any simulator; arguments as of `Controller`."""
-        return Controller(self, map, **settings)
 
     def __repr__(self) -> str:
         name = f"{self.name!r}, " if self.name else ""

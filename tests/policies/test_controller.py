@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Any, cast
 
 import numpy as np
@@ -84,18 +83,30 @@ def test_a_plain_simulator_of_thirty_lines():
     assert controller.step({}) == {}
 
 
-def test_the_order_of_the_people_does_not_matter():
+def test_the_order_of_agents_and_the_names_of_others_do_not_matter():
     draw = np.random.default_rng(1)
     people = {who: draw.uniform(0.5, 4.5, 2) for who in ("a", 7, ("x", 1), 2.5, frozenset([3]))}
     goals = {who: draw.uniform(0.5, 4.5, 2) for who in people}
-    one, other = (pedzoo.controller("sgan_goal.zara1", ROOMS, seed=3) for _ in range(2))
-    for tick in range(4):
-        named = list(people) if tick % 2 else list(people)[::-1]
-        forth = one.step(people, goals)
-        back = other.step({who: people[who] for who in named}, {who: goals[who] for who in reversed(named)})
-        assert list(back) == named
-        assert all((velocity == back[who]).all() for who, velocity in forth.items())
-        people = {who: xy + 0.4 * forth[who] for who, xy in people.items()}
+    names = {"r": "r", "s": "s"}, {"s": "s", "r": "r"}, {"r": 3, "s": ("x", 2)}
+    walks = [pedzoo.controller("sgan_goal.zara1", ROOMS, seed=3) for _ in names]
+    for _ in range(4):
+        answers = []
+        for number, (walk, name) in enumerate(zip(walks, names, strict=True)):
+            ids = list(people)[:: -1 if number else 1]
+            robots = {"r": (2.0, 0.4), "s": [(3.0, 2.0), (3.5, 2.0)]}
+            answers.append(
+                walk.step(
+                    {who: people[who] for who in ids},
+                    {who: goals[who] for who in reversed(ids)},
+                    others={name[one]: robots[one] for one in name},
+                    radius={name[one]: {"r": 0.5, "s": 0.25}[one] for one in name},
+                )
+            )
+            assert list(answers[-1]) == ids
+        assert all((velocity == answers[1][who]).all() for who, velocity in answers[0].items())
+        for who in people:
+            np.testing.assert_allclose(answers[2][who], answers[0][who], atol=1e-5)
+        people = {who: xy + 0.4 * answers[0][who] for who, xy in people.items()}
 
 
 def test_noise_goes_by_seed_and_id_who_else_is_there():
@@ -229,7 +240,6 @@ def test_goals_that_no_person_has_any_more_are_forgotten():
         ({"anna": (1, 1), "bo": "here"}, {}, "position 'here' of 'bo': expected two numbers"),
         ({"anna": (1, 1)}, {"anna": (np.inf, 3)}, "goal .* of 'anna': expected finite"),
         ({"anna": (1, 1), "bo": (2, 2)}, {"anna": (3, 3), "bo": (50, 3)}, "goal of 'bo': .* outside the map"),
-        ({"anna": (1, 1)}, {"anna": (5, 1)}, "goal of 'anna': .* in a wall or too near to one"),
         ({"anna": (1, 1)}, {"anna": (12, 3)}, "no way leads to the goal of 'anna'"),
         ({"anna": (5e5, 4e6)}, {"anna": (3, 3)}, "'anna' is more than 10000 m from the scene's origin"),
     ],
@@ -351,20 +361,6 @@ def test_a_box_is_several_discs_with_histories_of_their_own():
     np.testing.assert_allclose(last, expected, atol=1e-6)
 
 
-def test_neither_the_order_of_others_nor_their_names_matter():
-    people, goals = {"a": (0.0, 0.0), "b": (1.0, 2.0)}, {"a": (4.0, 0.0), "b": (4.0, 2.0)}
-    others, radius = {"r": (2.0, 0.2), "s": [(3.0, 2.0), (3.5, 2.0)]}, {"r": 0.5, "s": 0.25}
-    answers = []
-    for named in ({"r": "r", "s": "s"}, {"s": "s", "r": "r"}, {"r": 3, "s": ("x", 1)}):
-        controller, result = pedzoo.controller("sgan_goal.zara1"), {}
-        there, wide = ({named[one]: part[one] for one in named} for part in (others, radius))
-        for _ in range(3):
-            result = controller.step(people, goals, others=there, radius=wide)
-        answers.append(arrays(result))
-    assert (answers[0] == answers[1]).all()
-    np.testing.assert_allclose(answers[2], answers[0], atol=1e-5)
-
-
 def test_a_clock_that_jitters_gives_regular_histories():
     """On a circle of 2 m at 1.2 m/s: what the policy sees is where they were every 0.4 s, within 1 cm."""
 
@@ -388,27 +384,11 @@ def test_a_clock_that_jitters_gives_regular_histories():
         assert (history[1] + start + expected).norm(dim=-1).max() < 0.01
 
 
-@pytest.mark.parametrize("name", ["sgan_goal.zara1", "orca"])
-def test_people_walk_alike_by_a_clock_that_jitters(name: str):
-    draw = np.random.default_rng(1)
-    jitter = np.concatenate(([0.0], draw.uniform(-0.02, 0.02, 59), [0.0]))
-    ends = []
-    for shift, told in ((np.zeros(61), False), (np.zeros(61), True), (jitter, True)):
-        controller = Controller(load_policy(name), dt=0.1, deterministic=True)
-        times, place = 5.0 + 0.1 * np.arange(61) + shift, np.zeros(2)
-        for time, after in pairwise(times.tolist()):
-            result = controller.step({0: place}, {0: (50.0, 20.0)}, time=time if told else None)
-            place = place + (after - time) * result[0]
-        ends.append(place)
-    assert np.linalg.norm(ends[1] - ends[0]) < 1e-3
-    assert np.linalg.norm(ends[2] - ends[1]) < 0.01
-
-
 @pytest.mark.parametrize("name", ["sgan_goal_map.indoor", "social_walker.eth_ucy"])
 def test_a_policy_asked_by_a_controller_still_has_gradients(name: str) -> None:
     """A controller asks in inference mode; nothing that is kept may be a tensor of that mode."""
     policy = pedzoo.policy(name)
-    controller = policy.controller(ROOMS)
+    controller = Controller(policy, ROOMS)
     people, goals = {0: (1.0, 3.0), 1: (4.0, 2.0)}, {0: (9.0, 3.0), 1: (1.0, 2.0)}
     controller.step(people, goals)
     bank = controller._online_goals.planner.bank

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -178,6 +179,20 @@ def test_policies_walk_alike_at_any_clock(name: str, dt: float) -> None:
         assert np.linalg.norm(path[-1] - goal) < 0.1
     np.testing.assert_array_equal(paths[0], paths[1])
     assert np.linalg.norm(paths[0][round(3 / dt)] - paths[2][30]) < 0.3
+
+
+@pytest.mark.parametrize("name", ["sgan_goal.zara1", "orca"])
+def test_people_walk_alike_by_a_clock_that_jitters(name: str) -> None:
+    jitter, ends = np.random.default_rng(1).uniform(-0.02, 0.02, 61), []
+    for shift, told in ((0.0, False), (0.0, True), (jitter, True)):
+        controller = Controller(policy_of(name), dt=0.1, deterministic=True)
+        times, place = 5.0 + 0.1 * np.arange(61) + shift, np.zeros(2)
+        times[[0, -1]] = 5.0, 11.0
+        for time, after in pairwise(times.tolist()):
+            result = controller.step({0: place}, {0: (50.0, 20.0)}, time=time if told else None)
+            place = place + (after - time) * result[0]
+        ends.append(place)
+    assert np.linalg.norm(ends[1] - ends[0]) < 1e-3 and np.linalg.norm(ends[2] - ends[1]) < 0.01
 
 
 @pytest.mark.parametrize(

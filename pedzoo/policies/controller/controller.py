@@ -4,15 +4,15 @@ import warnings
 from collections.abc import Hashable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDict
 from tensordict.nn.probabilistic import InteractionType as ExplorationType
 from tensordict.nn.probabilistic import set_interaction_type as set_exploration_type
-from torch import Tensor, nn
+from torch import Tensor
 
 from pedzoo.core.batch import PERSON, ROBOT, actions_of, scene_batch
 from pedzoo.core.errors import UserError
@@ -41,19 +41,12 @@ from pedzoo.policies.controller.arguments import (
 )
 from pedzoo.policies.controller.ease import eased, expected
 from pedzoo.policies.controller.roster import OnlineGoals, Roster
+from pedzoo.policies.policy import NamedPolicy
 
 Id = TypeVar("Id", bound=Hashable)
 
 _SEEN = "heading", "pref_speed", "radius", "group", "goal_since", "number", "other"
 """What policies see of agents as it is."""
-
-
-class WalkingPolicy(Protocol):
-    """Writes ``agents/action``; ``fresh()``, if there is one, returns it as before its first scene."""
-
-    decision_dt: float
-
-    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase: ...  # noqa: D102
 
 
 class Controller:
@@ -85,7 +78,7 @@ class Controller:
 
     def __init__(
         self,
-        policy: WalkingPolicy,
+        policy: NamedPolicy,
         map: OccupancyGrid | str | Path | None = None,
         pref_speed: float | Mapping[Any, float] = PREF_SPEED,
         dt: float = STEP_SECONDS,
@@ -146,7 +139,7 @@ class Controller:
 
     def reset(self, seed: int = 0) -> None:
         """Forget all agents and start anew with the noise of ``seed``; ways that are known stay known."""
-        self.policy = getattr(self.policy, "fresh", lambda: self.policy)()
+        self.policy = self.policy.fresh()
         self._key = Draws.for_episodes(seed, torch.zeros(1, dtype=torch.long)).key
         self._clock = CallerClock.of(self.dt, self.policy.decision_dt)
         self._agents = Roster.empty(len(self._clock.times), self._ticks)
@@ -245,9 +238,8 @@ class Controller:
 
     def _trace(self, agents: Roster, batch: TensorDict, begin: Array) -> Tensor:
         """Return the velocities (N, S, 2) of a new decision, m/s; agents who ``begin`` (N,) do not blend."""
-        velocity, device = cast("Tensor", batch["agents", "velocity"])[0], batch.device
-        if isinstance(self.policy, nn.Module):
-            device = next(self.policy.parameters(), velocity).device
+        velocity = cast("Tensor", batch["agents", "velocity"])[0]
+        device = next(self.policy.parameters(), velocity).device
         batch = batch if device == velocity.device else batch.to(device)
         kind = ExplorationType.DETERMINISTIC if self.deterministic else ExplorationType.RANDOM
         with set_exploration_type(kind):
