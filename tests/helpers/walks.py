@@ -1,15 +1,22 @@
-"""Rollouts made by hand, and a policy that fails, for tests of what is said about walks."""
+"""Walks: rollouts made by hand, people of a controller, and a policy that fails."""
 
+from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torchrl.envs import step_mdp
 
 from pedzoo.core.geometry import identity_pose
+from pedzoo.policies.controller.controller import Controller
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.state import State
+
+Host = Callable[[int, NDArray[Any], NDArray[Any]], NDArray[Any]]
+"""How a host moves people: the call, their places and the velocities that it was told give new places."""
 
 BROKEN = '''
 from pedzoo.policies.policy import Policy
@@ -87,3 +94,25 @@ def as_desired(
         seen.append(now.clone())
         states.append(env.state)
     return seen, states
+
+
+def hosted(
+    controller: Controller,
+    start: NDArray[Any],
+    goals: dict[int, Any],
+    seconds: float,
+    velocities: Any = None,
+    host: Host | None = None,
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return where people are after every call (T + 1, N, 2), metres, and what was answered (T, N, 2), m/s.
+
+    ``goals`` are those by call: {call: {person: goal}}; ``velocities`` those of the first call.
+    """
+    place, path, answers = start.copy(), [start], []
+    for call in range(round(seconds / controller.dt)):
+        answer = controller.step(dict(enumerate(place)), goals.get(call), velocities if call == 0 else None)
+        velocity = np.array(list(answer.values()))
+        place = place + controller.dt * velocity if host is None else host(call, place, velocity)
+        path.append(place)
+        answers.append(velocity)
+    return np.array(path), np.array(answers)

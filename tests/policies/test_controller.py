@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from helpers.scenes import Watch
+from helpers.walks import hosted
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 import pedzoo
@@ -196,16 +197,13 @@ def test_newcomers_are_decided_at_once_others_at_the_interval():
 )
 def test_between_two_decisions_velocities_blend(dt: float, shares: list[float]):
     """From 1.3 m/s along x to 1.3 m/s along y: half-way in the first 0.1 s, made up for in the next 0.2 s."""
-    controller, place, result = Controller(Watch(), dt=dt), np.zeros(2), []
-    for _ in shares:
-        place = place + dt * controller.step({0: place}, {0: (100.0, 0.0)})[0]
-    turn = place
-    for _ in shares:
-        result.append(controller.step({0: place}, {0: (turn[0], 100.0)})[0])
-        place = place + dt * result[-1]
+    controller, steps = Controller(Watch(), dt=dt), len(shares)
+    goals = {0: {0: (100.0, 0.0)}, steps: {0: (0.52, 100.0)}}
+    path, result = hosted(controller, np.zeros((1, 2)), goals, 0.8)
     # no faster than 1.3 times the preferred speed
-    np.testing.assert_allclose(result, [(1.3 * (1 - share), 1.3 * share) for share in shares], atol=2e-5)
-    np.testing.assert_allclose(place - turn, (0.0, 0.52), atol=2e-5)
+    expected = [(1.3 * (1 - share), 1.3 * share) for share in shares]
+    np.testing.assert_allclose(result[steps:, 0], expected, atol=2e-5)
+    np.testing.assert_allclose(path[-1, 0] - path[steps, 0], (0.0, 0.52), atol=2e-5)
 
 
 def test_velocities_are_shortened_to_the_top_speed():
@@ -288,15 +286,12 @@ def row_of(batch: Any, radius: float) -> int:
 def test_who_has_arrived_stands_until_another_goal(name: str, goal: Any):
     room_of_ten = rectangles(room((-5, -5), (5, 5), 0.1), resolution=0.1)
     controller = pedzoo.controller(name, room_of_ten, dt=0.1)
-    people = {"stands": np.array([0.0, 0.0]), "passes": np.array([-4.0, 0.3])}
-    path = []
-    for tick in range(250):
-        # the same goal again is no other goal
-        goals = {"stands": goal if tick < 120 else (3.0, 3.0)} | ({} if tick else {"passes": (4.0, 0.3)})
-        people = {who: people[who] + 0.1 * v for who, v in controller.step(people, goals).items()}
-        path.append(people["stands"])
-    assert np.linalg.norm(path[119] - (goal or (0.0, 0.0))) <= GOAL_RADIUS
-    assert np.linalg.norm(np.stack(path[60:120]) - path[119], axis=1).max() < 0.2
+    # the same goal again is no other goal; one stands, and the other passes
+    goals = {tick: {0: goal if tick < 120 else (3.0, 3.0)} for tick in range(1, 250)}
+    goals[0] = {0: goal, 1: (4.0, 0.3)}
+    path = hosted(controller, np.array([[0.0, 0.0], [-4.0, 0.3]]), goals, 25.0)[0][:, 0]
+    assert np.linalg.norm(path[120] - (goal or (0.0, 0.0))) <= GOAL_RADIUS
+    assert np.linalg.norm(path[60:120] - path[120], axis=1).max() < 0.2
     assert np.linalg.norm(path[-1] - (3.0, 3.0)) <= GOAL_RADIUS
 
 

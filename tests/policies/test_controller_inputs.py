@@ -272,7 +272,7 @@ R = {"r": (3, 3)}
         ({"others": {"r": "there"}}, "others: position 'there' of 'r'"),
         ({"others": {"r": (float("nan"), 1)}}, "position .* of 'r'.*expected finite"),
         ({"others": R, "velocities": {"r": (1,)}}, "velocity .* of 'r'"),
-        ({"others": R, "velocities": {"r": (0.0, 1e6)}}, "velocity .* of 'r': .* at most 100"),
+        ({"others": R, "velocities": {"r": (0.0, 1e6)}}, "velocity .* of 'r'.*at most 100"),
         ({"velocities": {"bo": (1e6, 0.0)}}, "velocity .* of 'bo': expected metres per second, at most 100"),
         ({"people": {"anna": (5000.0, 0.0)}}, "position of 'anna': 4999 m from that at the call before"),
         ({"radius": {"anna": 0}}, "radius 0 of 'anna': expected metres, above 0"),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from functools import cache
 from itertools import pairwise
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 from helpers.scenes import Watch
+from helpers.walks import hosted
 from numpy.typing import NDArray
 
 from pedzoo.core.batch import agents_of
@@ -27,30 +27,6 @@ CROWD = "orca:share=0.5+sgan_goal_map.indoor"
 
 policy_of = cache(load_policy)
 Array = NDArray[Any]
-Host = Callable[[int, Array, Array], Array]
-"""How a host moves people: the call, their places and the velocities that it was told give new places."""
-
-
-def walked(
-    controller: Controller,
-    start: Array,
-    goals: dict[int, Any],
-    velocities: Any = None,
-    seconds: float = 12.0,
-    host: Host | None = None,
-) -> tuple[Array, Array]:
-    """Return where people are after every call (T + 1, N, 2), metres, and what was answered (T, N, 2), m/s.
-
-    ``goals`` are those by call: {call: {person: goal}}.
-    """
-    place, path, answers = start.copy(), [start], []
-    for call in range(round(seconds / controller.dt)):
-        answer = controller.step(dict(enumerate(place)), goals.get(call), velocities if call == 0 else None)
-        velocity = np.array(list(answer.values()))
-        place = place + controller.dt * velocity if host is None else host(call, place, velocity)
-        path.append(place)
-        answers.append(velocity)
-    return np.array(path), np.array(answers)
 
 
 def at_rest(path: Array, answers: Array, goal: Array, dt: float) -> None:
@@ -84,9 +60,8 @@ def test_people_start_and_brake_as_people_do(name: str, dt: float) -> None:
     angle = np.arange(8.0)
     goal = start + away[:, None] * np.stack((np.cos(angle), np.sin(angle)), 1)
     controller = Controller(policy_of(name), dt=dt, pref_speed={6: 0.7, 7: 1.6})
-    path, answers = walked(
-        controller, start, {0: dict(enumerate(goal))}, {one: (0.0, 0.0) for one in range(8)}, 11.0
-    )
+    still = {one: (0.0, 0.0) for one in range(8)}
+    path, answers = hosted(controller, start, {0: dict(enumerate(goal))}, 11.0, still)
     at_rest(path, answers, goal, dt)
     change = accelerations(np.concatenate((np.zeros((1, 8, 2)), answers)), dt)
     if name not in RULES:  # between its ends a walk is the policy's
@@ -109,7 +84,7 @@ def test_goals_that_come_change_and_go_at_any_moment(name: str, dt: float) -> No
         some = given.items() if isinstance(given, dict) else enumerate(given)
         goals[call] = {one: None if way is None else start[one] + way for one, way in some}
     moving = {one: (1.3, 0.0) for one in range(8)}
-    path, answers = walked(Controller(policy_of(name), dt=dt), start, goals, moving, 14.0)
+    path, answers = hosted(Controller(policy_of(name), dt=dt), start, goals, 14.0, moving)
     last = [(4, 0), (0.5, 0), (0.1, 0), path[-1, 3] - start[3], (6, 2), (7, 0), (5, -3), (8, 0)]
     at_rest(path, answers, start + np.array(last), dt)
     assert np.linalg.norm(path[-1, 3] - start[3]) < 0.7  # who is to stand brakes
@@ -127,7 +102,7 @@ def test_nobody_is_touched_where_many_arrive(name: str) -> None:
     start = (2.2 + 0.15 * np.arange(8))[:, None] * np.stack((np.cos(angle), np.sin(angle)), 1)
     for goals in (np.zeros((8, 2)), np.array([[1.5, 0.0], [-1.5, 0.0]])[np.arange(8) % 2]):
         controller = Controller(policy_of(name), plan, dt=0.1)
-        path, answers = walked(controller, start, {0: dict(enumerate(goals))}, None, 5.0)
+        path, answers = hosted(controller, start, {0: dict(enumerate(goals))}, 5.0)
         apart = np.linalg.norm(path[:, :, None] - path[:, None], axis=-1) + 9 * np.eye(8)
         assert apart.min() >= 0.3 - 5e-3
         nearest = np.linalg.norm(path[-1] - goals, axis=1)
@@ -174,7 +149,7 @@ def test_policies_walk_alike_at_any_clock(name: str, dt: float) -> None:
     goal, paths = np.array([[6.0, 1.0]]), []
     for seconds in (dt, dt, 0.1):
         controller = Controller(policy_of(name), dt=seconds, deterministic=True)
-        path, _ = walked(controller, np.zeros((1, 2)), {0: {0: goal[0]}}, seconds=7.0)
+        path, _ = hosted(controller, np.zeros((1, 2)), {0: {0: goal[0]}}, 7.0)
         paths.append(path)
         assert np.linalg.norm(path[-1] - goal) < 0.1
     np.testing.assert_array_equal(paths[0], paths[1])
@@ -246,7 +221,7 @@ def test_hosts_may_move_people_otherwise_than_told(name: str, dt: float, host: s
     start = np.array([[0.0, 0.0], [60.0, 0.0]])
     goal = start + np.array([[4.0, 1.0], [0.0, 5.0]])
     controller = Controller(policy_of(name), dt=dt)
-    path, answers = walked(controller, start, {0: dict(enumerate(goal))}, None, 9.0, move)
+    path, answers = hosted(controller, start, {0: dict(enumerate(goal))}, 9.0, host=move)
     at_rest(path, answers, goal, dt)
 
 

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from helpers.walks import hosted
 
 from pedzoo.models.architectures.sgan import at_own_speed
 from pedzoo.policies.controller.controller import Controller
@@ -25,13 +26,10 @@ def test_a_host_gets_the_speed_that_it_asks_for(name: str, speed: float) -> None
     policy = load_policy(name)
     dt, seed = policy.decision_dt, round(10 * speed)
     controller = Controller(policy, dt=dt, pref_speed=speed, seed=seed)
-    here = np.array([0.2, -0.1])
-    goal = here + 90.0 * np.array([math.cos(seed), math.sin(seed)])
-    track = []
-    for step in range(round(12.0 / dt)):
-        here = here + controller.step({seed: here}, {seed: goal} if step == 0 else None)[seed] * dt
-        track.append(here)
-    path = np.diff(np.array(track)[round(6.0 / dt) :], axis=0)
+    here = np.array([[0.2, -0.1]])
+    goal = here[0] + 90.0 * np.array([math.cos(seed), math.sin(seed)])
+    track, _ = hosted(controller, here, {0: {0: goal}}, 12.0)
+    path = np.diff(track[round(6.0 / dt) :, 0], axis=0)
     assert np.linalg.norm(path, axis=1).mean() / dt == pytest.approx(speed, rel=0.03)
     assert np.linalg.norm(path.mean(0)) / dt == pytest.approx(speed, rel=0.03)
 
@@ -62,13 +60,10 @@ def test_people_alone_walk_at_their_speed_others_at_its_share() -> None:
 
 def test_others_slow_people_down() -> None:
     """A row of people who stand across the way stops the default, at any speed."""
-    row = {number: (4.0, 0.45 * number - 2.7) for number in range(1, 12)}
+    start = np.array([(0.0, 0.0), *((4.0, 0.45 * number - 2.7) for number in range(1, 12))])
+    goals = {0: {0: (12.0, 0.0), **dict.fromkeys(range(1, 12))}}
     for speed in (0.8, 1.4):
         policy = load_policy(DEFAULT)
         assert isinstance(policy, Walker)
-        controller = Controller(policy, pref_speed=speed)
-        here = np.zeros(2)
-        for step in range(20):
-            goals = {0: (12.0, 0.0), **dict.fromkeys(row)} if step == 0 else None
-            here = here + controller.step({0: here, **row}, goals)[0] * 0.4
-        assert here[0] < 4.0
+        path, _ = hosted(Controller(policy, pref_speed=speed), start, goals, 8.0)
+        assert path[-1, 0, 0] < 4.0

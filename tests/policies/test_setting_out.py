@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from helpers.walks import hosted
 from torchrl.envs import step_mdp
 
 import pedzoo
@@ -47,16 +48,6 @@ def test_all_policies_set_out_from_a_static_start() -> None:
     assert len(names) > 100 and not late
 
 
-def walked(controller: Controller, start: Any, goal: Any, seconds: float, told: bool = True) -> Any:
-    """Return where one person is who goes to a goal, or stands for None, beside one who stands."""
-    here = np.asarray(start)
-    for step in range(round(seconds / controller.dt)):
-        people = {0: here, 1: (30.0, 0.0)}
-        goals = {0: goal, 1: None} if told and step == 0 else None
-        here = here + controller.step(people, goals)[0] * controller.dt
-    return here
-
-
 @pytest.mark.parametrize("name", KINDS)
 def test_people_of_a_host_set_out_again(name: str) -> None:
     """They were placed without a goal, have arrived, or were stopped, for a short or a long time."""
@@ -66,13 +57,14 @@ def test_people_of_a_host_set_out_again(name: str) -> None:
         (("placed", 3.6, 2.5), ("arrived", 0.8, -1.9), ("arrived", 3.6, 3.0), ("stopped", 0.8, 0.4))
     ):
         controller = Controller(policy, dt=dt, seed=number, pref_speed=1.2)
-        here = np.array([0.3, 0.2])
+        here = np.array([[0.3, 0.2], [30.0, 0.0]])
         if begin != "placed":
-            here = walked(controller, here, (1.1, 0.2) if begin == "arrived" else (9.0, 0.2), 2.0)
-        here = walked(controller, here, None, stood, told=begin != "arrived")
-        goal = here + 6.0 * np.array([math.cos(way), math.sin(way)])
-        there = walked(controller, here, goal, 0.8)
-        assert np.linalg.norm(there - here) > MOVED, (begin, stood)
+            first = (1.1, 0.2) if begin == "arrived" else (9.0, 0.2)
+            here = hosted(controller, here, {0: {0: first, 1: None}}, 2.0)[0][-1]
+        here = hosted(controller, here, {} if begin == "arrived" else {0: {0: None, 1: None}}, stood)[0][-1]
+        goal = here[0] + 6.0 * np.array([math.cos(way), math.sin(way)])
+        there = hosted(controller, here, {0: {0: goal}}, 0.8)[0][-1]
+        assert np.linalg.norm(there - here, axis=1)[0] > MOVED, (begin, stood)
 
 
 @pytest.mark.parametrize(
