@@ -1,7 +1,6 @@
 """Kills: trainings that are killed at random moments, whole or one process of two, and resumed to their end.
 
-Weights and ``metrics.csv`` are compared with those of a training that nobody killed. When training ``i`` is
-killed is drawn from ``i``.
+Weights and ``metrics.csv`` are compared with those of a training that nobody killed.
 
     python -m tools.kills                    # ten trainings of each kind, for hours
     python -m tools.kills sgan --trainings 2
@@ -88,15 +87,11 @@ class Training:
 
     def others(self) -> list[int]:
         """Return the numbers of its living processes but the first."""
-        result = []
-        for file in Path("/proc").glob("[0-9]*/stat"):
-            try:
-                state, _, group = file.read_text().rpartition(")")[2].split()[:3]
-            except OSError:
-                continue
-            if int(group) == self.process.pid != int(file.parent.name) and state != "Z":
-                result.append(int(file.parent.name))
-        return result
+        words = ["ps", "-eo", "pid=,pgid=,stat="]
+        lines = subprocess.run(words, capture_output=True, text=True, check=True).stdout.splitlines()
+        known = [line.split() for line in lines]
+        own = str(self.process.pid)
+        return [int(pid) for pid, group, state in known if group == own != pid and state[0] != "Z"]
 
     def kill(self, whom: str) -> bool:
         """Kill ``all``, the ``first`` or a ``second`` process; return whether the rest ended by itself."""
@@ -133,7 +128,7 @@ def whole(words: list[str], folder: Path) -> tuple[Path, float]:
     began = training.wait_until_it_trains()
     if training.process.wait():
         raise SystemExit(f"it does not train: {(folder / 'said.txt').read_text()[-2000:]}")
-    return next(folder.glob("runs/*/*")), time.monotonic() - began
+    return runs_in(folder)[-1], time.monotonic() - began
 
 
 def killed(words: list[str], folder: Path, seconds: float, draw: np.random.Generator) -> dict[str, Any]:

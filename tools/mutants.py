@@ -5,9 +5,8 @@ pip install cosmic-ray
 python -m tools.mutants planner --sample 100   # of one module; all by default
 ```
 
-Cosmic Ray says what can be mutated. Here a sample is drawn. Each mutant is written into a copy of HEAD, and
-tested in a fork of a process that has imported torch already. Survivors are printed; those of `EQUIVALENT`
-change no result. `CONTRIBUTING.md` has the table of what was found.
+Cosmic Ray says what can be mutated. Each mutant of a sample is written into a copy of HEAD, and tested in a
+fork of a process that has imported torch already. Survivors are printed; those of `EQUIVALENT` are harmless.
 """
 
 from __future__ import annotations
@@ -15,14 +14,13 @@ from __future__ import annotations
 import argparse
 import ast
 import importlib
+import multiprocessing
 import os
 import re
 import signal
 import subprocess
 import sys
 import tempfile
-import time
-import traceback
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -134,29 +132,22 @@ def _nodes(tree: Any) -> Iterator[Any]:
 
 def killed(copy: Path, tests: list[str], silent: bool = True) -> bool:
     """Return whether a test fails, in a fork."""
-    child = os.fork()
-    if not child:
-        try:
-            os.setsid()
-            os.chdir(copy)
-            for place in (1, 2) if silent else ():
-                os.dup2(os.open(os.devnull, os.O_WRONLY), place)
-            import pytest
+    child = multiprocessing.get_context("fork").Process(target=_test, args=(copy, tests, silent))
+    child.start()
+    child.join(PATIENCE)
+    if child.exitcode is None:
+        os.killpg(child.pid or 0, signal.SIGKILL)
+    return child.exitcode != 0
 
-            code = pytest.main(["-x", "-q", "--assert=plain", "-p", "no:cacheprovider", *tests])
-            os._exit(int(code))
-        except BaseException:
-            traceback.print_exc()
-            os._exit(9)
-    late = time.monotonic() + PATIENCE
-    while time.monotonic() < late:
-        done, status = os.waitpid(child, os.WNOHANG)
-        if done:
-            return status != 0
-        time.sleep(0.02)
-    os.killpg(child, signal.SIGKILL)
-    os.waitpid(child, 0)
-    return True
+
+def _test(copy: Path, tests: list[str], silent: bool) -> None:
+    import pytest
+
+    os.setsid()
+    os.chdir(copy)
+    for place in (1, 2) if silent else ():
+        os.dup2(os.open(os.devnull, os.O_WRONLY), place)
+    sys.exit(int(pytest.main(["-x", "-q", "--assert=plain", "-p", "no:cacheprovider", *tests])))
 
 
 def survivors(module: str, sample: int, seed: int, copy: Path) -> tuple[int, list[str]]:

@@ -4,8 +4,7 @@
     python -m tools.walks --files    # also their names, in the order in which they are entered
 
 A walk is run and traced (`sys.setprofile`), compiled loops as Python. A file counts when one of its functions
-runs; code that only imports does not. A room is a package: `sim`, `models`. Other commits are counted by
-`PYTHONPATH=CHECKOUT python tools/walks.py`.
+runs. A room is a package: `sim`, `models`.
 """
 
 from __future__ import annotations
@@ -23,6 +22,9 @@ from types import FrameType
 from typing import Any
 
 MODEL = "sgan_goal_map.indoor"
+EPISODE = f"rollout {MODEL} --scenario door --episodes 1 --physics compiled"
+FIT = "fit --config sgan_goal --data.fold embedded --runs=FOLDER --trainer.max_epochs=1"
+FIT += " --trainer.limit_train_batches=1 --trainer.limit_val_batches=0"
 
 
 class Trace:
@@ -109,26 +111,14 @@ WALKS: dict[str, tuple[str, Callable[[], Trace]]] = {
     "track": ("recorded track to loss", track_to_loss),
     "string": ("a policy's string to velocities", string_to_velocities),
     "plan": ("floor plan to network input", plan_to_input),
-    "row": (
-        "an episode to a row",
-        lambda: command(f"rollout {MODEL} --scenario door --episodes 1 --physics compiled"),
-    ),
-    "fit": (
-        "`fit` to its first batch",
-        lambda: command(
-            "fit --config sgan_goal --data.fold embedded --runs=FOLDER --trainer.max_epochs=1 "
-            "--trainer.limit_train_batches=1 --trainer.limit_val_batches=0",
-            "training_step",
-        ),
-    ),
+    "row": ("an episode to a row", lambda: command(EPISODE)),
+    "fit": ("`fit` to its first batch", lambda: command(FIT, "training_step")),
 }
 
 
 def main() -> int:
     """Print the walks, each of a process of its own; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("walks", nargs="*", metavar="WALK", help=f"some of {', '.join(WALKS)}")
     parser.add_argument("--files", action="store_true", help="name the files")
     parser.add_argument("--here", action="store_true", help="walk in this process")

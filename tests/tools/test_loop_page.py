@@ -17,7 +17,6 @@ from pedzoo.cli.main import main
 from pedzoo.core.paths import CARD, shipped
 from pedzoo.eval.suite import EvaluationOptions
 from pedzoo.eval.suites.scenes import DRAWN
-from pedzoo.metrics.arrival import seconds_per_goal
 from pedzoo.metrics.ratios import summarised
 from pedzoo.models.zoo.card import ModelCard, read_card, write_card
 from pedzoo.sim.make import make_scenario
@@ -229,19 +228,7 @@ def test_loop_writes_page_and_report_and_names_what_is_missing(
     assert set(CHOICES) == {"who goes first", "passing side"}
 
 
-# How two get past each other at a door, and how long people walk for a goal
-
-
-def test_time_per_goal_by_hand() -> None:
-    """Two people are finished after 20 s with 3 and 5 goals: 40 s for 8. In the other none is in time."""
-    reached = torch.tensor([[[1, 3], [2, 5]], [[0, 1], [0, 0]]])
-    above, below = seconds_per_goal(torch.tensor([20.0, math.inf]), reached, torch.ones(2, 2).bool())
-    assert above.tolist() == [40.0, 0.0] and below.tolist() == [8, 0]
-    alone = torch.tensor([[True, False], [True, True]])
-    assert [v.tolist() for v in seconds_per_goal(torch.tensor([20.0, 8.0]), reached, alone)] == [
-        [20.0, 16.0],
-        [3, 1],
-    ]
+# How two get past each other at a door
 
 
 def test_bearing_turns_while_two_are_close() -> None:

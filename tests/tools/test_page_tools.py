@@ -64,33 +64,29 @@ def test_a_page_without_its_markers_is_refused(tmp_path: Path, monkeypatch: pyte
 REALISM = {"zara1": {"walker.zara1": 0.1, "a/best.ckpt": 0.2}, "eth": {"walker.eth": 0.3, "b/best.ckpt": 0.6}}
 
 
-def written(folder: Path, monkeypatch: pytest.MonkeyPatch, *options: str) -> str:
-    """Write a page of two recordings with a crowd and a checkpoint each, and return it."""
+def test_rows_of_several_seeds_have_a_table_of_their_spread(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of two recordings with a crowd and a checkpoint each; one seed alone has no spread."""
     files = []
     for against, values in REALISM.items():
         rows = [{"name": name, "metrics": {"realism": value}, "ci95": {}} for name, value in values.items()]
         versions = {"pedzoo": "1", "commit": "abc"}
-        file = folder / f"{against}.json"
+        file = tmp_path / f"{against}.json"
         file.write_text(json.dumps({"protocol": {"against": against}, "rows": rows, "versions": versions}))
         files.append(str(file))
-    monkeypatch.setattr(sys, "argv", ["score_page", *files, "--out", str(folder / "S.md"), *options])
-    score_page.main()
-    return (folder / "S.md").read_text()
 
+    def page(*options: str) -> str:
+        monkeypatch.setattr(sys, "argv", ["score_page", *files, "--out", str(tmp_path / "S.md"), *options])
+        score_page.main()
+        return (tmp_path / "S.md").read_text()
 
-def test_rows_of_several_seeds_have_a_table_of_their_spread(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    page = written(tmp_path, monkeypatch, "--named", "walker.SCENE-seed1")
-    assert "| walker.SCENE | 0.200 |" in page and "| walker.SCENE-seed1 | 0.400 |" in page
-    assert "| walker.SCENE, 2 seeds | 0.300 (0.200 to 0.400) | - |" in page
-    assert "| walker.zara1-seed1 | 0.200 |" in page and "| walker.eth-seed1 | 0.600 |" in page
-
-
-def test_one_seed_has_no_spread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    page = written(tmp_path, monkeypatch)
-    assert "| walker.SCENE | 0.200 |" in page and "seeds" not in page
-    assert "a/best.ckpt" in page
+    several = page("--named", "walker.SCENE-seed1")
+    assert "| walker.SCENE | 0.200 |" in several and "| walker.SCENE-seed1 | 0.400 |" in several
+    assert "| walker.SCENE, 2 seeds | 0.300 (0.200 to 0.400) | - |" in several
+    assert "| walker.zara1-seed1 | 0.200 |" in several and "| walker.eth-seed1 | 0.600 |" in several
+    one = page()
+    assert "| walker.SCENE | 0.200 |" in one and "seeds" not in one and "a/best.ckpt" in one
 
 
 @pytest.mark.parametrize(
@@ -135,16 +131,10 @@ def site() -> dict[str, Any]:
     return runpy.run_path(str(SITE / "__main__.py"), run_name="site")
 
 
-def test_every_page_of_docs_is_in_the_navigation(site: dict[str, Any]) -> None:
+def test_the_site_has_every_page_and_all_that_it_names(site: dict[str, Any]) -> None:
     listed = set(re.findall(r": docs/(\w+\.md)$", (SITE / "mkdocs.yml").read_text(), re.MULTILINE))
     assert listed == {page.name for page in (site["ROOT"] / "docs").glob("*.md")} - {"README.md"}
-
-
-def test_everything_of_the_api_exists(site: dict[str, Any]) -> None:
+    assert [name for name in site["COPIED"] if not (site["ROOT"] / name).exists()] == []
     for name in (name for line in site["API"].values() for name in line.partition(": ")[2].split()):
         module, _, last = f"pedzoo.{name}".rpartition(".")
         assert hasattr(import_module(module), last) or import_module(f"pedzoo.{name}"), name
-
-
-def test_everything_that_is_copied_exists(site: dict[str, Any]) -> None:
-    assert [name for name in site["COPIED"] if not (site["ROOT"] / name).exists()] == []

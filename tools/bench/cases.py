@@ -55,12 +55,8 @@ STARTS: dict[str, tuple[str, ...]] = {
 def cases(asked: Sizes) -> list[TimedCase]:
     """Return all cases of the sections and sizes that are asked about."""
     torch.set_num_threads(1)
-    return [
-        case
-        for section, sizes in asked.items()
-        for scenes, people in sizes
-        for case in SECTIONS[section](scenes, people)
-    ]
+    sizes = [(SECTIONS[section], *size) for section, each in asked.items() for size in each]
+    return [case for make, scenes, people in sizes for case in make(scenes, people)]
 
 
 def starts(scenes: int, people: int) -> Iterator[TimedCase]:
@@ -105,22 +101,17 @@ def walk(section: str, policy: str, scenes: int, people: int, physics: str) -> T
 
 def robots(scenes: int, people: int) -> Iterator[TimedCase]:
     """Give robots that drive straight among people, with a lidar of 64 beams."""
+    from pedzoo.policies.load import load_robot_policy
+
     for walkers in ("orca", MODEL):
 
         def build(walkers: str = walkers) -> Step:
             sensors = ["goal", "odometry", "people", "lidar:beams=64"]
             scenario = f"goals:map={PLAN},people={people}"
             env = pedzoo.make_robot_env(scenario, "disc", walkers, scenes, sensors)
-            return stepping(env, robot_policy("straight"), round(WARM / env.decision_dt))
+            return stepping(env, load_robot_policy("straight"), round(WARM / env.decision_dt))
 
         yield TimedCase("robots", f"people {walkers}", build, scenes, people, "a robot's decision, 0.2 s", 50)
-
-
-def robot_policy(name: str) -> Any:
-    """Return a robot's policy."""
-    from pedzoo.policies.load import load_robot_policy
-
-    return load_robot_policy(name)
 
 
 def stepping(env: Any, policy: Any, warm: int) -> Step:
@@ -149,7 +140,7 @@ def controllers(scenes: int, people: int) -> Iterator[TimedCase]:
             others = np.concatenate([env.reset()["agents", "goal"][0].numpy() for _ in range(32)])
             far = np.linalg.norm(start[:, None] - others, axis=-1).argmax(1)  # nobody arrives in a turn
             goals = others[far] + np.random.default_rng(0).uniform(-0.05, 0.05, start.shape)
-            controller = controller_of(MODEL, plan, dt)
+            controller = pedzoo.controller(MODEL, plan, dt=dt)
             position = start
 
             def step() -> None:
@@ -171,12 +162,6 @@ def controllers(scenes: int, people: int) -> Iterator[TimedCase]:
         yield TimedCase("controller", name, build, scenes, people, steps=CALLS, again=again)
 
 
-def controller_of(name: str, plan: str, dt: float) -> Any:
-    """Return a controller; commits before `pedzoo.controller` ask the model or the policy for it."""
-    ours = getattr(pedzoo, "controller", None)
-    return ours(name, plan, dt=dt) if ours else pedzoo.load(name).controller(plan, dt=dt)
-
-
 def planners(scenes: int, people: int) -> Iterator[TimedCase]:
     """Give the first call with a new goal in one process, and networkx' A* on the same cells."""
     env = pedzoo.make_env(f"goals:map={CROWDED},people=2,pool=256", 1)
@@ -186,7 +171,7 @@ def planners(scenes: int, people: int) -> Iterator[TimedCase]:
         return np.concatenate([env.reset()["agents", "goal"][0].numpy() for _ in range(64)])
 
     def ours() -> Step:
-        controller = controller_of("go_to_goal", CROWDED, 0.1)
+        controller = pedzoo.controller("go_to_goal", CROWDED, dt=0.1)
         goals = places()
 
         def step() -> None:
@@ -257,8 +242,7 @@ def trainings(scenes: int, people: int) -> Iterator[TimedCase]:
 
         def step() -> None:
             nonlocal batches
-            batch = next(batches, None)
-            if batch is None:
+            if (batch := next(batches, None)) is None:
                 batches = iter(data.train_dataloader())
                 batch = next(batches)
             loss = model.loss(batch)

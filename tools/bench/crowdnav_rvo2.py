@@ -14,6 +14,7 @@ import math
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from pyrvo.pyrvo import RVOSimulator
@@ -79,14 +80,12 @@ def social_force(robot: Body, people: Sequence[Body]) -> np.ndarray:
     return velocity / max(1.0, float(np.linalg.norm(velocity)))
 
 
-def free_place(
-    draw: Callable[[], np.ndarray], others: Sequence[Body], radius: float, gap: float
-) -> np.ndarray:
+def free_place(draw: Callable[[], np.ndarray], others: Sequence[Body], room: float) -> np.ndarray:
     """Return the first place drawn that is clear of where others are and of where they go."""
+    ends = [(other.radius + room, end) for other in others for end in (other.place, other.goal)]
     while True:
         place = draw()
-        ends = [(other, end) for other in others for end in (other.place, other.goal)]
-        if all(np.linalg.norm(place - end) >= radius + other.radius + gap for other, end in ends):
+        if all(np.linalg.norm(place - end) >= least for least, end in ends):
             return place
 
 
@@ -103,7 +102,7 @@ def crowdnav(seed: int, safety_space: float = 0.0, visible: bool = False) -> tup
     robot = Body(np.array([0.0, -4.0]), np.array([0.0, 4.0]))
     people: list[Body] = []
     for _ in range(5):
-        place = free_place(lambda: near_circle(random, 4.0, -0.5, 0.5), [robot, *people], 0.3, 0.2)
+        place = free_place(lambda: near_circle(random, 4.0, -0.5, 0.5), [robot, *people], 0.3 + 0.2)
         people.append(Body(place, -place))
     seconds, ended = 0.0, ""
     while not ended:
@@ -150,15 +149,10 @@ class CrowdNavPP:
         seconds = 0.0
         self.look(known, people, 0.0)
         while True:
-            action = (
-                rvo2(robot, known, 0.16, 20, self.reach)
-                if self.policy == "orca"
-                else social_force(robot, known)
-            )
-            walked = [
-                rvo2(one, [other for other in people if other is not one], 0.16, 19, self.reach)
-                for one in people
-            ]
+            by_orca = self.policy == "orca"
+            action = rvo2(robot, known, 0.16, 20, self.reach) if by_orca else social_force(robot, known)
+            others = [[other for other in people if other is not one] for one in people]
+            walked = [rvo2(one, rest, 0.16, 19, self.reach) for one, rest in zip(people, others, strict=True)]
             if seconds >= 49:
                 return "timeout", seconds
             if min(one.distance(robot) for one in people) < 0:
@@ -183,7 +177,7 @@ class CrowdNavPP:
             self.reach, speed, radius = self.random.uniform([5, 0.5, 0.3], [10, 1.5, 0.5])
         circle = 6 * math.sqrt(2)
         others = [self.robot, *people]
-        place = free_place(lambda: near_circle(self.random, circle, 0.0, 2.0), others, radius, 0.25)
+        place = free_place(lambda: near_circle(self.random, circle, 0.0, 2.0), others, radius + 0.25)
         return Body(place, -place, radius=radius, speed=speed)
 
     def change_goals(self, people: Sequence[Body]) -> None:
@@ -191,10 +185,8 @@ class CrowdNavPP:
         for one in people:
             if self.random.random_sample() <= 0.5:
                 half, others = one.speed / 2, [self.robot, *(other for other in people if other is not one)]
-                one.goal = free_place(
-                    lambda half=half: near_circle(self.random, 6 * math.sqrt(2), -half, half),
-                    others, one.radius, 0.25,
-                )  # fmt: skip
+                draw = partial(near_circle, self.random, 6 * math.sqrt(2), -half, half)
+                one.goal = free_place(draw, others, one.radius + 0.25)
 
     def look(self, known: Sequence[Body], people: Sequence[Body], seconds: float) -> None:
         """See the people within 5 m; others go straight on, for all that the robot knows."""

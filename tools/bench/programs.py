@@ -48,13 +48,7 @@ class Program:
     """A script that answers as ``peers/answering.py`` says; close it at the end."""
 
     def __init__(self, name: str, script: Path, python: str = "", tree: Path | None = None) -> None:
-        """Start it with one thread.
-
-        Args:
-            name: What tables call it.
-            script: What it runs.
-            python: The interpreter; this one if empty.
-            tree: Checkout of pedzoo that it imports.
+        """Start it with one thread, by this or another interpreter, and a ``tree`` of pedzoo to import.
 
         Raises:
             UserError: There is no such script or interpreter.
@@ -120,11 +114,7 @@ class Program:
 
 @contextmanager
 def checkout(name: str) -> Iterator[Path]:
-    """Give a temporary worktree of a commit, and remove it after the block.
-
-    Raises:
-        UserError: There is no such commit.
-    """
+    """Give a temporary worktree of a commit, and remove it after the block; `UserError` of none."""
     with tempfile.TemporaryDirectory(prefix="bench_") as folder:
         tree = Path(folder).resolve() / "before"
         git("worktree", "add", "--detach", str(tree), git("rev-parse", "--verify", f"{name}^{{commit}}"))
@@ -135,11 +125,7 @@ def checkout(name: str) -> Iterator[Path]:
 
 
 def git(*words: str) -> str:
-    """Return what git answers in this repository.
-
-    Raises:
-        UserError: It fails.
-    """
+    """Return what git answers in this repository; `UserError` where it fails."""
     done = subprocess.run(["git", "-C", str(ROOT), *words], capture_output=True, text=True, check=False)
     if done.returncode:
         raise UserError(f"git {' '.join(words)}: {done.stderr.strip()}")

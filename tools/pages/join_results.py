@@ -24,11 +24,7 @@ COMMAND = re.compile(r"Made by `(.*?)`")
 
 
 def joined(before: dict[str, Any], later: dict[str, Any]) -> dict[str, Any]:
-    """Return a report with the rows of both; those of ``later`` take the place of others of its policies.
-
-    Raises:
-        SystemExit: The reports are of different suites or options.
-    """
+    """Return a report with the rows of both; those of ``later`` take the place of others of its policies."""
     if before["protocol"] != later["protocol"] or before["seeds"] != later["seeds"]:
         raise SystemExit(f"not of one protocol:\n{before['protocol']}\n{later['protocol']}")
     names = {row["name"] for row in later["rows"]}
@@ -43,9 +39,7 @@ def joined(before: dict[str, Any], later: dict[str, Any]) -> dict[str, Any]:
 
 def main() -> None:
     """Read the reports and write the page."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("before", type=Path, help="Report of all policies, by pedzoo evaluate --json.")
     parser.add_argument("later", type=Path, nargs="+", help="Reports of some of them.")
     parser.add_argument("--page", type=Path, required=True, help="Its command is that of the page so far.")

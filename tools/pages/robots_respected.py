@@ -48,21 +48,13 @@ WIDEST = {"open": 1.0, "corridor": WIDTH / 2 - ROBOT_RADIUS - 0.05}
 
 
 class Encounter(NamedTuple):
-    """A person who walks along the x axis from -5 m, and a robot that passes the origin's surroundings.
+    """A person who walks along the x axis from -5 m, and a robot that passes the origin's surroundings."""
 
-    Attributes:
-        start: Where the robot begins (x, y), metres, before the offset.
-        velocity: Of the robot, m/s.
-        aside: The direction of the offset.
-        pref_speed: Of the person, m/s.
-        goal: x of the person's goal, metres.
-    """
-
-    start: tuple[float, float]
-    velocity: tuple[float, float]
-    aside: tuple[float, float] = (0.0, 1.0)
-    pref_speed: float = 1.3
-    goal: float = 5.0
+    start: tuple[float, float]  # where the robot begins (x, y), metres, before the offset
+    velocity: tuple[float, float]  # of the robot, m/s
+    aside: tuple[float, float] = (0.0, 1.0)  # direction of the offset
+    pref_speed: float = 1.3  # of the person, m/s
+    goal: float = 5.0  # x of the person's goal, metres
 
 
 ENCOUNTERS = {
@@ -87,10 +79,7 @@ Block = tuple[float, float, float, float]
 
 
 def walls(place: str, encounter: str) -> list[Block]:
-    """Return the walls of a place: none in the open.
-
-    A robot that crosses the corridor comes through another one, as wide.
-    """
+    """Return the walls of a place; a robot that crosses the corridor comes through another one, as wide."""
     half, end, deep = WIDTH / 2, LENGTH / 2, 8.0
     if place == "open" or encounter != "crossing":
         return [] if place == "open" else room((-end, -half), (end, half), 0.2)
@@ -110,14 +99,9 @@ def walked(policy: str, place: str, encounter: str, aside: float, seed: int = 0)
     goal = np.array([case.goal, 0.0])
     nearest, limit = np.inf, 2 * (case.goal + 5) / case.pref_speed + 5
     for tick in range(round(limit / dt)):
-        command = steering.step(
-            {"person": person},
-            {"person": goal},
-            velocities={"robot": velocity},
-            others={"robot": robot},
-            radius={"robot": ROBOT_RADIUS},
-        )["person"]
-        moved = slid(person, command * dt, blocks)
+        about = {"velocities": {"robot": velocity}, "radius": {"robot": ROBOT_RADIUS}}
+        command = steering.step({"person": person}, {"person": goal}, others={"robot": robot}, **about)
+        moved = slid(person, command["person"] * dt, blocks)
         nearest = min(nearest, closest(person - robot, moved - person - velocity * dt))
         person, robot = moved, robot + velocity * dt
         if np.linalg.norm(person - goal) < GOAL_RADIUS:

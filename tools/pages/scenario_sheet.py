@@ -4,17 +4,15 @@
 
 Floor plan, who is where when the episode begins, the 2.8 s that they have walked until then, and their ways
 to their first goals. One episode is drawn strongly and others of the same seed faintly; where these have
-other floor plans, the outlines of their walls are dotted. All panels have the same scale, unless a scene
-is too large for it. Without names it draws all that the registry knows, so that
-a new scenario appears by itself.
+other floor plans, the outlines of their walls are dotted. Without names all scenarios are drawn.
 """
 
 from __future__ import annotations
 
 import argparse
-from io import BytesIO
 from pathlib import Path
 from textwrap import fill
+from typing import Any
 
 import torch
 from matplotlib.axes import Axes
@@ -24,7 +22,6 @@ from matplotlib.patches import Circle, Polygon
 from matplotlib.transforms import Affine2D
 
 from pedzoo.core.geometry import move_to_map
-from pedzoo.core.paths import write_atomically
 from pedzoo.core.registry import SCENARIOS
 from pedzoo.core.spec import parse
 from pedzoo.core.types import BODY_RADIUS, GOAL_RADIUS
@@ -34,7 +31,7 @@ from pedzoo.sim.camera import person_color
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
 from pedzoo.sim.scenarios._lanes import Encounter
-from pedzoo.viz.plots import draw_floor_plan
+from pedzoo.viz.plots import draw_floor_plan, write_figure
 
 WINDOW = (14.6, 10.8)
 """Metres that a panel shows, unless a scene is larger."""
@@ -50,8 +47,7 @@ PANEL, GAP, HEAD, FOOT = 3.0, 0.14, 0.7, 0.42
 
 def main() -> None:
     """Draw the sheet."""
-    raw = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=raw)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("scenarios", nargs="*", help="names with settings; none: all with their defaults")
     parser.add_argument("--episodes", type=int, default=6, help="drawn over each other")
     parser.add_argument("--seed", type=int, default=0)
@@ -64,25 +60,15 @@ def main() -> None:
     height = PANEL * WINDOW[1] / WINDOW[0]
     size = (columns * (PANEL + GAP) + GAP, rows * (height + HEAD) + FOOT)
     figure = Figure(figsize=size)
-    grid = []
-    for number in range(len(names)):
+    for number, name in enumerate(names):
         left = GAP + number % columns * (PANEL + GAP)
         bottom = FOOT + (rows - 1 - number // columns) * (height + HEAD)
         place = (left / size[0], bottom / size[1], PANEL / size[0], height / size[1])
-        grid.append(figure.add_axes(place))
-    for axes, name in zip(grid, names, strict=False):
-        panel(axes, name, make_env(name, num_envs=options.episodes, seed=options.seed))
-    figure.legend(
-        handles=legend(options.episodes),
-        loc="lower center",
-        ncols=7,
-        frameon=False,
-        fontsize=min(9, 3 * columns),
-    )
-    data = BytesIO()
-    figure.savefig(data, format=options.out.suffix[1:] or "png", dpi=110)
-    write_atomically(options.out, data.getvalue())
-    print(f"{options.out}: {len(names)} scenarios, {len(data.getvalue()) // 1000} kB")
+        panel(figure.add_axes(place), name, make_env(name, num_envs=options.episodes, seed=options.seed))
+    look: dict[str, Any] = {"loc": "lower center", "ncols": 7, "frameon": False}
+    figure.legend(handles=legend(options.episodes), fontsize=min(9, 3 * columns), **look)
+    write_figure(figure, options.out, dpi=110)
+    print(f"{options.out}: {len(names)} scenarios")
 
 
 def panel(axes: Axes, name: str, env: PedestrianEnv) -> None:
@@ -118,11 +104,10 @@ def panel(axes: Axes, name: str, env: PedestrianEnv) -> None:
             axes.add_patch(ring)
     about = fill(SCENARIOS.describe(parse(name).name), 54, max_lines=2)
     size = 11 if len(name) < 20 else 7.5
-    axes.text(0, 1.19, name, transform=axes.transAxes, va="bottom", fontsize=size, fontweight="bold")
-    axes.text(
-        1, 1.19, crowd(env), transform=axes.transAxes, ha="right", va="bottom", fontsize=8, color="0.35"
-    )
-    axes.text(0, 1.165, about, transform=axes.transAxes, va="top", fontsize=7.5, color="0.35")
+    inside: dict[str, Any] = {"transform": axes.transAxes}
+    axes.text(0, 1.19, name, va="bottom", fontsize=size, fontweight="bold", **inside)
+    axes.text(1, 1.19, crowd(env), ha="right", va="bottom", fontsize=8, color="0.35", **inside)
+    axes.text(0, 1.165, about, va="top", fontsize=7.5, color="0.35", **inside)
 
 
 def outline(axes: Axes, plan: OccupancyGrid) -> None:
@@ -164,18 +149,17 @@ def frame(axes: Axes, low: torch.Tensor, high: torch.Tensor, open_space: bool) -
 
 def legend(episodes: int) -> list[Line2D]:
     """Return what the marks mean."""
-    marks = [
-        Line2D([], [], color="tab:blue", marker="o", linestyle="none", label="when the episode begins"),
-        Line2D([], [], color="tab:blue", linewidth=2, label="2.8 s before"),
-        Line2D([], [], color="tab:blue", linewidth=0.8, linestyle=(0, (3, 2)), label="way to the goal"),
-        Line2D([], [], color="tab:blue", marker="o", markersize=9, markerfacecolor="none", linestyle="none",
-               label="goal (0.3 m)"),
-        Line2D([], [], color="0.45", marker="s", markersize=8, linestyle="none", label="wall"),
-        Line2D([], [], color="tab:blue", alpha=0.25, linewidth=2, label=f"{episodes - 1} more episodes"),
-    ]  # fmt: skip
-    dots = {"color": "0.25", "linewidth": 0.6, "linestyle": (0, (1.5, 1.5))}
-    marks.insert(-1, Line2D([], [], label="walls in other episodes", **dots))
-    return marks if episodes > 1 else marks[:-2]
+    marks: dict[str, dict[str, Any]] = {
+        "when the episode begins": {"marker": "o", "linestyle": "none"},
+        "2.8 s before": {"linewidth": 2},
+        "way to the goal": {"linewidth": 0.8, "linestyle": (0, (3, 2))},
+        "goal (0.3 m)": {"marker": "o", "markersize": 9, "markerfacecolor": "none", "linestyle": "none"},
+        "wall": {"color": "0.45", "marker": "s", "markersize": 8, "linestyle": "none"},
+        "walls in other episodes": {"color": "0.25", "linewidth": 0.6, "linestyle": (0, (1.5, 1.5))},
+        f"{episodes - 1} more episodes": {"alpha": 0.25, "linewidth": 2},
+    }
+    lines = [Line2D([], [], label=label, **({"color": "tab:blue"} | look)) for label, look in marks.items()]
+    return lines if episodes > 1 else lines[:-2]
 
 
 if __name__ == "__main__":

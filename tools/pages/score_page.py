@@ -3,12 +3,9 @@
 pedzoo score social_walker.eth social_force:preset=indoor --against eth --json score_eth.json
 python -m tools.pages.score_page score_*.json
 
-Reports of one recording and protocol are joined: a row of a later one takes the place of an earlier one's.
-So a crowd is added to the page by
-``python -m tools.pages.score_page checkpoints/results/SCORES.json score_eth.json``.
-Rows of checkpoints, which are called by their paths, get a name by ``--named``:
-``python -m tools.pages.score_page checkpoints/results/SCORES.json score_*.json --named
-social_walker.styled_SCENE-seed1``.
+Reports of one recording and protocol are joined: a row of a later one takes the place of an earlier one's. So
+``python -m tools.pages.score_page checkpoints/results/SCORES.json score_eth.json`` adds a crowd to the page.
+Rows of checkpoints, called by their paths, get a name by ``--named social_walker.styled_SCENE-seed1``.
 """
 
 import argparse
@@ -16,6 +13,7 @@ import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 from tools.pages.tables import RESULTS, number, table
@@ -55,9 +53,7 @@ Compare these rows with each other only."""
 
 def main() -> None:
     """Read the reports and write the page."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("files", type=Path, nargs="+", help="Reports of pedzoo score --json.")
     parser.add_argument("--named", help="What checkpoints are called; SCENE stands for the recording.")
     parser.add_argument("--out", type=Path, default=RESULTS / "SCORES.md")
@@ -79,20 +75,13 @@ def main() -> None:
 
 
 def joined(before: dict[str, Any] | None, report: dict[str, Any]) -> dict[str, Any]:
-    """Return a report with the rows of an earlier one that it does not have; every row names its commit.
-
-    Raises:
-        SystemExit: The protocols differ, so that their rows cannot stand side by side.
-    """
-    commit, old = report["versions"]["commit"], {}
-    mine = {row["name"]: {"commit": commit} | row for row in report["rows"]}
-    if before is not None:
-        if before["protocol"] != report["protocol"]:
-            raise SystemExit(
-                f"{before['protocol']} and {report['protocol']}: expected reports of one protocol"
-            )
-        old = {row["name"]: row for row in before["rows"]}
-    return report | {"rows": list((old | mine).values())}
+    """Return a report with the rows of an earlier one that it does not have; every row names its commit."""
+    before = before or report | {"rows": []}
+    if before["protocol"] != report["protocol"]:
+        raise SystemExit(f"{before['protocol']} and {report['protocol']}: expected reports of one protocol")
+    commit = {"commit": report["versions"]["commit"]}
+    rows = [*before["rows"], *(commit | row for row in report["rows"])]
+    return report | {"rows": list({row["name"]: row for row in rows}.values())}
 
 
 def page(reports: Reports) -> Iterator[str]:
@@ -121,14 +110,12 @@ def means(reports: Reports, stops: bool) -> Iterator[str]:
     for name, rows in kinds.items():
         if len(rows) == len(reports):
             known = {key: [row[key] for row in rows if key in row] for key in COLUMNS}
-            values[name] = {
-                key: sum(all_) / len(all_) if len(all_) == len(rows) else None for key, all_ in known.items()
-            }
+            values[name] = {key: fmean(v) if len(v) == len(rows) else None for key, v in known.items()}
             seeds.setdefault(re.sub(r"-seed\d+$", "", name), []).append(name)
     names = ", ".join(report["protocol"]["against"] for report in reports.values())
     yield from (f"## Mean of {names}" + ", with stops" * stops, "")
     head = ["crowd", *COLUMNS.values()]
-    yield table(head, [[name, *map(number3, mine.values())] for name, mine in values.items()])
+    yield table(head, [[name, *(number(one, 3) for one in mine.values())] for name, mine in values.items()])
     lines = [
         [f"{name}, {len(runs)} seeds", *(spread([values[run][key] for run in runs]) for key in COLUMNS)]
         for name, runs in seeds.items()
@@ -158,24 +145,18 @@ def kind(name: str, against: str) -> str:
     return re.sub(rf"(?<=.){re.escape(against)}(?=(-seed\d+)?$)", "SCENE", name)
 
 
-def number3(value: float | None) -> str:
-    """Return a number as it stands in a table."""
-    return number(value, 3)
-
-
 def spread(values: list[float | None]) -> str:
     """Return the mean of values, and the least and the greatest one."""
     known = [value for value in values if value is not None]
-    if len(known) < len(values):
-        return "-"
-    return f"{sum(known) / len(known):.3f} ({min(known):.3f} to {max(known):.3f})"
+    ends = f"{fmean(known):.3f} ({min(known):.3f} to {max(known):.3f})" if known else "-"
+    return ends if len(known) == len(values) else "-"
 
 
 def cell(row: dict[str, Any], key: str) -> str:
     """Return a value with its interval."""
     interval = row["ci95"].get(key) if key in row["metrics"] else None
     ends = f" [{interval[0]:.2f}, {interval[1]:.2f}]" if interval else ""
-    return number3(row["metrics"].get(key)) + ends
+    return number(row["metrics"].get(key), 3) + ends
 
 
 if __name__ == "__main__":

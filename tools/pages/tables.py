@@ -1,7 +1,6 @@
 """Write the generated tables of README.md and docs/: python -m tools.pages.tables [--check|--measure].
 
-They come from the cards in checkpoints/ and from checkpoints/results/. ``--check`` only says which pages are
-out of date; ``--measure`` first measures the column ms again, into checkpoints/results/STEP_MS.json.
+``--check`` only says which pages are out of date; ``--measure`` first measures the column ms again.
 """
 
 from __future__ import annotations
@@ -90,24 +89,14 @@ SHOWN: dict[str, Key] = {
 }
 """Rows of docs/results.md about controllers in the loop."""
 
-SEEDS = "", "-seed1", "-seed2"
-POLICIES = {
-    name: [f"{name}{seed}" for seed in SEEDS] for name in ("sgan_goal_map.indoor", "sgan_goal.indoor")
-}
-POLICIES |= {
-    name: [name]
-    for name in (
-        *("social_walker.eth_ucy", "social_walker.styled", "sgan_goal_map.controller_open"),
-        *("go_to_goal:safety=true", "orca:radius=0.2", "orca:radius=0.3", "social_force:preset=indoor"),
-    )
-}
+SEEDED = ("sgan_goal_map.indoor", "sgan_goal.indoor")
+POLICIES = {name: [f"{name}{seed}" for seed in ("", "-seed1", "-seed2")] for name in SEEDED}
+WALKERS = ("social_walker.eth_ucy", "social_walker.styled", "sgan_goal_map.controller_open")
+POLICIES |= {name: [name] for name in (*WALKERS, *RULES)}
 """Their columns, and those of LOOP.md of which they show the least and the most, if any."""
 
 FLOOR, PEOPLE, STEPS, WARM, REPEATS = "office.0", 10, 20, 3, 4
 """Of the measured scene: floor plan, people, decisions, the first ones that do not count, and walks."""
-
-
-# Markdown
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -131,9 +120,6 @@ def cells_of(text: str) -> list[list[str]]:
     lines = [line for line in text.splitlines() if line.startswith("|")]
     head, _, *rows = ([cell.strip() for cell in line.strip("|").split("|")] for line in lines)
     return [head, *rows]
-
-
-# What is known of policies
 
 
 def targets() -> dict[str, dict[Key, str]]:
@@ -188,9 +174,6 @@ def in_results(name: str) -> dict[str, float]:
     row = next((row for row in rows if row[0] == name), [])
     cells = {key: cell.split()[0] for key, cell in zip(head[1:], row[1:], strict=False)}
     return {key: float(cell) for key, cell in cells.items() if cell != "-"}
-
-
-# The README
 
 
 def models() -> str:
@@ -258,9 +241,6 @@ def results() -> str:
         f"{lines}"
         "\nAll of these numbers, and more: [results](docs/results.md#controllers-in-the-loop).\n"
     )
-
-
-# docs/
 
 
 def zoo() -> str:
@@ -385,12 +365,7 @@ def measure() -> None:
 PAGES: dict[str, dict[str, Callable[[], str]]] = {
     "README.md": {"models": models, "results": results},
     "docs/zoo.md": {"zoo": zoo},
-    "docs/results.md": {
-        "loop": in_the_loop,
-        "walked": walked_page,
-        "indoors": indoors,
-        "forecasts": forecasts,
-    },
+    "docs/results.md": dict(loop=in_the_loop, walked=walked_page, indoors=indoors, forecasts=forecasts),
 }
 """Generated parts of pages, by the names of their markers."""
 

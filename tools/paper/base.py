@@ -7,12 +7,10 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import closing
-from io import BytesIO
 from pathlib import Path
 from statistics import fmean, stdev
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
-from pedzoo.core.paths import write_atomically
 from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.parallel import finished
 from pedzoo.eval.results import INTERVALS, ResultTable, legend, markdown_table, protocol_line
@@ -20,22 +18,14 @@ from pedzoo.eval.suite import EvaluationOptions
 from pedzoo.eval.work_units import Journal, Progress, ProgressReport
 from pedzoo.models.zoo.store import names as zoo_names
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 class Reproduction(ABC):
-    """One table or figure of the paper.
-
-    Attributes:
-        title: Of its page.
-        stem: Of its files.
-        others: How many parts the journal had of other requests, weights or code.
-    """
+    """One table or figure of the paper: the title of its page, and the stem of its files."""
 
     title: ClassVar[str]
     stem: ClassVar[str]
     others: int = 0
+    """How many parts the journal had of other requests, weights or code."""
 
     @property
     @abstractmethod
@@ -44,12 +34,7 @@ class Reproduction(ABC):
 
     @abstractmethod
     def run(self, workers: int = 1, progress: Progress | None = None) -> None:
-        """Do whatever is not done; whatever interrupts it, finished parts are kept in the journal.
-
-        Args:
-            workers: Processes; the numbers are the same for any number of them.
-            progress: Called whenever there is something to tell.
-        """
+        """Do whatever is not done; whatever interrupts it, finished parts are kept in the journal."""
 
     @abstractmethod
     def report(self) -> dict[str, Any]:
@@ -78,13 +63,9 @@ class Jobs(Reproduction):
         journal: Path | None,
         group: Callable[[Any], Hashable] | None = None,
     ) -> None:
-        """Take the jobs, and take from the journal what is done.
+        """Take the jobs by digest, each with a ``label``, and take from the journal what is done.
 
-        Args:
-            jobs: By digest; picklable, each with a ``label``.
-            work: Does a job and returns its rows, or why they cannot be made (``missing``).
-            journal: A file that keeps finished jobs.
-            group: See `pedzoo.eval.parallel.finished`.
+        ``work`` returns the rows of a job, or why they cannot be made (``missing``).
         """
         self.jobs, self._journal = dict(jobs), Journal(journal)
         self._work, self._group, done = work, group, self._journal.done
@@ -93,7 +74,7 @@ class Jobs(Reproduction):
 
     @property
     def parts(self) -> tuple[int, int]:
-        """See `Reproduction.parts`."""
+        """How many parts are done, and how many there are."""
         return len(self._done), len(self.jobs)
 
     @property
@@ -102,7 +83,7 @@ class Jobs(Reproduction):
         return [row for key in self.jobs for row in self._done.get(key, ())]
 
     def run(self, workers: int = 1, progress: Progress | None = None) -> None:
-        """See `Reproduction.run`."""
+        """Do whatever is not done."""
         missing = [key for key in self.jobs if key not in self._done]
         start, total = time.perf_counter(), len(self.jobs)
         jobs = [self.jobs[key] for key in missing]
@@ -118,16 +99,12 @@ class Jobs(Reproduction):
 
 
 class Walked(Reproduction):
-    """What is walked by some policies and their baselines: an evaluation on suites of cases.
-
-    Attributes:
-        suites: Names of the suites.
-        models: Weights that walk unless others are asked for; those that are absent are noted.
-        baselines: Policies beside them.
-    """
+    """What is walked by some policies and their baselines: an evaluation on suites of cases."""
 
     suites: ClassVar[tuple[str, ...]]
     models: ClassVar[tuple[str, ...]]
+    """Weights that walk unless others are asked for; those that are absent are noted."""
+
     baselines: ClassVar[tuple[str, ...]]
 
     def __init__(
@@ -137,14 +114,7 @@ class Walked(Reproduction):
         seeds: Sequence[int] = (0,),
         journal: Path | None = None,
     ) -> None:
-        """Say what is to be done; errors as of `pedzoo.evaluate`.
-
-        Args:
-            models: Instead of the usual ones; an unknown one is refused.
-            options: Episodes, physics, floor plans, and whether it is to be quick.
-            seeds: Of the scenes.
-            journal: A file that keeps finished parts.
-        """
+        """Say what is to be done, by ``models`` instead of the usual ones; errors as of `pedzoo.evaluate`."""
         present = set(zoo_names())
         self.missing = [] if models else [name for name in self.models if name not in present]
         self.policies = list(models) or [name for name in self.models if name in present]
@@ -154,11 +124,11 @@ class Walked(Reproduction):
 
     @property
     def parts(self) -> tuple[int, int]:
-        """See `Reproduction.parts`."""
+        """How many parts are done, and how many there are."""
         return self.evaluation.done, len(self.evaluation.units)
 
     def run(self, workers: int = 1, progress: Progress | None = None) -> None:
-        """See `Reproduction.run`."""
+        """Do whatever is not done."""
         self.evaluation.run(workers, progress=progress)
 
     def report(self) -> dict[str, Any]:
@@ -195,14 +165,7 @@ class Walked(Reproduction):
 def markdown(
     made: Reproduction, report: Mapping[str, Any], command: Sequence[str], pictures: Sequence[Path]
 ) -> str:
-    """Return the page: the command that made it, the protocol, pictures, all tables, and what to know.
-
-    Args:
-        made: What was reproduced.
-        report: Its report with ``versions``.
-        command: As it was typed.
-        pictures: Files beside the page.
-    """
+    """Return the page: the command that made it, the protocol, pictures, all tables, and what to know."""
     versions = report["versions"]
     lines = [
         f"# {made.title}\n",
@@ -218,13 +181,6 @@ def markdown(
     if legend := made.legend():
         lines += ["## What the numbers are\n", *(f"* `{key}`: {text}." for key, text in legend.items())]
     return "\n".join(lines).rstrip() + "\n"
-
-
-def save(figure: Figure, path: Path, dpi: int) -> list[Path]:
-    """Write a picture as PNG; returns its path in a list."""
-    figure.savefig(data := BytesIO(), format="png", dpi=dpi)
-    write_atomically(path, data.getvalue())
-    return [path]
 
 
 def interval_text(ends: Sequence[float] | None, digits: int = 2) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.registry import COMMANDS
@@ -49,13 +49,10 @@ class Arguments(ArgumentParser):
 
 
 def _parser() -> ArgumentParser:
-    parser = Arguments(
-        "pedzoo reproduce",
-        description=f"{COMMANDS.describe('reproduce')}\n{_ABOUT}",
-        epilog=f"example: {COMMANDS.declared('reproduce')[0]}",
-        allow_abbrev=False,
-        formatter_class=RawDescriptionHelpFormatter,
-    )
+    about = f"{COMMANDS.describe('reproduce')}\n{_ABOUT}"
+    how: dict[str, Any] = {"allow_abbrev": False, "formatter_class": RawDescriptionHelpFormatter}
+    example = f"example: {COMMANDS.declared('reproduce')[0]}"
+    parser = Arguments("pedzoo reproduce", description=about, epilog=example, **how)
     add = parser.add_argument
     add("what", choices=MADE, help="what is made")
     add("--out", metavar="FOLDER", default=".", help="for page, report and picture")
@@ -121,11 +118,7 @@ def run(argv: list[str]) -> int:
 
 
 def _made(options: Namespace, journal: Path, seeds: list[int]) -> Reproduction:
-    """Return the reproduction that was asked for.
-
-    Raises:
-        UserError: A fold, policy or floor plan that is not there, or recordings that are not.
-    """
+    """Return the reproduction that was asked for; errors of what is not there."""
     from pedzoo.eval.suite import EvaluationOptions
     from tools.paper.published import FOLDS
 

@@ -46,31 +46,20 @@ class Table(NamedTuple):
 LEARNED = ("robot_ppo.circle", "robot_ppo.crowd")
 """Robots that have learned: among CrowdNav's people, and among those of CrowdNav++."""
 
+_SEEN, _FIRST = replace(CROWDNAV, visible=True), SOCIAL_FORCE_LOG.first
 _SPACE = "crowdnav_orca:safety_space=0.15"
 _RULES = ("crowdnav_orca", _SPACE, "straight", "stop", "crowdnav_social_force", "sampling", "dwa")
+_VISIBLE = ("crowdnav_orca", _SPACE, "sampling", *LEARNED)
+_PP = (ORCA_PP, "crowdnav_social_force", "straight", "sampling", *LEARNED)
 _COLUMNS = ("success", "collision", "timeout", "time_s", "path_m")
+_NEAR, _INTRUDES = (*_COLUMNS, "discomfort", "return"), (*_COLUMNS, "intrusion_ratio", "intrusion_distance_m")
 TABLES = {
-    "crowdnav": Table(
-        "CrowdNav: 5 people who do not see the robot",
-        CROWDNAV,
-        rules.TEST,
-        (*_RULES, *LEARNED),
-        (*_COLUMNS, "discomfort", "return"),
-    ),
-    "crowdnav_visible": Table(
-        "CrowdNav: 5 people who see the robot",
-        replace(CROWDNAV, visible=True),
-        rules.TEST,
-        ("crowdnav_orca", _SPACE, "sampling", *LEARNED),
-        (*_COLUMNS, "discomfort", "return"),
-    ),
-    "crowdnav_pp": Table(
-        "CrowdNav++: 20 people who do not see the robot",
-        CROWDNAV_PP,
-        SOCIAL_FORCE_LOG.first,
-        (ORCA_PP, "crowdnav_social_force", "straight", "sampling", *LEARNED),
-        (*_COLUMNS, "intrusion_ratio", "intrusion_distance_m"),
-    ),
+    name: Table(f"{title} the robot", *rest)
+    for name, title, *rest in (
+        ("crowdnav", "CrowdNav: 5 people who do not see", CROWDNAV, rules.TEST, (*_RULES, *LEARNED), _NEAR),
+        ("crowdnav_visible", "CrowdNav: 5 people who see", _SEEN, rules.TEST, _VISIBLE, _NEAR),
+        ("crowdnav_pp", "CrowdNav++: 20 people who do not see", CROWDNAV_PP, _FIRST, _PP, _INTRUDES),
+    )
 }
 
 
@@ -94,12 +83,7 @@ class Crowdnav(Jobs):
     stem = "CROWDNAV"
 
     def __init__(self, robots: Sequence[str] = (), count: int = CASES, journal: Path | None = None) -> None:
-        """Say what is to be done.
-
-        Args:
-            robots: Instead of the usual ones, in all settings: names, or ``path/to/file.py:Class``.
-            count: Of the cases of each setting, the first ones.
-            journal: A file that keeps finished rows.
+        """Take ``robots`` instead of the usual ones, and the first cases of each setting.
 
         Raises:
             UserError: An unknown robot, or no cases.
@@ -153,39 +137,22 @@ def work(job: Job) -> list[dict[str, Any]]:
 
 
 class CaseResults(NamedTuple):
-    """How B cases went.
+    """How B cases went, (B,) each; the last step of a case neither disturbs nor intrudes."""
 
-    Attributes:
-        outcome: How they ended (B,) long, one of `pedzoo.sim.crowdnav`.
-        seconds: When they did (B,).
-        steps: How many steps they had (B,).
-        path: Metres that the robot went (B,).
-        reward: Discounted sum (B,).
-        disturbed: Steps in which a body was nearer than the discomfort distance, at the end none (B,).
-        gap: Sum of the distances in these (B,), metres.
-        intruded: Steps in which the robot stood where a person would be, at the end none (B,).
-        intrusion: Sum of the distances between centres in these (B,), metres.
-    """
-
-    outcome: Tensor
+    outcome: Tensor  # how they ended, long, one of `pedzoo.sim.crowdnav`
     seconds: Tensor
     steps: Tensor
-    path: Tensor
-    reward: Tensor
-    disturbed: Tensor
-    gap: Tensor
-    intruded: Tensor
-    intrusion: Tensor
+    path: Tensor  # metres that the robot went
+    reward: Tensor  # discounted sum
+    disturbed: Tensor  # steps in which a body was nearer than the discomfort distance
+    gap: Tensor  # sum of the distances in these, metres
+    intruded: Tensor  # steps in which the robot stood where a person would be
+    intrusion: Tensor  # sum of the distances between centres in these, metres
 
 
 @torch.no_grad()
 def run(policy: LocalPlanner, setting: Setting, cases: State) -> CaseResults:
-    """Return how cases go with a policy; they stay as they were.
-
-    Args:
-        policy: A new one for each call. It is asked in single precision.
-        setting: The rules.
-        cases: Where every person starts.
+    """Return how cases go with a policy, a new one for each call, which is asked in single precision.
 
     Raises:
         ValueError: The policy's answer is not of the shape (B, 2).

@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.eval.results import ResultTable, cell, pages
 from pedzoo.eval.rollout import rollout
+from pedzoo.viz.plots import write_figure
 from pedzoo.viz.trajectories import draw_episode, legend, meeting_and_end
-from tools.paper.base import Walked, save
+from tools.paper.base import Walked
 from tools.paper.meetings import OUTCOMES
 from tools.paper.published import FIGURE_4
 from tools.paper.suites import NARROW_DOORS, SPEED_RATIO
@@ -57,7 +58,7 @@ class Figure4(Walked):
         ]
 
     def printed(self) -> dict[str, Any]:
-        """Return what the paper shows."""
+        """Return what the paper has printed."""
         return dict(FIGURE_4)
 
     def pages(self, report: Mapping[str, Any]) -> list[ResultTable]:
@@ -102,7 +103,8 @@ class Figure4(Walked):
         for row, name in zip(grid, names, strict=True):
             row[0].set_ylabel(name.replace(":", "\n", 1).replace(",", "\n"), fontsize=8)
         figure.legend(handles=legend(), loc="outside lower center", ncols=5, frameon=False, fontsize=8)
-        return save(figure, folder / f"{self.stem}.png", dpi=120)
+        write_figure(figure, path := folder / f"{self.stem}.png", dpi=120)
+        return [path]
 
 
 def outcome(row: Mapping[str, Any] | None) -> str:

@@ -136,13 +136,9 @@ def table1_pages(report: Row) -> list[ResultTable]:
         head = [f"{fold} ({people[fold]})" if fold in people else fold for fold in folds]
         for scored, keys in SCORED.items():
             cells = _cells(mine, lambda row, keys=keys: _errors(row, keys))
-            without = {
-                (name, fold): "no weights"
-                for name in block["rows"]
-                for fold in folds
-                if f"{name}.{fold}{block['tag']}" in report["missing"]
-            }
-            body = _body(block["rows"], folds, without | cells)
+            every = [(name, fold) for name in block["rows"] for fold in folds]
+            gone = [one for one in every if f"{'.'.join(one)}{block['tag']}" in report["missing"]]
+            body = _body(block["rows"], folds, dict.fromkeys(gone, "no weights") | cells)
             for model in RELEASED if block["goal"] == "none" and keys == PER_SCENE else ():
                 errors = model["errors"][block["pred_len"]]
                 errors = errors | {"mean": mean_errors(errors)}
@@ -158,12 +154,8 @@ def table1_pages(report: Row) -> list[ResultTable]:
 
 
 def _paper(rows: Sequence[Row]) -> ResultTable:
-    by_name = {
-        (row["name"], row["case"]["goal"]): row
-        for row in rows
-        if (row["case"]["fold"], row["case"]["pred_len"]) == ("zara1", "8")
-    }
-    body = []
+    mine = [row for row in rows if (row["case"]["fold"], row["case"]["pred_len"]) == ("zara1", "8")]
+    by_name, body = {(row["name"], row["case"]["goal"]): row for row in mine}, []
     for printed in TABLE_1:
         ours, goal, line = printed["ours"], printed["goal"], TRIVIAL[printed["goal"]]
         untrained = f"{line}\n{_errors(by_name.get((line, goal)), SCORED['most likely'])}"
@@ -182,9 +174,8 @@ def _overview(means: Sequence[Row]) -> ResultTable:
         cells = [_pair([values[key] for key in keys], 3, " / ") for keys in SCORED.values()]
         nats = f"{values[NATS]:.2f}" if NATS in values else "-"
         body.append([f"8 -> {row['case']['pred_len']}", row["case"]["goal"], row["name"], *cells, nats])
-    return ResultTable(
-        "Means over the folds, ADE / FDE", ["steps", "goal", "model", *SCORED, "nats per step"], body, 3
-    )
+    head = ["steps", "goal", "model", *SCORED, "nats per step"]
+    return ResultTable("Means over the folds, ADE / FDE", head, body, 3)
 
 
 def _ratios(means: Sequence[Row], pred_len: str) -> Iterator[list[str]]:
@@ -227,11 +218,11 @@ def floor_pages(report: Row) -> list[ResultTable]:
             body = _body(names, [*folds, "mean"], _cells(mine, lambda row, keys=keys: _numbers(row, keys)))
             pages.append(ResultTable(f"{title}: {what}, ADE / FDE", ["model", *folds, "mean"], body, 1))
         where = "mean" if len(folds) > 1 else folds[0]
+        there = {row["name"]: row for row in mine if row["case"]["fold"] == where}
         body = [
-            [name, *(_numbers(row, keys) for keys in COLUMNS.values())]
+            [name, *(_numbers(there[name], keys) for keys in COLUMNS.values())]
             for name in names
-            for row in mine
-            if (row["name"], row["case"]["fold"]) == (name, where)
+            if name in there
         ]
         pages.append(ResultTable(f"{title}: every column, {where}", ["model", *COLUMNS], body, 1))
     return [page for page in [*pages, _seeds(report["training"], folds)] if page.rows]
@@ -267,11 +258,10 @@ def _seeds(training: Sequence[Row], folds: Sequence[str]) -> ResultTable:
         if not name.startswith("anchor"):
             continue
         keys = COLUMNS["best of 20" if goal == "none" else "most likely"]
+        seeds = [by_fold.get(place, ()) for place in (*folds, "mean")]
         cells = [
-            " / ".join(spread_text([one[key] for one in by_fold[place]], 3) for key in keys)
-            if by_fold.get(place)
-            else "-"
-            for place in (*folds, "mean")
+            " / ".join(spread_text([one[key] for one in each], 3) for key in keys) if each else "-"
+            for each in seeds
         ]
         body.append([name, f"8 -> {pred_len}, {goal}", str(max(map(len, by_fold.values()))), *cells])
     head = ["model", "protocol", "seeds", *folds, "mean"]
@@ -321,9 +311,7 @@ def _cells(rows: Iterable[Row], text: Any) -> dict[tuple[str, str], str]:
     return {(row["name"], row["case"]["fold"]): text(row) for row in rows}
 
 
-def _body(
-    names: Iterable[str], folds: Sequence[str], cells: Mapping[tuple[str, str], str]
-) -> list[list[str]]:
+def _body(names: Iterable[str], folds: Sequence[str], cells: Mapping[Any, str]) -> list[list[str]]:
     """Return names as rows and folds as columns."""
     return [[name, *(cells.get((name, fold), "-") for fold in folds)] for name in names]
 

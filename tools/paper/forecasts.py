@@ -98,13 +98,7 @@ class Table1(Jobs):
         root: str | None = None,
         journal: Path | None = None,
     ) -> None:
-        """Say what is to be done.
-
-        Args:
-            folds: Test scenes.
-            seed: Of the random samples.
-            root: Folder with recordings; None for the usual places.
-            journal: A file that keeps finished parts.
+        """Take the test scenes, and the seed of the random samples.
 
         Raises:
             UserError: A fold has no recordings.
@@ -140,13 +134,9 @@ class Table1(Jobs):
         protocol = {"folds": list(self.folds), "obs_len": 8, "samples": SAMPLES, "split": "test"}
         protocol |= {"clock": "benchmark", "keep_people": "complete", "min_people": 2}
         blocks = [
-            {
-                "pred_len": str(one.pred_len),
-                "goal": one.goal,
-                "tag": one.tag,
-                "rows": [*one.lines, *one.models],
-            }
+            {"pred_len": str(pred_len), "goal": goal, "tag": tag, "rows": [*one.lines, *models]}
             for one in self.blocks
+            for pred_len, goal, models, tag in [one]
         ]
         report = {"protocol": protocol, "seeds": [self.seed], "notes": [], "missing": missing}
         report |= {"blocks": blocks, "rows": rows, "means": means(rows, self.folds)}
@@ -227,10 +217,9 @@ def _data(fold: str, goal: GoalProtocol, pred_len: int, root: str | None) -> Tra
 
 
 def means(rows: Sequence[dict[str, Any]], folds: Sequence[str]) -> list[dict[str, Any]]:
-    """Return the mean over the folds of every row that all of them have, with its interval.
+    """Return the mean over the folds, each counts the same, of every row that all of them have.
 
-    Each fold counts the same. ``blocks`` is the smallest number of blocks of time among them. A fold of
-    fewer than `FEWEST` has no interval, and so nothing that it is part of has one.
+    ``blocks`` is the smallest number of blocks of time; fewer than `FEWEST` give no interval.
     """
     grouped: dict[tuple[str, str, str], dict[str, dict[str, Any]]] = {}
     for row in rows:
@@ -241,29 +230,21 @@ def means(rows: Sequence[dict[str, Any]], folds: Sequence[str]) -> list[dict[str
         if len(folds) < 2 or set(by_fold) != set(folds):
             continue
         mine = [by_fold[fold] for fold in folds]
-        metrics, ci95, blocks = {}, {}, min(row["blocks"] for row in mine)
-        for key in mine[0]["metrics"]:
-            values = [row["metrics"][key] for row in mine]
-            metrics[key] = sum(values) / len(values)
-            if blocks < FEWEST:
-                continue
+        ci95, blocks = {}, min(row["blocks"] for row in mine)
+        by_key = {key: [row["metrics"][key] for row in mine] for key in mine[0]["metrics"]}
+        for key, values in by_key.items() if blocks >= FEWEST else ():
             # who is always exactly right has no interval either
             ends = [row["ci95"].get(key, (value, value)) for row, value in zip(mine, values, strict=True)]
             low, high = mean_interval(values, ends)
             ci95 |= {key: (low, high)} if low < high else {}
-        case = {"fold": "mean", "goal": goal, "pred_len": pred_len}
-        n = sum(row["n"] for row in mine)
-        row = {"name": name, "case": case, "n": n, "blocks": blocks, "metrics": metrics, "ci95": ci95}
-        result.append(row)
+        about = {"name": name, "case": {"fold": "mean", "goal": goal, "pred_len": pred_len}}
+        about |= {"n": sum(row["n"] for row in mine), "blocks": blocks, "ci95": ci95}
+        result.append(about | {"metrics": {key: sum(v) / len(v) for key, v in by_key.items()}})
     return result
 
 
 def trainings(folds: tuple[str, ...]) -> list[dict[str, Any]]:
-    """Return the errors of every training seed on the test scenes, by fold, and their means over the folds.
-
-    Each has ``name``, ``case`` and ``seeds``: the metrics of seed 0, 1, ... A mean is of as many seeds as all
-    folds have.
-    """
+    """Return the errors of every training seed on the test scenes, by fold, and their means over folds."""
     record = shipped("checkpoints") / "results" / RECORD
     models = {(block.pred_len, block.goal): block.models for block in Forecasting.blocks}
     result: list[dict[str, Any]] = []
@@ -297,8 +278,7 @@ LEAST = 0.02
 def line_likelihood(data: TrajectoryDataModule) -> tuple[float, dict[str, Interval]]:
     """Return minus the log density of the test windows, nats per person and step, and its 95 % interval.
 
-    Every displacement is Gaussian around the last observed one, alike in all directions and independent of
-    other steps, with the standard deviation that the training windows have at that step.
+    Every displacement is Gaussian around the last observed one, as wide as in training at that step.
     """
     data.setup("fit")
     data.setup("test")

@@ -30,21 +30,16 @@ _SENSES: dict[str, Callable[[float, float], bool]] = {
 
 
 class Target(NamedTuple):
-    """A bound of one metric: a number, or what others have in the same table.
-
-    Attributes:
-        key: Name of the metric.
-        sense: Which side of the bound is enough, one of `_SENSES`.
-        bound: The number; what others' is multiplied by where there are ``others``.
-        others: Policies whose mean is the bound. Where one of them has no such number there is no bound.
-        of: Whether the bound is the ``mean`` of the others, or the ``least`` of them.
-    """
+    """A bound of one metric: a number, or a multiple of what ``others`` have in the same table."""
 
     key: str
     sense: str
+    """Which side of the bound is enough, one of `_SENSES`."""
+
     bound: float = 1.0
     others: tuple[str, ...] = ()
     of: str = "mean"
+    """Whether the bound is the ``mean`` of the others, or the ``least`` of them."""
 
     @property
     def text(self) -> str:
@@ -66,10 +61,7 @@ class Target(NamedTuple):
         return self.bound * (min(known) if self.of == "least" else sum(known) / len(known))
 
     def met(self, name: str, rows: Rows) -> bool | None:
-        """Return whether a policy meets it; None where its bound or its number is not known.
-
-        A policy without a number (no arrivals, no meetings) misses the target: see `verdict`.
-        """
+        """Return whether a policy meets it; None where its bound or its number is not known."""
         limit, value = self.limit(rows), rows[name]["metrics"].get(self.key)
         return None if limit is None or value is None else _SENSES[self.sense](value, limit)
 
@@ -243,13 +235,9 @@ MOST = 1.15
 
 
 def forecasts(policies: Iterable[str]) -> ResultTable | None:
-    """Return ADE of the most likely forecast beside that of the weights before, None where there are none.
+    """Return ADE of the most likely forecast on cards beside that of the weights before, None of none.
 
-    Both cards have to tell of the same windows by the same protocol; ``pedzoo evaluate NAME --from-card``
-    measures them again.
-
-    Args:
-        policies: Any; those that are no weights of the zoo, or began with none, are left out.
+    Policies that are no weights of the zoo, or began with none, are left out.
     """
     body = []
     for name in dict.fromkeys(parse(policy).name for policy in policies):

@@ -66,12 +66,8 @@ def outcome_ratios(rollout: Rollout) -> dict[str, Ratio]:
 def outcomes(arrived: Tensor, stuck: Tensor, least: Tensor, sweep: Tensor, body: Tensor) -> dict[str, Tensor]:
     """Return which episodes (E,) bool have each of the `OUTCOMES`.
 
-    Args:
-        arrived: Whether all arrive in time (E,) bool.
-        stuck: Whether any person was deadlocked (E,) bool.
-        least: Distance of the nearest two (E,), metres; infinite for a lone person.
-        sweep: How far their bearing turned (E,), radians; infinite where they never came close.
-        body: Mean radius of the two bodies (E,), metres.
+    Whether all arrive in time and anyone was deadlocked (E,) bool; the distance of the nearest two and their
+    mean radius (E,), metres; how far their bearing turned (E,), radians. Infinite where there are no two.
     """
     overlapped, turned = least < body, sweep.isfinite() & (sweep >= QUARTER)
     avoided = arrived & ~overlapped
@@ -82,11 +78,7 @@ def outcomes(arrived: Tensor, stuck: Tensor, least: Tensor, sweep: Tensor, body:
 def bearing_sweep(trace: Tensor, both: Tensor) -> Tensor:
     """Return how far the bearing of the second from the first turns while they are close (E,), radians.
 
-    Turns to the left and to the right cancel each other. Infinite where they never come closer than 0.6 m.
-
-    Args:
-        trace: Positions of the two (E, 2, T, 2), metres.
-        both: Whether both are scored (E, T) bool.
+    Positions are (E, 2, T, 2), metres; ``both`` are scored (E, T) bool. Infinite if never closer than 0.6 m.
     """
     apart = trace[:, 1] - trace[:, 0]
     close = both & (apart.norm(dim=-1) < ABOUT)
@@ -96,8 +88,7 @@ def bearing_sweep(trace: Tensor, both: Tensor) -> Tensor:
 def first_through(rollout: Rollout) -> Tensor:
     """Return which of the pair at a door passes it first (E,) float64, NaN where not both do.
 
-    0: who comes from the side that the door's normal points away from, however people are numbered. Errors
-    are those of `pair_at_door`.
+    0: who comes from the side that the door's normal points away from, however people are numbered.
     """
     gate, pair, met = pair_at_door(rollout)
     seconds = door.of_pair(door.passing_seconds(rollout.path, rollout.scored, gate), pair)
@@ -108,8 +99,7 @@ def first_through(rollout: Rollout) -> Tensor:
 def passing_side(rollout: Rollout) -> Tensor:
     """Return on which side the first two agents pass each other (E,) float64: 1 if each has the other left.
 
-    By where the bearing of the second from the first turns until the first of them arrives, whatever frame
-    they walk in. NaN where it turns by less than 90 degrees: they are not past each other.
+    NaN where their bearing turns by less than 90 degrees until one arrives: they are not past each other.
     """
     both = (rollout.scored & rollout.underway)[:, :2].all(1)
     apart = (rollout.path[:, 1] - rollout.path[:, 0]).double()
@@ -125,15 +115,11 @@ def _turn(apart: Tensor, counted: Tensor) -> Tensor:
 
 
 def varied(settled: Tensor) -> dict[str, Ratio]:
-    """Return how often draws of noise settle a choice in different ways.
+    """Return how often draws of noise settle a choice, in every scene and draw (E, D), in different ways.
 
     * ``varied``: share of scenes in which not all draws settle it the same way. ``disagreement``: the mean
-      over scenes of the share of pairs of draws that do not agree. Both of scenes in which at least two draws
-      settle it.
+      share of pairs of draws that do not agree. Both of scenes in which at least two draws settle it.
     * ``settled``: share of all walks in which it is settled.
-
-    Args:
-        settled: The choice in every scene and draw of noise (E, D).
     """
     known = ~settled.isnan()
     draws, ones = known.sum(1).double(), settled.nansum(1)

@@ -1,9 +1,8 @@
 """What others have printed: the paper on iGibson, released models, forecasters, and robots in CrowdNav.
 
 "The paper" extends Social GAN by a goal and a map and lets it walk in iGibson's social navigation. Its
-numbers are those that the project's notes quote (facts ``baselines.md``, section 3, and ``igibson_orca.md``,
-section 2). It prints FDE before ADE, and says neither how samples are scored nor how long a step of its
-Table II is. Rows are mappings, as reports have them.
+numbers are second hand. It prints FDE before ADE, and says neither how samples are scored nor how long a step
+of its Table II is.
 """
 
 from __future__ import annotations
@@ -156,22 +155,12 @@ logs: github.com/Shuijing725/CrowdNav_Prediction_AttnGraph, ``trained_models/*/t
 
 
 class Log(NamedTuple):
-    """How the cases of a log of CrowdNav++ ended.
+    """How the cases of a log of CrowdNav++ ended; its 500 runs are 250 cases twice."""
 
-    Its 500 runs are 250 cases twice. Each run is reset twice, at the end of the one before and at its own
-    start, and the number of the case goes on at each, modulo 500.
-
-    Attributes:
-        name: Folder of ``trained_models``.
-        robot: The robot here that is the same.
-        first: Seed of the first case; case k has ``first + 2 k``.
-        outcomes: A letter for each case: success, collision, timeout.
-    """
-
-    name: str
-    robot: str
-    first: int
-    outcomes: str
+    name: str  # folder of ``trained_models``
+    robot: str  # the robot here that is the same
+    first: int  # seed of the first case; case k has ``first + 2 k``
+    outcomes: str  # a letter for each case: success, collision, timeout
 
     @property
     def seeds(self) -> list[int]:

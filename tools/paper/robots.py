@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 
 from pedzoo.eval.cards import only
 from pedzoo.eval.results import ResultTable
-from tools.paper.base import Walked, save
+from pedzoo.viz.plots import write_figure
+from tools.paper.base import Walked
 from tools.paper.suites import PLACES, REACTING, RECORDED, Transfer
 from tools.zoo.robots import PEOPLE, SEEDS
 
@@ -59,10 +60,9 @@ class RobotTransfer(Walked):
 
     def report(self) -> dict[str, Any]:
         """Return the report with the metrics of the suite's tables alone: all of them are megabytes."""
-        columns = Transfer.columns
         report = super().report()
         for row in (*report["rows"], *report["summary"]):
-            row |= {part: only(row[part], columns) for part in ("metrics", "ci95")}
+            row |= {part: only(row[part], Transfer.columns) for part in ("metrics", "ci95")}
         return report
 
     def pages(self, report: Mapping[str, Any]) -> list[ResultTable]:
@@ -91,7 +91,8 @@ class RobotTransfer(Walked):
                 axes.text(x, y, f"{value:.2f}", ha="center", va="center", fontsize=8, color=colour)
         axes.set_title("success; mean over trainings")
         figure.colorbar(image, ax=axes, shrink=0.8)
-        return save(figure, folder / f"{self.stem}.png", dpi=130)
+        write_figure(figure, path := folder / f"{self.stem}.png", dpi=130)
+        return [path]
 
 
 def transfer_pages(rows: Sequence[Mapping[str, Any]]) -> list[ResultTable]:
@@ -99,20 +100,14 @@ def transfer_pages(rows: Sequence[Mapping[str, Any]]) -> list[ResultTable]:
     groups = grouped(rows)
     if not groups:
         return []
-    head = ["robot", *(f"{place}\n{kind}" for place, kind in COLUMNS)]
-    tables = [
-        ResultTable(
-            title,
-            head,
-            [
-                [name, *(_spread(_values(tested, key, one), digits) for one in COLUMNS)]
-                for name, tested in groups.items()
-            ],
-            1,
-        )
-        for key, (title, digits) in SHOWN.items()
-    ]
-    return [_answer(groups), *tables]
+    tables, head = [_answer(groups)], ["robot", *(f"{place}\n{kind}" for place, kind in COLUMNS)]
+    for key, (title, digits) in SHOWN.items():
+        cells = {
+            name: [_spread(_values(tested, key, one), digits) for one in COLUMNS]
+            for name, tested in groups.items()
+        }
+        tables.append(ResultTable(title, head, [[name, *row] for name, row in cells.items()], 1))
+    return tables
 
 
 Group = Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from itertools import product
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -46,31 +47,19 @@ class Table2(Suite):
     )
 
     def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
-        """Return five cases for each speed.
-
-        Raises:
-            UserError: There is no such floor plan.
-        """
+        """Return five cases for each speed; errors of a floor plan that is not there."""
         files = list(options.maps or APARTMENTS_2)
         name = "drawn" if not options.maps else Path(files[0]).stem if len(files) == 1 else GIVEN
         inputs = " ".join(load_plan(file).digest for file in files)
         result = []
-        for speed, (mean, deviation) in SPEEDS.items():
-            for people, goals in CELLS:
-                cell = {"map": files, "people": people, "goals": goals, "pool": POOL}
-                case = self.case(
-                    options,
-                    f"{speed} m/s {people}/{goals}",
-                    Spec("goals", cell | {"speed": mean, "speed_std": deviation}),
-                    EPISODES,
-                    {"map": name, "speed": speed, "people": str(people), "goals": str(goals)},
-                    physics="bullet",
-                    inputs=inputs,
-                    effort=people * goals / mean,
-                    table=f"{self.name} {speed} m/s",
-                    shares=", ".join(files),
-                )
-                result.append(case)
+        for (speed, (mean, deviation)), (people, goals) in product(SPEEDS.items(), CELLS):
+            cell = {"map": files, "people": people, "goals": goals, "pool": POOL}
+            spec = Spec("goals", cell | {"speed": mean, "speed_std": deviation})
+            where = {"map": name, "speed": speed, "people": str(people), "goals": str(goals)}
+            more: dict[str, Any] = {"inputs": inputs, "effort": people * goals / mean}
+            more |= {"table": f"{self.name} {speed} m/s", "shares": ", ".join(files)}
+            label = f"{speed} m/s {people}/{goals}"
+            result.append(self.case(options, label, spec, EPISODES, where, "bullet", **more))
         return result
 
     def more(self, rollout: Rollout) -> dict[str, Ratio]:
@@ -179,19 +168,13 @@ class LoopBuildings(Goals):
         """Return those of `Goals` and one for each crowd; errors as there."""
         # of 40 places in an office few people have the same goal
         settings: dict[str, Any] = {"map": list(OFFICES), "goals": 1, "pool": 40}
-        return super().cases(options) + [
-            self.case(
-                options,
-                f"crowd of {people}",
-                Spec("goals", settings | {"people": people}),
-                episodes,
-                {"map": "offices", "people": str(people), "goals": "1"},
-                effort=3.0 * people,
-                table=f"{self.name} crowd of {people}",
-                shares="offices",
-            )
-            for people, episodes in CROWDS.items()
-        ]
+        result = super().cases(options)
+        for people, episodes in CROWDS.items():
+            name, spec = f"crowd of {people}", Spec("goals", settings | {"people": people})
+            where = {"map": "offices", "people": str(people), "goals": "1"}
+            more: dict[str, Any] = {"effort": 3.0 * people, "table": f"{self.name} {name}"}
+            result.append(self.case(options, name, spec, episodes, where, shares="offices", **more))
+        return result
 
     def more(self, rollout: Rollout) -> dict[str, Ratio]:
         """Return ``contacts_per_min``: touches of others and of walls together."""
@@ -259,11 +242,7 @@ class LoopNoise(Suite):
         return super().units(case, noisy, seeds, deterministic)
 
     def rows(self, unit: WorkUnit, tell: ShareDone | None = None) -> list[dict[str, Any]]:
-        """Walk one unit, ``n`` scenes with `DRAWS` draws of noise each.
-
-        ``varied``, ``disagreement`` and ``settled`` are those of `tools.paper.meetings.varied`. ``clean``,
-        ``contact_free`` and ``episode_success`` are of all walks; intervals are over scenes.
-        """
+        """Walk one unit, ``n`` scenes with `DRAWS` draws of noise each; intervals are over scenes."""
         case, settle = unit.case, CHOICES[unit.case.name][1]
         scenario, step = prepared(case.scenario, case.inputs), 0.0
         paths, also = [], {key: [] for key in ALSO}
@@ -335,18 +314,10 @@ class Transfer(Robots):
         result = []
         for place, kind in [*kinds, *((place, REACTING) for place in RECORDED)]:
             _, scenario, effort = {**PLACES, **RECORDED}[place]
-            case = self.case(
-                options,
-                f"{place} {kind}",
-                scenario,
-                50,
-                {"place": place, "people": kind},
-                effort=effort,
-                table=f"{self.name} {place}",
-                shares=place,
-                people=PEOPLE[kind],
-                robot=options.robot or ROBOT,
-            )
+            more: dict[str, Any] = {"effort": effort, "table": f"{self.name} {place}", "shares": place}
+            more |= {"people": PEOPLE[kind], "robot": options.robot or ROBOT}
+            where = {"place": place, "people": kind}
+            case = self.case(options, f"{place} {kind}", scenario, 50, where, **more)
             if place in RECORDED:  # as many episodes as there are
                 spec = parse(scenario)
                 if options.root is not None:  # in place of a text: `Spec` keeps commas in folders

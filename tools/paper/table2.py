@@ -46,12 +46,8 @@ class Table2(Walked):
     suites = ("table2",)
     models = ("sgan_goal_map.indoor", "sgan_goal_map.eth_ucy", "sgan_goal.eth_ucy")
     baselines = (
-        "go_to_goal",
-        "orca:radius=0.2",
-        "orca:radius=0.3",
-        "orca:radius=0.5",
-        "orca:preset=igibson,walls=false",
-        "social_force:preset=indoor",
+        *("go_to_goal", "orca:radius=0.2", "orca:radius=0.3", "orca:radius=0.5"),
+        *("orca:preset=igibson,walls=false", "social_force:preset=indoor"),
     )
 
     def notes(self) -> list[str]:
@@ -71,7 +67,7 @@ class Table2(Walked):
         ]
 
     def printed(self) -> dict[str, Any]:
-        """Return the paper's Table II."""
+        """Return what the paper has printed."""
         steps = {f"{people}/{goals}": number for (people, goals), number in TABLE_2_STEPS.items()}
         return {"total_steps": steps, "default_steps_per_goal": DEFAULT_STEPS_PER_GOAL}
 
@@ -92,11 +88,6 @@ class Table2(Walked):
         return ResultTable(f"{speed} m/s: {shown.title}", head, body, 1)
 
 
-def in_steps(seconds: float, step: float) -> float:
-    """Return a time in steps of so many seconds."""
-    return seconds / step
-
-
 def _cell(row: Mapping[str, Any] | None, shown: Shown) -> str:
     if row is None or shown.key not in row["metrics"]:
         return "-"
@@ -104,8 +95,8 @@ def _cell(row: Mapping[str, Any] | None, shown: Shown) -> str:
         return cell(row, shown.key)
     value, ends, lines = row["metrics"][shown.key], row["ci95"].get(shown.key, ()), []
     for step in STEPS:
-        text = f"{in_steps(value, step):.0f} {interval_text([in_steps(end, step) for end in ends], 0)}"
-        share = f" ({in_steps(value, step) / DEFAULT_STEPS_PER_GOAL:.0%})"
+        text = f"{value / step:.0f} {interval_text([end / step for end in ends], 0)}"
+        share = f" ({value / step / DEFAULT_STEPS_PER_GOAL:.0%})"
         lines.append(text.strip() + share * (shown.key == "seconds_per_goal"))
     return "\n".join(lines)
 

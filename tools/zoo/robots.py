@@ -55,20 +55,8 @@ ROBOTS = {
 
 
 def fit(words: list[str], log: Path) -> None:
-    """Run ``pedzoo fit`` in a process of its own, which says what it has to say in a file.
-
-    Raises:
-        SystemExit: It fails.
-    """
-    command = [
-        sys.executable,
-        "-m",
-        "pedzoo.cli.main",
-        "fit",
-        *words,
-        "--trainer.enable_progress_bar",
-        "false",
-    ]
+    """Run ``pedzoo fit`` in a process of its own, which writes into a log; ends where it fails."""
+    command = [sys.executable, "-m", "pedzoo.cli.main", "fit", *words, "--trainer.enable_progress_bar=false"]
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("a") as out:
         done = subprocess.run(command, stdout=out, stderr=out, env=os.environ | {"OMP_NUM_THREADS": "1"})
@@ -123,30 +111,19 @@ def export(name: str, runs: Path) -> None:
             at = command.index(option)
             command = command[:at] + command[at + 2 :]
     epochs = ", then ".join(str(one["trainer"]["max_epochs"]) for one in known)
+    training = dict.fromkeys(("fold", "clock", "goal")) | {"config": name_of_config, "seed": seed}
+    training |= {"seeds": {seed: value}, "chosen_by": settings["monitor"], "value": value}
+    training |= {"step": checkpoint["global_step"], "epoch": checkpoint["epoch"], "command": command}
+    training |= {"overrides": {"trainer.max_epochs": epochs}}
+    terms = "simulated: no recordings, but for those that people of the zoo learned from"
     card = ModelCard(
         name=home.name,
         architecture=config["architecture"],
         sha256=digest,
         size=(home / WEIGHTS).stat().st_size,
         config=config,
-        training={
-            **dict.fromkeys(("fold", "clock", "goal")),
-            "config": name_of_config,
-            "seed": seed,
-            "seeds": {seed: value},
-            "chosen_by": settings["monitor"],
-            "value": value,
-            "step": checkpoint["global_step"],
-            "epoch": checkpoint["epoch"],
-            "command": command,
-            "overrides": {"trainer.max_epochs": epochs},
-        },
-        data={
-            "recordings": [],
-            "source": source,
-            "terms": "simulated: no recordings, but for those that people of the zoo learned from",
-            "citation": "",
-        },
+        training=training,
+        data={"recordings": [], "source": source, "terms": terms, "citation": ""},
         evaluations=earlier.evaluations if earlier and earlier.sha256 == digest else [],
         versions=record["versions"],
         licence="MIT",

@@ -26,27 +26,16 @@ Sizes = dict[str, list[tuple[int, int]]]
 
 @dataclass
 class TimedCase:
-    """Something that can be timed.
-
-    Attributes:
-        section: Which section of the benchmark it belongs to.
-        name: What it does; the same work has the same name in every program.
-        build: Makes the scenes and returns what makes one step of all of them.
-        scenes: How many scenes; 0 where the work has no size.
-        people: In each.
-        note: What is included, for the reader of the table.
-        steps: So many steps are made between two looks at the clock.
-        again: Puts scenes back after so many steps; not counted.
-    """
+    """Something that can be timed; the same work has the same name in every program."""
 
     section: str
     name: str
-    build: Callable[[], Step]
-    scenes: int = 0
+    build: Callable[[], Step]  # makes the scenes and returns what makes one step of all of them
+    scenes: int = 0  # 0 where the work has no size
     people: int = 0
-    note: str = ""
-    steps: int = 1
-    again: list[Step] = field(default_factory=list)
+    note: str = ""  # what is included, for the reader of the table
+    steps: int = 1  # between two looks at the clock
+    again: list[Step] = field(default_factory=list)  # puts scenes back after so many; not counted
 
 
 def processor_time() -> float:
@@ -55,13 +44,7 @@ def processor_time() -> float:
 
 
 def serve(name: str, versions: dict[str, str], cases: Callable[[Sizes], Sequence[TimedCase]]) -> None:
-    """Answer until no question comes any more.
-
-    Args:
-        name: Of the program.
-        versions: Of it and of what it depends on.
-        cases: Returns what it can do of sizes by section.
-    """
+    """Answer until no question comes any more; ``cases`` returns what it can do of sizes by section."""
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # nothing else may come between the answers, whatever a library prints to
     known: Sequence[TimedCase] = []

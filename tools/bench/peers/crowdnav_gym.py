@@ -4,10 +4,9 @@
     ../venv_peers/bin/pip install pyrvo numpy matplotlib
     CROWDNAV=../CrowdNav pedzoo bench robots --peer tools/bench/peers/crowdnav_gym.py ...
 
-Nothing of it is copied: the checkout is imported as it is. It asks for ``rvo2``, which is pyrvo here under
-the names of Python-RVO2, and for an old ``gym``, of which it needs two names. The robot goes straight to its
-goal (``linear``), people do not see it. Decisions are taken every 0.25 s. An episode that ends is followed by
-the next one of its cases at once, which is counted.
+The checkout is imported as it is. It asks for ``rvo2``, which is pyrvo here under the names of Python-RVO2,
+and for an old ``gym``, of which it needs two names. The robot goes straight to its goal (``linear``), people
+do not see it. An episode that ends is followed by the next one of its cases at once, which is counted.
 """
 
 from __future__ import annotations
@@ -32,28 +31,15 @@ MOST = 20
 def cases(asked: Sizes) -> list[TimedCase]:
     """Return the circle crossing for every number of people that is asked about in one scene."""
     note = "circle crossing, neither walls nor lidar, people decide every 0.25 s, a robot that goes straight"
-    return [
-        TimedCase(
-            "robots", "CrowdNav's gym", lambda people=people: built(checkout(), people), 1, people, note
-        )
-        for scenes, people in asked.get("robots", [])
-        if scenes == 1 and people <= MOST
-    ]
+    sizes = [people for scenes, people in asked.get("robots", []) if scenes == 1 and people <= MOST]
+    return [TimedCase("robots", "CrowdNav's gym", lambda a=a: built(a), 1, a, note) for a in sizes]
 
 
-def checkout() -> Path:
-    """Return the folder of the checkout; ends the peer where there is none."""
+def built(people: int) -> Step:
+    """Return what makes one step of its environment, and begins the next episode after the last one."""
     folder = Path(os.environ.get(FOLDER, ""))
     if not (folder / "crowd_sim" / "envs" / "crowd_sim.py").is_file():
-        sys.exit(
-            f"{str(folder)!r} is no checkout of CrowdNav: git clone https://github.com/vita-epfl/CrowdNav "
-            f"and give its folder: {FOLDER}=../CrowdNav"
-        )
-    return folder
-
-
-def built(folder: Path, people: int) -> Step:
-    """Return what makes one step of its environment, and begins the next episode after the last one."""
+        sys.exit(f"{str(folder)!r} is no checkout of CrowdNav: set {FOLDER}=FOLDER")
     sys.modules |= modules()
     sys.path.insert(0, str(folder))
     from crowd_sim.envs.crowd_sim import CrowdSim  # pyright: ignore[reportMissingImports]

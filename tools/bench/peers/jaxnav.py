@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 import os
+from functools import partial
 from importlib.metadata import version
 from typing import Any
 
@@ -43,17 +44,10 @@ def cases(asked: Sizes) -> list[TimedCase]:
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     note = "JaxNav, {about}, random actions, scenes that end go on from starts drawn beforehand"
     return [
-        TimedCase(
-            section,
-            f"JaxNav, {name}",
-            lambda scenes=scenes, people=people, kind=kind: built(scenes, people, *kind),
-            scenes,
-            people,
-            note.format(about=about),
-        )
+        TimedCase(section, f"JaxNav, {name}", partial(built, *size, *kind), *size, note.format(about=about))
         for section, kinds in (("environment", KINDS), ("robots", ROBOTS))
-        for scenes, people in asked.get(section, [])
-        if people <= MOST
+        for size in asked.get(section, [])
+        if size[1] <= MOST
         for name, (kind, about) in kinds.items()
     ]
 

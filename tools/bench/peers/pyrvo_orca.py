@@ -44,11 +44,9 @@ def cases(asked: Sizes) -> list[TimedCase]:
 def built(scenes: int, people: int, bare: bool) -> tuple[Step, Step]:
     """Return what makes a step of all scenes, and what puts every person back."""
     draws, half = random.Random(0), math.sqrt(7 * people) / 2
-    place = [
-        [(draws.uniform(-half, half), draws.uniform(-half, half)) for _ in range(people)]
-        for _ in range(scenes)
-    ]
-    turn = [[draws.uniform(0, 2 * math.pi) for _ in range(people)] for _ in range(scenes)]
+    everyone = [range(people)] * scenes
+    place = [[(draws.uniform(-half, half), draws.uniform(-half, half)) for _ in one] for one in everyone]
+    turn = [[draws.uniform(0, 2 * math.pi) for _ in one] for one in everyone]
     wish = [[(SPEED * math.cos(angle), SPEED * math.sin(angle)) for angle in scene] for scene in turn]
     simulators = []
     for scene in place:

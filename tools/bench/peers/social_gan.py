@@ -32,15 +32,13 @@ ARGS = Namespace(
 def cases(asked: Sizes) -> list[TimedCase]:
     """Return training and sampling for the sizes that are asked about."""
     torch.set_num_threads(1)
-    train = [
-        TimedCase("train", "Social GAN's generator, best of 20", lambda b=b, a=a: training(b, a), b, a)
-        for b, a in asked.get("train", [])
+    works = {"train": ("Social GAN's generator, best of 20", training)}
+    works["forecast"] = ("sgan_pool.zara1", sampling)
+    return [
+        TimedCase(section, name, lambda work=work, b=b, a=a: work(b, a), b, a)
+        for section, (name, work) in works.items()
+        for b, a in asked.get(section, [])
     ]
-    futures = [
-        TimedCase("forecast", "sgan_pool.zara1", lambda b=b, a=a: sampling(b, a), b, a)
-        for b, a in asked.get("forecast", [])
-    ]
-    return [*train, *futures]
 
 
 def original() -> tuple[Any, Any]:
@@ -58,13 +56,8 @@ def original() -> tuple[Any, Any]:
 
 def generator(models: Any) -> Any:
     """Return the generator of SGAN-20VP-20."""
-    sizes = {
-        "embedding_dim": 16,
-        "encoder_h_dim": 32,
-        "decoder_h_dim": 32,
-        "mlp_dim": 64,
-        "bottleneck_dim": 8,
-    }
+    sizes = {"embedding_dim": 16, "encoder_h_dim": 32, "decoder_h_dim": 32, "mlp_dim": 64}
+    sizes["bottleneck_dim"] = 8
     noise = {"noise_dim": (8,), "noise_mix_type": "global"}
     pooling = {"pooling_type": "pool_net", "pool_every_timestep": False, "batch_norm": False}
     return models.TrajectoryGenerator(8, 8, **sizes, **noise, **pooling)

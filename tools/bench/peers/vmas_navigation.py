@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from importlib.metadata import version
 from typing import Any
 
@@ -52,21 +53,10 @@ def cases(asked: Sizes) -> list[TimedCase]:
     for section, kinds in (("environment", KINDS), ("robots", ROBOTS)):
         for scenes, people in asked.get(section, []):
             for name, (flag, about) in kinds.items() if people <= MOST else ():
-
-                def build(
-                    section: str = section, scenes: int = scenes, people: int = people, flag: bool = flag
-                ) -> Step:
-                    return (
-                        navigation(scenes, people, flag)
-                        if section == "environment"
-                        else with_robot(scenes, people, flag)
-                    )
-
-                result.append(
-                    TimedCase(
-                        section, f"VMAS navigation, {name}", build, scenes, people, ABOUT.format(about=about)
-                    )
-                )
+                make = navigation if section == "environment" else with_robot
+                build = partial(make, scenes, people, flag)
+                name, note = f"VMAS navigation, {name}", ABOUT.format(about=about)
+                result.append(TimedCase(section, name, build, scenes, people, note))
     return result
 
 

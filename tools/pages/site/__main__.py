@@ -63,13 +63,8 @@ def main() -> int:
     run = subprocess.run(
         words, check=False, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"}, capture_output=True, text=True
     )
-    if run.returncode:
-        print(
-            "\n".join(line for line in run.stderr.splitlines() if not line.startswith("INFO")),
-            file=sys.stderr,
-        )
-    else:
-        print((ROOT / "build" / "site" / "index.html").relative_to(ROOT))
+    said = "\n".join(line for line in run.stderr.splitlines() if not line.startswith("INFO"))
+    print(said if run.returncode else "build/site/index.html", file=sys.stderr if said else sys.stdout)
     return run.returncode
 
 
