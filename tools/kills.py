@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -26,32 +26,31 @@ from pedzoo.train.run import rows_of
 
 ROOT = Path(__file__).parents[1]
 
-SHORT = ["--data.fold", "embedded", "--data.loading.batch_size=8", "--trainer.enable_progress_bar=false"]
-SHORT += ["--trainer.limit_train_batches=2", "--trainer.limit_val_batches=1", "--trainer.max_epochs=8"]
-SHORT += ["--model.samples=2", "--trainer.accelerator=cpu"]
-TWO = ["--trainer.devices=2", "--trainer.strategy=ddp_find_unused_parameters_true"]
-SGAN = ["--config", "sgan", *SHORT]
-PPO = ["--config", "ppo/sgan_goal", "--weights", "sgan_goal.eth_ucy", *SHORT, "--rollout.episodes=2"]
-PPO += ["--model.collection.envs=2", "--model.collection.steps=3", "--model.optimisation.passes=2"]
-PPO += ["--model.optimisation.minibatches=2", "--model.scenarios=[hallway]", "--rollout.scenarios=hallway"]
-PPO += ["--monitor=val/ade", "--monitor_mode=min", "--trainer.check_val_every_n_epoch=1"]
+ANY = "--trainer.enable_progress_bar=false --trainer.max_epochs=8 --trainer.accelerator=cpu"
+DATA = f"{ANY} --data.fold embedded --data.loading.batch_size=8 --trainer.limit_train_batches=2"
+DATA += " --trainer.limit_val_batches=1"
+SHORT, OFTEN = f"{DATA} --model.samples=2", "--trainer.check_val_every_n_epoch=1"
+TWO = "--trainer.devices=2 --trainer.strategy=ddp_find_unused_parameters_true"
+PPO = f"--weights sgan_goal.eth_ucy {SHORT} {OFTEN} --model.collection.envs=2 --model.collection.steps=3"
+PPO += " --model.optimisation.passes=2 --model.optimisation.minibatches=2 --model.scenarios=[hallway]"
+PPO += " --rollout.episodes=2 --rollout.scenarios=hallway --monitor=val/ade --monitor_mode=min"
+LOOP = f"{DATA} {OFTEN} --rollout.scenarios=[hallway] --rollout.episodes=2 --model.steps=2"
+LOOP += " --model.courses='[{scenario: hallway, scenes: 4}]'"
+ROBOT = f"{ANY} {OFTEN} --model.envs=4 --model.steps=8 --model.updates=2 --model.episodes=2"
+ROBOT += " --model.minibatches=2 --model.policy.width=16 --model.scenarios"
 
-LOOP = [*SHORT[:-2], "--rollout.scenarios=[hallway]", "--rollout.episodes=2", "--model.steps=2"]
-LOOP += ["--trainer.check_val_every_n_epoch=1", SHORT[-1]]
-LOOP += ["--model.courses=[{scenario: hallway, scenes: 4}]"]
-ROBOT = ["--trainer.enable_progress_bar=false", "--trainer.max_epochs=8", "--trainer.accelerator=cpu"]
-ROBOT += ["--model.envs=4", "--model.steps=8", "--model.updates=2", "--model.episodes=2"]
-ROBOT += ["--model.minibatches=2", "--model.policy.width=16", "--trainer.check_val_every_n_epoch=1"]
-
-TRAININGS: Mapping[str, list[str]] = {
-    "sgan": SGAN,
-    "sgan in two processes": [*SGAN, *TWO],
-    "anchor_net": ["--config", "anchor_net", *SHORT, "--monitor=val/ade"],
-    "PPO in two processes": [*PPO, *TWO],
-    "closed_loop/sgan_goal": ["--config", "closed_loop/sgan_goal", *LOOP],
-    "closed_loop/social_walker": ["--config", "closed_loop/social_walker", *LOOP, "--trainer.max_epochs=3"],
-    "robot/ppo": ["--config", "robot/ppo", *ROBOT, "--model.scenarios=['crowdnav:crowds=16']"],
-    "robot/rooms": ["--config", "robot/rooms", *ROBOT, "--model.scenarios=['door:people=2']"],
+TRAININGS = {
+    name: shlex.split(f"--config {words}")
+    for name, words in {
+        "sgan": f"sgan {SHORT}",
+        "sgan in two processes": f"sgan {SHORT} {TWO}",
+        "anchor_net": f"anchor_net {SHORT} --monitor=val/ade",
+        "PPO in two processes": f"ppo/sgan_goal {PPO} {TWO}",
+        "closed_loop/sgan_goal": f"closed_loop/sgan_goal {LOOP}",
+        "closed_loop/social_walker": f"closed_loop/social_walker {LOOP} --trainer.max_epochs=3",
+        "robot/ppo": f"robot/ppo {ROBOT}=\"['crowdnav:crowds=16']\"",
+        "robot/rooms": f"robot/rooms {ROBOT}=\"['door:people=2']\"",
+    }.items()
 }
 
 KILLS = 2
@@ -179,7 +178,7 @@ def tried(kind: str, trainings: int) -> list[dict[str, Any]]:
 
 def main() -> int:
     """Print a row for each kind; returns 1 where something was lost or a process left over."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("kinds", nargs="*", metavar="TRAINING", help=f"some of {', '.join(TRAININGS)}")
     parser.add_argument("--trainings", type=int, default=10, help="of each kind (default: 10)")
     options = parser.parse_args()

@@ -13,11 +13,8 @@ from pedzoo.metrics.ratios import Ratio, finite, mean, metric, once, ratio, shar
 from pedzoo.metrics.smoothness import WINDOW, velocities
 from pedzoo.sim.rollout import Rollout
 
-PERSONAL_SPACE = 0.5
-"""Metres between centres (iGibson's)."""
-
-IGIBSON_POINTS = 500
-"""Steps of 0.1 s after which an episode of iGibson's ends."""
+PERSONAL_SPACE, IGIBSON_POINTS = 0.5, 500
+"""Metres between centres, and steps of 0.1 s after which an episode of iGibson's ends."""
 
 HORIZON = 10.0
 """Seconds: collisions farther away count as if they were then."""

@@ -20,20 +20,11 @@ from pedzoo.metrics import smoothness
 from pedzoo.metrics.ratios import Ratio, finite, mean, metric, once, ratio, share
 from pedzoo.sim.rollout import Rollout
 
-NEAR = 1.5
-"""Metres before a door's wall within which people wait for it."""
+NEAR, HELD_UP = 1.5, 0.2
+"""People wait within so many metres before a door's wall if they come nearer to it more slowly, m/s."""
 
-HELD_UP = 0.2
-"""m/s towards the door: people who are slower wait."""
-
-ABOUT = 3.0
-"""Metres around a door within which turns count."""
-
-WALKS = 0.5
-"""m/s: turns of slower people do not count."""
-
-SHARP = math.radians(45)
-"""Angle of a turn within 0.4 s beyond which it is sharp."""
+ABOUT, WALKS, SHARP = 3.0, 0.5, math.radians(45)
+"""Turns count within so many metres of a door, of people faster, m/s; beyond this angle they are sharp."""
 
 
 def passing_seconds(path: Tensor, scored: Tensor, gate: Tensor) -> Tensor:

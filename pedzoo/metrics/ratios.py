@@ -22,11 +22,8 @@ class Ratio(NamedTuple):
 
     above: Tensor
     below: Tensor
-    share: bool = False
-    """Whether it is a share of episodes or people."""
-
-    part: bool = False
-    """Whether it is a share of anything else, such as steps: at most 1."""
+    share: bool = False  # of episodes or people
+    part: bool = False  # a share of anything else, such as steps: at most 1
 
 
 Function = TypeVar(

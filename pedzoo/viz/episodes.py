@@ -23,18 +23,10 @@ Walked = tuple[Rollout, PedestrianEnv]
 
 
 class Replay:
-    """Episodes to look at: a notebook shows them, `save` writes them as a page of their own.
-
-    Attributes:
-        name: What stands above them.
-    """
+    """Episodes to look at: a notebook shows them, `save` writes them as a page of their own."""
 
     def __init__(self, walked: Sequence[PolicyRollout], name: str = "episodes", seed: int = 0) -> None:
-        """Take what policies did in the same scenes.
-
-        Raises:
-            UserError: There is nothing.
-        """
+        """Take what policies did in the same scenes; `UserError` of nothing."""
         if not walked:
             raise UserError("nothing to show: expected at least one rollout")
         self.name, self._walked, self._seed = name, list(walked), seed
@@ -47,11 +39,7 @@ class Replay:
         return framed(self._content(), self.name)
 
     def save(self, path: str | Path) -> None:
-        """Write the page, whole or not at all.
-
-        Raises:
-            UserError: It does not end in .html or .htm, or cannot be written.
-        """
+        """Write the page, whole or not at all; `UserError` of another ending, or where it cannot be."""
         check_ending(f"page {str(path)!r}", path, PAGES)
         try:
             write_atomically(Path(path).resolve(), page(self._content(), self.name).encode())
@@ -64,21 +52,14 @@ class Replay:
             episodes, its = packed_episodes(one.rollout, one.env.bank, len(one.rollout.failed), self._seed)
             rows.append(row(one.name, one.rollout) | {"episodes": episodes})
             plans |= its
-        content = empty_content()
-        add_report(
-            content, {"command": "rollout", "rows": rows, "plans": plans, "protocol": {"scenario": self.name}}
-        )
+        content, about = empty_content(), {"command": "rollout", "protocol": {"scenario": self.name}}
+        add_report(content, {**about, "rows": rows, "plans": plans})
         shorten(content)
         return {**content, "about": f"seed {self._seed}"}
 
 
 class ShownRollout(NamedTuple):
-    """What a policy did. It unpacks into its two parts, and a notebook shows its episodes.
-
-    Attributes:
-        rollout: The episodes.
-        env: Where they were walked.
-    """
+    """What a policy did, and where. It unpacks into these two, and a notebook shows its episodes."""
 
     rollout: Rollout
     env: PedestrianEnv

@@ -42,11 +42,7 @@ def has_display() -> bool:
 
 
 class Live:
-    """One scene after the other, in real time.
-
-    Attributes:
-        answer: The present episode as JSON: ``episode``, ``plans`` and whether it is all ``over``.
-    """
+    """One scene after the other, in real time; ``answer`` is the present episode as JSON."""
 
     def __init__(
         self, policy: str, scenario: str, physics: str = "compiled", seed: int = 0, speed: float = 1.0
@@ -87,11 +83,7 @@ class Live:
         return page(empty_content() | content, f"{self.name} in {self.scenario}", "/live")
 
     def server(self, port: int) -> ThreadingHTTPServer:
-        """Return a server of the page and of what happens, on this machine alone; 0 is any free port.
-
-        Raises:
-            UserError: The port is taken.
-        """
+        """Return a server on this machine alone; 0 is any free port, `UserError` one that is taken."""
         live = self
 
         class Handler(BaseHTTPRequestHandler):
@@ -119,9 +111,8 @@ class Live:
         try:
             return ThreadingHTTPServer((HOST, port), Handler)
         except (OSError, OverflowError) as error:
-            raise UserError(
-                f"cannot serve on port {port}: {error}; take another one, --port 0 for any"
-            ) from error
+            said = f"cannot serve on port {port}: {error}; take another one, --port 0 for any"
+            raise UserError(said) from error
 
 
 class BulletWindow:
@@ -163,7 +154,6 @@ class BulletWindow:
         grid, state = self._env.bank.grid(self._plan), self._env.state
         walls = boxes(grid, self._env.scenario.unknown) if grid else np.zeros((0, 4))
         self._looks = BulletLooks(walls, window=True)
-        corners = (
-            walls.reshape(-1, 2) if len(walls) else as_array(state.past[0, state.mask[0]]).reshape(-1, 2)
-        )
+        corners = walls if len(walls) else as_array(state.past[0, state.mask[0]])
+        corners = corners.reshape(-1, 2)
         self._looks.look_at(corners.min(0).tolist(), corners.max(0).tolist())

@@ -27,13 +27,8 @@ TINTS = {
 }
 """Red, green and blue of a room's floor."""
 
-WALLS, FURNITURE, DOORS, PAPER, INK = (
-    (56, 56, 56),
-    (122, 132, 152),
-    (255, 164, 120),
-    (255, 255, 255),
-    (40, 40, 40),
-)
+WALLS, FURNITURE, DOORS = (56, 56, 56), (122, 132, 152), (255, 164, 120)
+PAPER, INK = (255, 255, 255), (40, 40, 40)
 
 _GAP = 16
 _LINE = 22  # pixels of a line of text
@@ -62,9 +57,8 @@ def save_sheet(plans: Sequence[FloorPlan], file: Path) -> None:
     """Write the `sheet` of floor plans as a png, whole or not at all."""
     import cv2
 
-    _, encoded = cv2.imencode(
-        ".png", np.ascontiguousarray(sheet(plans)[..., ::-1]), [cv2.IMWRITE_PNG_COMPRESSION, 9]
-    )
+    picture = np.ascontiguousarray(sheet(plans)[..., ::-1])
+    _, encoded = cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 9])
     write_atomically(file, encoded.tobytes())
 
 

@@ -67,10 +67,9 @@ def plot_forecasts(
     samples: int = 20,
     seed: int = 0,
 ) -> None:
-    """Draw ``panels`` scenes, evenly spread over the test split, into a PNG, under the data's protocol.
+    """Draw scenes with three people or more, evenly spread over the test split, under the data's protocol.
 
-    Only scenes with at least three people are drawn; which ones depends on nothing else. ``samples`` random
-    futures per person, of ``seed``, stand beside the mode.
+    ``samples`` random futures per person, of ``seed``, stand beside the mode.
     """
     data.setup("test")
     scenes = data.sets["test"]
@@ -87,18 +86,15 @@ def plot_forecasts(
     figure = Figure(figsize=(4.2 * columns, 4.2 * rows + 0.5), layout="constrained")
     for i, axes in enumerate(figure.subplots(rows, columns, squeeze=False).flat):
         here = agents["mask"][i]
-        if (grid := data.bank.grid(batch["map_id"][i])) is not None:
-            draw_floor_plan(axes, grid)
+        draw_floor_plan(axes, data.bank.grid(batch["map_id"][i]))
         for person in here.nonzero()[:, 0].tolist():
             history, last = agents["history"][i, person], agents["history"][i, person, -1:]
             for sample in futures[i][:, person]:
                 way = torch.cat((last, sample))
                 axes.plot(*way.T.numpy(), color="tab:orange", alpha=0.25, linewidth=1, zorder=2)
             axes.plot(*history.T.numpy(), color="black", linewidth=1.5, zorder=3)
-            real, likely = (
-                torch.cat((last, agents["future"][i, person])),
-                torch.cat((last, mode[i, 0, person])),
-            )
+            real = torch.cat((last, agents["future"][i, person]))
+            likely = torch.cat((last, mode[i, 0, person]))
             axes.plot(*real.T.numpy(), color="tab:green", linewidth=2, zorder=3)
             axes.plot(*likely.T.numpy(), color="tab:red", linewidth=1.5, linestyle="--", zorder=4)
             axes.plot(*last[0].numpy(), "o", color="black", markersize=4, zorder=5)
@@ -121,14 +117,15 @@ def plot_forecasts(
     if goals:
         handles.append(Line2D([], [], color="tab:blue", marker="x", linestyle="none", label="goal"))
     figure.legend(handles=handles, loc="outside lower center", ncols=5, frameon=False)
-    figure.suptitle(
-        f"{type(model).__name__}: {data.obs_len} steps seen, {data.pred_len} predicted, goal: {data.goal}"
-    )
+    steps = f"{data.obs_len} steps seen, {data.pred_len} predicted"
+    figure.suptitle(f"{type(model).__name__}: {steps}, goal: {data.goal}")
     write_figure(figure, path, dpi=110)
 
 
-def draw_floor_plan(axes: Axes, grid: OccupancyGrid) -> None:
+def draw_floor_plan(axes: Axes, grid: OccupancyGrid | None) -> None:
     """Draw walls dark, and unknown cells and all beyond the plan grey, in world coordinates."""
+    if grid is None:
+        return
     axes.set_facecolor("0.85")
     height, width = grid.cells.shape
     shade = torch.full((height, width), 0.85)
@@ -144,8 +141,8 @@ def draw_floor_plan(axes: Axes, grid: OccupancyGrid) -> None:
 def plot_density_speed(rows: Sequence[Mapping[str, Any]], path: str | Path, simulated: str = "all") -> None:
     """Draw the mean speed at every density: a row of panels for each policy, a column for each recording.
 
-    The real crowd is the black line; bars say how often a density occurs in it. Of the rows of
-    `pedzoo.evaluate` those of replays are drawn, with ``all`` or ``one`` person simulated.
+    The real crowd is the black line; bars say how often a density occurs in it. Rows of `pedzoo.evaluate` are
+    drawn that are of replays with ``all`` or ``one`` person simulated.
 
     Raises:
         UserError: No row is of a replay, or the file cannot be written.
@@ -161,7 +158,16 @@ def plot_density_speed(rows: Sequence[Mapping[str, Any]], path: str | Path, simu
     curves = {(row["name"], row["case"]["fold"]): row[CURVE] for row in mine}
     for i, name in enumerate(names):
         for axes, fold in zip(panels[i], folds, strict=True):
-            _draw(axes, curves.get((name, fold), []))
+            often = [point for point in curves.get((name, fold), ()) if point["real_share"] >= RARE]
+            density = [point["density_per_m2"] for point in often]
+            share = axes.twinx()
+            share.bar(density, [point["real_share"] for point in often], width=0.06, color="0.9")
+            share.set_axis_off()
+            axes.set_zorder(share.get_zorder() + 1)
+            axes.patch.set_visible(False)
+            for key, look in (("real_speed_m_per_s", REAL_LOOK), ("speed_m_per_s", LOOK)):
+                axes.plot(density, [np.nan if point[key] is None else point[key] for point in often], **look)
+            axes.tick_params(labelsize=7)
             axes.set_title(fold if i == 0 else "", fontsize=9)
         panels[i][0].set_ylabel(name.replace(":", ":\n"), fontsize=8)
     for column in panels.T:
@@ -169,18 +175,3 @@ def plot_density_speed(rows: Sequence[Mapping[str, Any]], path: str | Path, simu
     figure.supxlabel("people per m² within 2 m; bars: how often", fontsize=8)
     figure.supylabel("mean speed, m/s; black: the real crowd", fontsize=8)
     write_figure(figure, path)
-
-
-def _draw(axes: Axes, curve: Sequence[Mapping[str, Any]]) -> None:
-    """Draw one policy in one recording, beside the real crowd."""
-    often = [point for point in curve if point["real_share"] >= RARE]
-    density = [point["density_per_m2"] for point in often]
-    share = axes.twinx()
-    share.bar(density, [point["real_share"] for point in often], width=0.06, color="0.9")
-    share.set_axis_off()
-    axes.set_zorder(share.get_zorder() + 1)
-    axes.patch.set_visible(False)
-    for key, look in (("real_speed_m_per_s", REAL_LOOK), ("speed_m_per_s", LOOK)):
-        speeds = [np.nan if point[key] is None else point[key] for point in often]
-        axes.plot(density, speeds, **look)
-    axes.tick_params(labelsize=7)

@@ -64,15 +64,10 @@ RARE = 0.005
 
 
 def page(content: Mapping[str, Any], title: str = "pedzoo report", live: str | None = None) -> str:
-    """Return the page.
+    """Return the page of a content as of `content_of`.
 
-    Names in ``content`` may come from any file. They stand in JSON without ``<``, the script writes them as
-    text, and the page's policy runs no script but its own.
-
-    Args:
-        content: ``about``, ``cases``, ``plans``, ``tables``, ``charts`` and ``notes``, as of `content_of`.
-        title: In the head of the page.
-        live: Where people who walk now are asked for, on the server that the page is from.
+    Names in it may come from any file. They stand in JSON without ``<``, the script writes them as text, and
+    the page's policy runs no script but its own. ``live`` is where its server tells of people who walk now.
     """
     style, body = _asset("page.css"), "".join(_asset(f"{name}.js") for name in SCRIPTS)
     script = f"'use strict';\n(() => {{\n{body}}})();\n"
@@ -111,21 +106,14 @@ def empty_content() -> dict[str, Any]:
 
 
 def content_of(files: Sequence[str | Path]) -> dict[str, Any]:
-    """Return the content of the page of some results.
-
-    Args:
-        files: JSON of ``pedzoo evaluate``, ``rollout``, ``forecast``, ``score``, ``reproduce`` or ``bench``,
-            and folders of trainings.
+    """Return the content of the page of some results: JSON that commands wrote, and folders of trainings.
 
     Raises:
         UserError: A file is not there, or is something else.
     """
-    reports, runs, content, about = {}, [], empty_content(), []
-    for path in map(Path, files):
-        if path.is_dir():
-            runs += _trainings(path)
-        else:
-            reports[str(path)] = _read(path)
+    content, about, paths = empty_content(), [], [*map(Path, files)]
+    runs = [run for path in paths if path.is_dir() for run in _trainings(path)]
+    reports = {str(path): _read(path) for path in paths if not path.is_dir()}
     for path, report in reports.items():
         add_report(content, report, Path(path).stem if len(reports) > 1 else "")
         versions, seeds = report.get("versions", {}), report.get("seeds", [])
@@ -160,8 +148,10 @@ def shorten(content: dict[str, Any], largest: int = LARGEST - ROOM) -> None:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    kinds = "evaluate, rollout, forecast, score or bench"
-    wanted = f"expected JSON that pedzoo {kinds} wrote, or the folder of a training"
+    wanted = (
+        "expected JSON that pedzoo evaluate, rollout, forecast, score or bench wrote, or the folder of a "
+    )
+    wanted += "training"
     try:
         report = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -169,21 +159,20 @@ def _read(path: Path) -> dict[str, Any]:
     except ValueError as error:
         raise UserError(f"{str(path)!r} is no JSON: {wanted}") from error
     rows = report.get("rows") if isinstance(report, dict) else None
-    if not isinstance(rows, list) or not all(
-        isinstance(row, dict) and {"name", "metrics"} <= row.keys() for row in rows
-    ):
+    right = isinstance(rows, list) and all(isinstance(row, dict) for row in rows)
+    if not right or not all({"name", "metrics"} <= row.keys() for row in rows):
         raise UserError(f"{str(path)!r} has no rows with name and metrics: {wanted}")
     return report
 
 
 def _trainings(folder: Path) -> list[Path]:
-    runs = [folder] if (folder / "metrics.csv").is_file() else []
-    runs = runs or sorted(file.parent for file in folder.glob("*/*/metrics.csv"))
-    if not runs:
-        raise UserError(
-            f"no training in {str(folder)!r}: expected a folder that pedzoo fit wrote, with metrics.csv"
-        )
-    return runs
+    if (folder / "metrics.csv").is_file():
+        return [folder]
+    if runs := sorted(file.parent for file in folder.glob("*/*/metrics.csv")):
+        return runs
+    raise UserError(
+        f"no training in {str(folder)!r}: expected a folder that pedzoo fit wrote, with metrics.csv"
+    )
 
 
 def add_report(content: dict[str, Any], report: Mapping[str, Any], stem: str = "") -> None:
@@ -206,12 +195,10 @@ def add_report(content: dict[str, Any], report: Mapping[str, Any], stem: str = "
         for case, of_case in cases.items():
             number = _add_case(content, f"{name} {case}".strip() + suffix, of_case)
             tables.append(_table(case or name, of_case, number))
-        note = (
-            INTERVALS.replace("In brackets", "Below numbers")
-            + " A number that is a link leads to an episode."
-        )
-        note = "" if content["tables"] else note
-        content["tables"].append({"name": name + suffix, "note": note, "tables": tables})
+        note = INTERVALS.replace("In brackets", "Below numbers")
+        note += " A number that is a link leads to an episode."
+        shown = {"name": name + suffix, "note": "" if content["tables"] else note, "tables": tables}
+        content["tables"].append(shown)
     content["notes"] += [str(note) for note in report.get("notes", [])]
     content["charts"] += _distributions(report["rows"], suffix) + _scaling(report["rows"], suffix)
 
@@ -226,8 +213,7 @@ def _grouped(rows: Iterable[Row], key: Callable[[Row], str]) -> dict[str, list[R
 
 def _add_case(content: dict[str, Any], name: str, rows: Sequence[Row]) -> int | None:
     """Add the episodes of a case; returns its number, None where no row keeps any."""
-    kept = [row for row in rows if row.get("episodes")]
-    if not kept:
+    if not (kept := [row for row in rows if row.get("episodes")]):
         return None
     name = " ".join(dict.fromkeys(name.split()))  # a table's name is often part of its cases
     known = {case["name"] for case in content["cases"]}
@@ -243,10 +229,9 @@ def _table(title: str, rows: Sequence[Row], case: int | None) -> dict[str, Any]:
     texts, metrics = legend(), list(dict.fromkeys(key for row in rows for key in row["metrics"]))
     # all of them are shown at once where none is known
     first = [name for name in FIRST if name in metrics][:AT_ONCE]
-    order = [(name, True) for name in first] + [(name, not first) for name in metrics if name not in first]
     columns = [
-        {"key": key, "help": texts.get(key, ""), "better": better(key), "first": at_once}
-        for key, at_once in order
+        {"key": key, "help": texts.get(key, ""), "better": better(key), "first": key in first or not first}
+        for key in dict.fromkeys((*first, *metrics))
     ]
     lines = []
     for row in rows:
@@ -266,9 +251,7 @@ def _table(title: str, rows: Sequence[Row], case: int | None) -> dict[str, Any]:
 
 def better(metric: str) -> int:
     """Return 1 where more of a metric is better, -1 where less is, 0 where neither is."""
-    if HIGHER.fullmatch(metric):
-        return 1
-    return -1 if LOWER.fullmatch(metric) else 0
+    return 1 if HIGHER.fullmatch(metric) else -1 if LOWER.fullmatch(metric) else 0
 
 
 def _training_curves(runs: Sequence[Path]) -> list[dict[str, Any]]:
@@ -278,12 +261,8 @@ def _training_curves(runs: Sequence[Path]) -> list[dict[str, Any]]:
         logged = defaultdict[str, dict[int, list[float]]](lambda: defaultdict(list))
         with (run / "metrics.csv").open(newline="") as lines:
             for row in csv.DictReader(lines):
-                for key, text in row.items():
-                    if (
-                        text
-                        and row.get("epoch")
-                        and re.match(r"(val|rollout)/|train/.*loss|train/g", key or "")
-                    ):
+                for key, text in row.items() if row.get("epoch") else ():
+                    if text and re.match(r"(val|rollout)/|train/.*loss|train/g", key or ""):
                         logged[key][int(float(row["epoch"]))].append(float(text))
         for metric, values in logged.items():
             means = {epoch: sum(values[epoch]) / len(values[epoch]) for epoch in sorted(values)}
@@ -307,9 +286,7 @@ def _distributions(rows: Sequence[Row], suffix: str) -> list[dict[str, Any]]:
         return f"{case.get('fold', '')} {case.get('simulated', '')}".strip()
 
     drawn = [row for row in rows if row.get("distributions") or row.get("density_speed")]
-    note = (
-        "Shares of all steps of 0.4 s. The thick line is the recorded crowd; ends count what is beyond them."
-    )
+    note = "Shares of all steps of 0.4 s. The thick line is the recorded crowd; ends count what is beyond."
     return [
         {"title": f"Beside real people: {name}{suffix}", "note": note, "panels": _beside_real(of_case)}
         for name, of_case in _grouped(drawn, crowd).items()
@@ -351,12 +328,10 @@ def _scaling(rows: Sequence[Row], suffix: str) -> list[dict[str, Any]]:
             place = str(row["case"].get("map", ""))
             places[place][str(row["name"])][int(size[1]) * int(size[2])] = value
     panels = []
+    common = {"x": "people in all scenes (powers of ten)", "y": "steps of people per second", "log": True}
     for place, by_name in places.items():
-        lines = [
-            _line(name, dict(sorted(points.items()))) for name, points in by_name.items() if len(points) > 1
-        ]
-        common = {"x": "people in all scenes (powers of ten)", "y": "steps of people per second", "log": True}
-        if lines:
+        several = {name: dict(sorted(points.items())) for name, points in by_name.items() if len(points) > 1}
+        if lines := [_line(*one) for one in several.items()]:
             panels.append({"title": place or "the usual floor plans", "lines": lines, **common})
     note = "Both axes are logarithmic."
     return [{"title": f"Speed by size{suffix}", "note": note, "panels": panels}] if panels else []

@@ -1,7 +1,6 @@
 """Pictures of how people walked: the way so far at some moments around the one at which they meet.
 
-In the manner of Fig. 4 of the paper on iGibson: a star is where an agent is, dots are where they were at the
-three steps of 0.4 s before. Colours are people; all policies are shown at the same times.
+A star is where an agent is, dots are where they were at the three steps of 0.4 s before.
 """
 
 from collections.abc import Sequence
@@ -49,13 +48,7 @@ _CLOSE = 0.1
 def plot_rollouts(walked: Sequence[PolicyRollout], path: str | Path, episode: int = 0) -> None:
     """Draw a row of panels per policy: one episode at four moments, and the ways of all episodes.
 
-    Args:
-        walked: What the policies did, all in the same scenario.
-        path: ``.png``, ``.pdf`` or ``.svg``; its folder is made where it is missing.
-        episode: Number of the episode.
-
-    Raises:
-        UserError: No such episode, another suffix, or the file cannot be written.
+    All walked in the same scenario. Errors: no such episode, or as of `write_figure`.
     """
     check_plot_path(path)
     shown = [_Episode(one, episode) for one in walked]
@@ -90,11 +83,7 @@ def plot_rollouts(walked: Sequence[PolicyRollout], path: str | Path, episode: in
 
 
 def draw_episode(axes: Axes, walked: PolicyRollout, episode: int = 0, point: int | None = None) -> None:
-    """Draw the ways of one episode until a trace point, by default its end, with a margin around all of them.
-
-    Raises:
-        UserError: No such episode.
-    """
+    """Draw the ways of one episode until a trace point, by default its end; errors as `plot_rollouts`."""
     one = _Episode(walked, episode)
     one.draw(axes, one.length if point is None else point)
     low, high = (one.low - MARGIN).tolist(), (one.high + MARGIN).tolist()
@@ -102,10 +91,7 @@ def draw_episode(axes: Axes, walked: PolicyRollout, episode: int = 0, point: int
 
 
 def meeting(rollout: Rollout, episode: int) -> int:
-    """Return the trace point at which two people are first as near each other as they ever are.
-
-    Where no agents meet it is the middle of the episode.
-    """
+    """Return the trace point at which two people are first nearest, in the middle where no agents meet."""
     length = int(rollout.length[episode])
     position, there = rollout.trace[episode, :, :length], rollout.present[episode, :, :length]
     between = torch.cdist(position.transpose(0, 1), position.transpose(0, 1))
@@ -118,12 +104,7 @@ def meeting(rollout: Rollout, episode: int) -> int:
 
 
 def common_moments(met: Sequence[int], lengths: Sequence[int]) -> list[int]:
-    """Return the trace points that have a panel, the same for all policies; the last is the longest end.
-
-    Args:
-        met: At which point the people of each policy meet.
-        lengths: When each policy's episode ends.
-    """
+    """Return the trace points that have a panel, from when policies' people meet and episodes end."""
     around, end = round(AROUND / TRACE_SECONDS), max(lengths)
     first, last = max(min(met) - around, 0), min(max(met) + around, end)
     between = [round(first + (last - first) * i / (MOMENTS - 1)) for i in range(MOMENTS)]
@@ -131,11 +112,7 @@ def common_moments(met: Sequence[int], lengths: Sequence[int]) -> list[int]:
 
 
 def meeting_and_end(walked: Sequence[PolicyRollout], episode: int = 0) -> tuple[int, int]:
-    """Return the trace points at which people of most policies have met, and at which all episodes are over.
-
-    Raises:
-        UserError: No such episode.
-    """
+    """Return the trace points at which people of most policies have met, and all episodes are over."""
     shown = [_Episode(one, episode) for one in walked]
     return median_low(one.met for one in shown), max(one.length for one in shown)
 
@@ -158,7 +135,7 @@ class _Episode(ShownEpisode):
 
     def draw(self, axes: Axes, point: int) -> None:
         """Draw the ways until a trace point, or until the end where that is earlier."""
-        self._ground(axes)
+        draw_floor_plan(axes, self.plan)
         title = f"{point * TRACE_SECONDS:.1f} s"
         point = min(point, self.length)
         for person, first, stays_until in self.stays:
@@ -189,7 +166,7 @@ class _Episode(ShownEpisode):
 
     def draw_all(self, axes: Axes) -> None:
         """Draw the ways of all episodes on this floor plan."""
-        self._ground(axes)
+        draw_floor_plan(axes, self.plan)
         same = (self.all.map_id == self.rollout.map_id).nonzero()[:, 0].tolist()
         path = move_to_map(self.all.path, self.all.pose)
         for episode in same:
@@ -197,10 +174,6 @@ class _Episode(ShownEpisode):
                 way = path[episode, person, first : last + 1]
                 axes.plot(*way.T.numpy(), color=_color(person), linewidth=0.8, alpha=0.5, zorder=3)
         axes.set_title(f"all {len(same)} episodes", fontsize=8)
-
-    def _ground(self, axes: Axes) -> None:
-        if self.plan is not None:
-            draw_floor_plan(axes, self.plan)
 
 
 _EDGE = {"markeredgecolor": "white", "markeredgewidth": 0.6}

@@ -49,7 +49,7 @@ def film(
         episode: Its number.
         view: ``perspective`` where the physics has one; else from the top.
         size: Width and height of a panel in pixels, even numbers.
-        seconds: Of the episode, at most; all of it by default.
+        seconds: Of the episode, at most.
         progress: Called with a word, frames done and frames in all.
 
     Raises:
@@ -93,7 +93,7 @@ def check_episode(walked: PolicyRollout, episode: int) -> None:
 def write_video(path: str | Path, frames: Iterable[Image], rate: float) -> None:
     """Write pictures (H, W, 3) uint8 RGB at ``rate`` per second, whole or not at all, and read the file back.
 
-    All have the same even height and width; the folder of ``path``, .webm or .mp4, is made.
+    All have the same even height and width.
 
     Raises:
         UserError: Another suffix, or what was written is not what is read.
@@ -138,11 +138,9 @@ def read_video(path: str | Path) -> tuple[int, tuple[int, int]]:
 
 
 class ShownEpisode:
-    """One episode of a rollout; point 0 is where it begins, and the others follow every 0.1 s.
+    """One episode of a rollout; point 0 is where it begins, and the P others follow every 0.1 s.
 
     Attributes:
-        rollout: This episode alone.
-        length: P, its last point.
         path: Positions (A, 1 + P, 2), metres, in the frame of the scene, or of its map.
         goal: What agents head for until each next point (A, P, 2), likewise.
         present: Which agents are there at each point (A, 1 + P) bool.
@@ -165,7 +163,6 @@ class ShownEpisode:
 def _panel(
     walked: PolicyRollout, shown: ShownEpisode, size: tuple[int, int], camera: Camera
 ) -> Iterator[Image]:
-    """Yield the pictures of one policy's episode at all of its points."""
     physics, one, heading = walked.env.physics, shown.rollout, headings_along(shown.path)
     if camera.view not in physics.views:
         camera = replace(camera, view="top")

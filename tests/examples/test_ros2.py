@@ -26,24 +26,13 @@ def pose(x: float, y: float) -> SimpleNamespace:
 
 def agent(number: int, x: float, y: float, goals: list[tuple[float, float]], **more: Any) -> SimpleNamespace:
     zero = {"x": 0.0, "y": 0.0, "z": 0.0}
-    numbers = {"type": 1, "skin": 0, "behavior": 1, "behavior_state": 0, "group_id": -1, "yaw": 0.0}
-    numbers |= {
-        "desired_velocity": 1.2,
-        "radius": 0.2,
-        "goal_radius": 0.2,
-        "linear_vel": 0.0,
-        "angular_vel": 0.0,
-    }
-    usual = {
-        "id": number,
-        "name": f"agent{number}",
-        "position": pose(x, y),
-        "velocity": SimpleNamespace(linear=SimpleNamespace(**zero), angular=SimpleNamespace(**zero)),
-        "goals": [pose(*goal) for goal in goals],
-        "cyclic_goals": False,
-        "closest_obs": [],
-    }
-    return SimpleNamespace(**numbers | usual | more)
+    still = SimpleNamespace(linear=SimpleNamespace(**zero), angular=SimpleNamespace(**zero))
+    known: dict[str, Any] = {"id": number, "name": f"agent{number}", "position": pose(x, y)}
+    known |= {"velocity": still, "goals": [pose(*goal) for goal in goals], "cyclic_goals": False}
+    known |= {"type": 1, "skin": 0, "behavior": 1, "behavior_state": 0, "group_id": -1, "yaw": 0.0}
+    known |= {"desired_velocity": 1.2, "radius": 0.2, "goal_radius": 0.2}
+    known |= {"linear_vel": 0.0, "angular_vel": 0.0, "closest_obs": []}
+    return SimpleNamespace(**known | more)
 
 
 def request(seconds: float, agents: list[SimpleNamespace], robot: SimpleNamespace) -> SimpleNamespace:
@@ -85,9 +74,7 @@ def walked(
     return said
 
 
-def test_people_walk_to_their_goals_in_turn_and_past_the_robot(
-    services: Services,
-) -> None:
+def test_people_walk_to_their_goals_in_turn_and_past_the_robot(services: Services) -> None:
     robot = agent(0, 0.0, 0.0, [], radius=0.3)
     people = [
         agent(1, -3.0, 0.05, [(3.0, 0.05), (3.0, 1.0)], yaw=0.0),

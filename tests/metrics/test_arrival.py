@@ -93,9 +93,7 @@ def test_way_and_plan_end_where_the_last_goal_is_reached() -> None:
     path = torch.zeros(1, 3, 6, 2)
     path[0, :, :, 1] = torch.tensor([0.0, 1.0, 3.0, 6.0, 10.0, 15.0])
     reached = torch.tensor([[[0, 1, 1, 2, 2], [0, 0, 1, 1, 1], [2, 2, 2, 2, 2]]])
-    planned = torch.tensor(
-        [[[4.0, 4.0, 9.0, 9.0, 20.0], [4.0, 4.0, 4.0, 9.0, 9.0], [0.0, 5.0, 5.0, 5.0, 5.0]]]
-    )
+    planned = torch.tensor([[[4.0, 4, 9, 9, 20], [4.0, 4, 4, 9, 9], [0.0, 5, 5, 5, 5]]])
     scored = torch.ones(1, 3, 5, dtype=torch.bool)
     scored[0, 1, 3:] = False
     assert walked_metres(path, scored, reached, 2).tolist() == [[10.0, 6.0, 1.0]]
@@ -120,10 +118,8 @@ def test_fewest_and_most_goals_are_of_people_who_took_part() -> None:
     reached = torch.tensor([[[0, 2], [0, 3], [9, 9]], [[0, 1], [0, 0], [0, 4]]])
     mask = torch.tensor([[True, True, False], [True, True, True]])
     walked = standing(reached, mask=mask)
-    assert [one(walked).above.tolist() for one in (goals_per_person_min, goals_per_person_max)] == [
-        [2, 0],
-        [3, 4],
-    ]
+    assert goals_per_person_min(walked).above.tolist() == [2, 0]
+    assert goals_per_person_max(walked).above.tolist() == [3, 4]
     assert goals_parity(walked).above.tolist() == pytest.approx([2 / 3, 0])
 
 

@@ -132,17 +132,14 @@ def test_row_of_two_episodes() -> None:
             "time_ratio_median": 0.3,  # the lower one of two
         }
     )
-    assert list(result["metrics"]) == [
-        *(name for name in NAMES if name in result["metrics"]),
-        "time_ratio_median",
-    ]
+    ordered = [name for name in NAMES if name in result["metrics"]]
+    assert list(result["metrics"]) == [*ordered, "time_ratio_median"]
     assert result["name"] == "policy" and result["n"] == 2 and result["decision_dt_s"] == 0.4
     assert result["ci95"]["episode_success"] == wilson(0.5, 2)
     assert "time_s" not in result["ci95"]  # one episode says nothing about others
-    first, second, third = result["per_agent"]
-    assert (first["episode"], first["agent"], third["episode"], third["agent"]) == (0, 0, 1, 0)
-    assert (first["time_s"], second["time_s"], third["time_s"]) == (0.3, 0.4, None)
-    assert (first["agent_contacts"], first["wall_contacts"], third["wall_contacts"]) == (1, 2, 2)
+    first, _, third = people = result["per_agent"]
+    known = [(one["episode"], one["agent"], one["time_s"], one["wall_contacts"]) for one in people]
+    assert known == [(0, 0, 0.3, 2), (0, 1, 0.4, 0), (1, 0, None, 2)] and first["agent_contacts"] == 1
     assert third["least_distance_m"] is None and third["success"] is False
 
 
@@ -154,14 +151,8 @@ def test_clean_episodes_have_arrivals_and_no_touch() -> None:
     agents[1, 0, 2] = walls[2, 1, 0] = True
     overdue, failed = torch.zeros(5, 2, dtype=torch.bool), torch.zeros(5, dtype=torch.bool)
     overdue[3, 1] = failed[4] = True
-    walked = made(
-        path,
-        agent_contact=agents,
-        wall_contact=walls,
-        reached=torch.ones(5, 2, 5, dtype=torch.long),
-        overdue=overdue,
-        failed=failed,
-    )
+    ends = {"reached": torch.ones(5, 2, 5, dtype=torch.long), "overdue": overdue, "failed": failed}
+    walked = made(path, agent_contact=agents, wall_contact=walls, **ends)
     result = metrics(walked)
     assert result["clean"] == pytest.approx(1 / 5) and result["contact_free"] == pytest.approx(3 / 5)
     assert result["episode_success"] == pytest.approx(3 / 5)
@@ -186,18 +177,9 @@ def test_median_time_is_of_those_who_arrive() -> None:
 
 
 def test_no_person_who_fails_at_once_has_rates() -> None:
-    walked = two_episodes()
-    none = torch.zeros_like(walked.present)
-    walked = replace(
-        walked,
-        present=none,
-        controlled=none,
-        failed=torch.tensor([True, True]),
-        agent_contact=none,
-        wall_contact=none,
-        reached=torch.zeros(2, 2, 5).long(),
-    )
-    metrics = row("broken", walked)["metrics"]
+    walked, nothing = two_episodes(), ("present", "controlled", "agent_contact", "wall_contact", "reached")
+    none = {name: torch.zeros_like(getattr(walked, name)) for name in nothing}
+    metrics = row("broken", replace(walked, failed=torch.tensor([True, True]), **none))["metrics"]
     assert metrics["failed"] == 1.0 and metrics["success"] == metrics["episode_success"] == 0.0
     assert not {"time_s", "least_distance_m", "agent_contacts_per_min"} & set(metrics)
 
@@ -237,20 +219,14 @@ def two_episodes_with_door() -> Rollout:
     return made(path, gate=gate.expand(2, 5), changed=torch.zeros(2, 3, 200, dtype=torch.float64))
 
 
-def hasty() -> Rollout:
-    """Return an episode of 4 s: one person walks 4.5 m for a way of 3 m, another one 0.1 m for 4 mm."""
-    far, near = straight(1.5, 40), straight(1.0, 40, (9.0, 0.0))
-    return made(
-        torch.stack((far, near)).unsqueeze(0),
+def test_ratios_of_times_and_ways_are_ratios_of_sums() -> None:
+    """One person walks 4.5 m in 3 s for a way of 3 m and 2 s, another one 0.1 m in 0.1 s for 4 mm."""
+    walked = made(
+        torch.stack((straight(1.5, 40), straight(1.0, 40, (9.0, 0.0)))).unsqueeze(0),
         reached=(torch.arange(40) >= torch.tensor([[29], [0]])).long().unsqueeze(0),
         planned=torch.tensor([3.0, 0.004]).double().view(1, 2, 1).expand(1, 2, 40),
         pref_speed=torch.tensor([[1.5, 1.0]]).double(),
     )
-
-
-def test_ratios_of_times_and_ways_are_ratios_of_sums() -> None:
-    """By hand: 3 s and 0.1 s for 2 s and 4 ms; 4.5 m and 0.1 m for 3 m and 4 mm."""
-    walked = hasty()
     result = metrics(walked)
     assert result["time_ratio"] == pytest.approx(3.1 / 2.004)
     assert result["path_ratio"] == pytest.approx(4.6 / 3.004)
@@ -343,9 +319,7 @@ def test_score_has_only_what_some_episode_says_something_about() -> None:
     result = score.compute()
     assert result["success"] == 0.0 and result["speed_m_per_s"] == pytest.approx(1.3)
     assert not {"time_s", "least_distance_m", "time_to_collision_s", "symmetry_index"} & set(result)
-
-
-def test_an_episode_may_be_shorter_than_a_window() -> None:
+    # an episode may be shorter than a window
     result = metrics(made(torch.stack((straight(1.0, 3), straight(1.0, 3, (0.0, 1.0)))).unsqueeze(0)))
     assert result["least_distance_m"] == pytest.approx(1.0) and result["personal_space"] == 1.0
     assert not {"speed_m_per_s", "jerk_m_per_s3", "time_to_collision_s"} & set(result)

@@ -123,12 +123,14 @@ def test_metrics_that_are_refused(folder: Path) -> None:
     values, _ = pedzoo.measure(walked, [f"{file}:seconds_there"])
     assert values["seconds_there"] > 0 and values["failed"] == 0
     said = r"of_people: expected two tensors \(sum, count\) of shape \(2,\), .* got \(a tensor of shape"
-    with pytest.raises(UserError, match=said):
-        closed_loop(walked, [f"{file}:of_people"])
-    with pytest.raises(
-        UserError, match=r"with_count: expected two tensors .* got \(a tensor .*, a tensor .*, "
+    for name, message in (
+        ("of_people", said),
+        ("with_count", r"with_count: expected two tensors .* got \(a tensor .*, a tensor .*, "),
+        ("below_0", "a count is below 0"),
+        ("more_than_all", "a share is outside 0 to 1"),
     ):
-        closed_loop(walked, [f"{file}:with_count"])
+        with pytest.raises(UserError, match=message):
+            closed_loop(walked, [f"{file}:{name}"])
 
 
 def test_every_shipped_metric_says_what_it_is_without_an_import() -> None:

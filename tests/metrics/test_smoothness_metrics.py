@@ -68,12 +68,8 @@ def test_a_turn_at_a_stop_has_no_rate() -> None:
     assert float(turning(velocity, known)) == pytest.approx(math.pi / 2)
     rate, walks = heading_rate(velocity, known)
     assert walks[0, 0].tolist() == [False, False, False, True] and float(rate[0, 0, 3]) == 0.0
-
-
-def test_who_sets_out_has_not_turned() -> None:
-    """Standing has no heading: the first one is that of the first steps."""
-    velocity = torch.tensor([[[[0.0, 0.0], [0.0, 1.0], [0.0, 1.0]]]])
-    assert turning(velocity, torch.ones(1, 1, 3, dtype=torch.bool)).item() == 0.0
+    # standing has no heading: who sets out has not turned
+    assert float(turning(*corners((0.0, 0.0), (0.0, 0.4), (0.0, 0.4)))) == 0.0
 
 
 def test_nothing_is_measured_across_a_gap() -> None:

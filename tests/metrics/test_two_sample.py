@@ -72,12 +72,9 @@ def test_clips_are_in_the_frame_of_the_way() -> None:
     result = clips_of(walks, start, goal)
     assert len(result.person) == 2 * (10 - LENGTH + 1)
     step = dict(zip(CHANNELS, result.value[0, : len(CHANNELS)].tolist(), strict=True))
-    assert step["velocity along the way"] == pytest.approx(1.0)
-    assert step["velocity across the way"] == pytest.approx(0.0, abs=1e-6)
-    assert step["nearest person ahead"] == pytest.approx(0.0, abs=1e-6)
-    assert step["nearest person aside"] == pytest.approx(-1.0)  # to the right of who walks up
-    assert step["second person ahead"] == 20.0
-    assert step["distance to the exit"] == pytest.approx(10 - 0.8, abs=1e-5)
+    expected = {"velocity along the way": 1, "velocity across the way": 0, "nearest person ahead": 0}
+    expected |= {"nearest person aside": -1, "second person ahead": 20, "distance to the exit": 10 - 0.8}
+    assert {key: step[key] for key in expected} == pytest.approx(expected, abs=1e-5)
     turned = torch.tensor([[0.0, -1.0], [1.0, 0.0]])
     again = clips_of(walks @ turned, start @ turned, goal @ turned)
     torch.testing.assert_close(again.value, result.value, atol=1e-4, rtol=0)
@@ -106,30 +103,26 @@ def crowd_of(noise: float, people: int, seed: int) -> Clips:
     return clips_of(xy, xy[:, 0], xy[:, -1])
 
 
-def found_auc(one: Clips, other: Clips, people: int) -> float:
-    parts, once = torch.arange(people) % FOLDS, torch.ones(1, people)
-    return float(auc(two_sample(one, other, parts, parts), once, once))
+PARTS, ONCE = torch.arange(40) % FOLDS, torch.ones(1, 40)
+
+
+def found_auc(one: Clips, other: Clips, parts: torch.Tensor = PARTS) -> float:
+    return float(auc(two_sample(one, other, parts, PARTS), ONCE, ONCE))
 
 
 def test_constant_velocity_is_told_apart_and_equal_crowds_not() -> None:
-    people = 40
-    real = crowd_of(0.05, people, 0)
-    assert found_auc(real, real, people) == pytest.approx(0.5, abs=0.02)
-    assert found_auc(crowd_of(0.05, people, 1), real, people) == pytest.approx(0.5, abs=0.1)
-    assert found_auc(crowd_of(0.0, people, 2), real, people) > 0.95
+    real = crowd_of(0.05, 40, 0)
+    assert found_auc(real, real) == pytest.approx(0.5, abs=0.02)
+    assert found_auc(crowd_of(0.05, 40, 1), real) == pytest.approx(0.5, abs=0.1)
+    assert found_auc(crowd_of(0.0, 40, 2), real) > 0.95
 
 
 def test_numbers_of_people_do_not_matter() -> None:
-    people = 40
-    one, other = crowd_of(0.05, people, 3), crowd_of(0.08, people, 4)
-    shuffled = torch.randperm(people, generator=torch.Generator().manual_seed(0))
-    parts, once = torch.arange(people) % FOLDS, torch.ones(1, people)
-    again = Clips(one.value, shuffled[one.person])
-    moved = torch.empty_like(parts)
-    moved[shuffled] = parts
-    verdicts = two_sample(one, other, parts, parts), two_sample(again, other, moved, parts)
-    first, second = (float(auc(verdict, once, once)) for verdict in verdicts)
-    assert first == pytest.approx(second, abs=1e-9)
+    one, other = crowd_of(0.05, 40, 3), crowd_of(0.08, 40, 4)
+    shuffled, moved = torch.randperm(40, generator=torch.Generator().manual_seed(0)), torch.empty_like(PARTS)
+    moved[shuffled] = PARTS
+    again = found_auc(Clips(one.value, shuffled[one.person]), other, moved)
+    assert found_auc(one, other) == pytest.approx(again, abs=1e-9)
 
 
 def test_no_part_gets_more_than_half_of_the_strangers() -> None:
@@ -163,8 +156,7 @@ def test_trees_are_those_of_the_page() -> None:
 def test_larger_crowds_are_thinned_evenly(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pedzoo.metrics.realism.two_sample.MOST", 100)
     real, other = crowd_of(0.05, 40, 0), crowd_of(0.05, 40, 1)
-    parts = torch.arange(40) % FOLDS
-    verdict = two_sample(real, other, parts, parts)
+    verdict = two_sample(real, other, PARTS, PARTS)
     assert len(real.person) == 360 and verdict.simulated.sum() == (~verdict.simulated).sum() == 90
     assert verdict.person.unique().tolist() == list(range(40))
     assert sum(verdict.gain.tolist()) == pytest.approx(1) and len(verdict.telling) == 3

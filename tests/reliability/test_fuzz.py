@@ -17,7 +17,6 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import FrameType
@@ -48,26 +47,20 @@ from pedzoo.sim.make import scenario_spec
 from pedzoo.sim.scenario import Scenario
 
 
-@dataclass(frozen=True)
-class Reader:
-    """Reads a file of some name, or refuses it by `UserError`.
+class Inside(NamedTuple):
+    """The bytes in a container, and what makes a ``whole`` one of such bytes, with sums and lengths."""
 
-    ``examples`` are contents that it takes; ``inside`` is what is in a container of bytes, whose sums and
-    lengths refuse most mistakes.
-    """
+    content: bytes
+    whole: Callable[[bytes], bytes]
+
+
+class Reader(NamedTuple):
+    """Reads a file of some name, or refuses it by `UserError`; ``examples`` are contents that it takes."""
 
     file: str
     read: Callable[[Path], object]
     examples: Callable[[], list[bytes]]
     inside: Callable[[], Inside] | None = None
-
-
-@dataclass(frozen=True)
-class Inside:
-    """The bytes in a container, and what makes a ``whole`` one of such bytes, with sums and lengths."""
-
-    content: bytes
-    whole: Callable[[bytes], bytes]
 
 
 @cache
@@ -97,13 +90,8 @@ def _tracks() -> list[bytes]:
     return [plain.encode(), b"x,y,frame,agent\n" + table.encode()]
 
 
-_ROS = b"""image: plan.png
-resolution: 0.05
-origin: [0, 0, 0]
-occupied_thresh: 0.65
-free_thresh: 0.2
-negate: 0
-"""
+_ROS = b"image: plan.png\nresolution: 0.05\norigin: [0, 0, 0]\noccupied_thresh: 0.65\nfree_thresh: 0.2\n"
+_ROS += b"negate: 0\n"
 
 
 def _ros(path: Path) -> object:
@@ -258,41 +246,30 @@ def mistaken(content: bytes, draw: np.random.Generator) -> bytes:
     return content
 
 
-class Outcome(NamedTuple):
-    """What a reader did: whether it read a content, and what is wrong with that, if anything."""
+def wrong_of(reader: Reader, content: bytes, folder: Path) -> str | None:
+    """Return what is wrong: a reader should read a content, or refuse it in words, and do nothing else.
 
-    read: bool
-    wrong: str | None = None
-
-
-def outcome(reader: Reader, content: bytes, folder: Path) -> Outcome:
-    """Return how a reader takes a content: it should read it, or refuse it in words, and do nothing else.
-
-    Args:
-        reader: The reader.
-        content: What its file has.
-        folder: An empty folder for the file; it is empty again afterwards.
+    The folder is empty before and afterwards.
     """
     path = folder / reader.file
     path.write_bytes(content)
-    result, now, most, began = Outcome(True), *_memory(), time.process_time()
+    wrong, now, most, began = None, *_memory(), time.process_time()
     with warnings.catch_warnings(action="ignore"), _watched(folder) as done:
         try:
             reader.read(path)
         except UserError as error:
-            long = f"a long message: {len(str(error))} signs" if len(str(error)) > 5000 else None
-            result = Outcome(False, long)
+            wrong = f"a long message: {len(str(error))} signs" if len(str(error)) > 5000 else None
         except (Exception, Hangs) as error:  # that is what is looked for
-            result = Outcome(False, f"{type(error).__name__}: {str(error)[:200]}")
+            wrong = f"{type(error).__name__}: {str(error)[:200]}"
     seconds, (_, peak) = time.process_time() - began, _memory()
     done += [file.name for file in folder.iterdir() if file.name not in (reader.file, "plan.png")]
     for file in folder.iterdir():
         file.unlink()
     if done:
-        return Outcome(result.read, f"did more than read: {done[:5]}")
+        return f"did more than read: {done[:5]}"
     if peak > most and peak - now > MEMORY:
-        return Outcome(result.read, f"took memory: {peak - now:,} bytes")
-    return Outcome(result.read, f"took time: {seconds:.1f} s") if seconds > SECONDS else result
+        return f"took memory: {peak - now:,} bytes"
+    return f"took time: {seconds:.1f} s" if seconds > SECONDS else wrong
 
 
 def _memory() -> tuple[int, int]:
@@ -354,16 +331,11 @@ QUICK = settings(
 )
 
 
-@pytest.fixture(params=READERS)
-def name(request: pytest.FixtureRequest, tmp_path: Path) -> str:
-    """A reader that reads what is sound."""
-    warm(READERS[request.param], tmp_path)
-    return request.param
-
-
 @pytest.mark.parametrize("kind", ["mistakes", "any bytes"])
-def test_contents_are_read_or_refused_in_words(name: str, kind: str) -> None:
+@pytest.mark.parametrize("name", READERS)
+def test_contents_are_read_or_refused_in_words(name: str, kind: str, tmp_path: Path) -> None:
     reader = READERS[name]
+    warm(reader, tmp_path)
     contents = st.one_of(st.binary(max_size=300), st.text(max_size=100).map(str.encode), st.sampled_from(ODD))
     if kind == "mistakes":
         contents = st.integers(0, 2**63 - 1).map(lambda seed: content_of(reader, np.random.default_rng(seed)))
@@ -372,15 +344,16 @@ def test_contents_are_read_or_refused_in_words(name: str, kind: str) -> None:
     @given(contents)
     def check(content: bytes) -> None:
         with tempfile.TemporaryDirectory(dir=IN_MEMORY) as folder:
-            assert outcome(reader, content, Path(folder)).wrong is None
+            assert wrong_of(reader, content, Path(folder)) is None
 
     check()
 
 
 @pytest.mark.parametrize("file", sorted(CORPUS.glob("*-*")), ids=lambda file: file.name)
 def test_what_was_wrong_once_is_right(file: Path, tmp_path: Path) -> None:
-    warm(READERS[file.name.partition("-")[0]], tmp_path)
-    assert outcome(READERS[file.name.partition("-")[0]], file.read_bytes(), tmp_path).wrong is None
+    reader = READERS[file.name.partition("-")[0]]
+    warm(reader, tmp_path)
+    assert wrong_of(reader, file.read_bytes(), tmp_path) is None
 
 
 @pytest.mark.parametrize(
@@ -397,5 +370,5 @@ def test_what_a_reader_may_not_do_is_noticed(
 ) -> None:
     folder = tmp_path / "folder"
     folder.mkdir()
-    found = outcome(Reader("file", read, list), b"", folder).wrong
+    found = wrong_of(Reader("file", read, list), b"", folder)
     assert (found and found.partition(":")[0]) == wrong

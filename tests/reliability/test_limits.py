@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bz2
 import json
 import pickle
 import resource
@@ -72,10 +73,8 @@ def test_yaml_of_a_floor_plan_has_no_references(tmp_path: Path) -> None:
     lines += [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 9)]
     path = tmp_path / "map.yaml"
     path.write_text("\n".join([*lines, f"{ROS}*a8"]))
-    with (
-        at_most(300),
-        pytest.raises(UserError, match="is not a ROS map yaml: expected no references") as error,
-    ):
+    said = "is not a ROS map yaml: expected no references"
+    with at_most(300), pytest.raises(UserError, match=said) as error:
         read_ros(path)
     assert len(str(error.value)) < 500
 
@@ -94,14 +93,6 @@ def test_pictures_are_measured_by_their_headers(
         read_ros(tmp_path / "map.yaml")
 
 
-def test_pictures_of_usual_kinds_are_read(tmp_path: Path) -> None:
-    pixels = np.arange(256, dtype=np.uint8).reshape(8, 32)
-    for kind in ("png", "pgm", "bmp", "tif"):
-        cv2.imwrite(str(tmp_path / f"plan.{kind}"), pixels)
-        plan = read_image(tmp_path / f"plan.{kind}", 1.0)
-        assert np.array_equal(np.flipud(plan.cells), pixels < 128)
-
-
 def test_igibson_makes_no_more_cells_than_are_read(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "floor_trav_0.png"), np.full((100, 100), 255, np.uint8))
     with at_most(300), pytest.raises(UserError, match="cells, at most 67,108,864 are read: give a larger"):
@@ -113,11 +104,7 @@ def test_igibson_makes_no_more_cells_than_are_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "dt", "message"),
     [
-        (
-            "frame,agent,x,y\n0,1,0,0\n75000000,1,1,1\n",
-            0.4,
-            "7,?500?,?001 rows 0.4 s apart, at most 5,000,000",
-        ),
+        ("frame,agent,x,y\n0,1,0,0\n75000000,1,1,1\n", 0.4, "75,000,001 rows 0.4 s apart, at most 5,000,000"),
         ("frame,agent,x,y\n0,1,0,0\n200000000,1,1,1\n", 0.4, "80,000,000 seconds, at most 31,622,400"),
         ("".join(f"{400_000_000 * k} 1 0 0\n" for k in range(9)), 0.04, "seconds between consecutive frame"),
     ],
@@ -125,30 +112,20 @@ def test_igibson_makes_no_more_cells_than_are_read(tmp_path: Path) -> None:
 def test_frame_numbers_far_apart(tmp_path: Path, text: str, dt: float, message: str) -> None:
     path = tmp_path / "people.csv"
     path.write_text(text)
-    with at_most(300), pytest.raises(UserError, match=message.replace("7,?500?,?001", "75,000,001")):
+    with at_most(300), pytest.raises(UserError, match=message):
         OwnFiles([str(path)], dt).recordings("train")
-
-
-def test_times_in_nanoseconds(tmp_path: Path) -> None:
-    path = tmp_path / "people.txt"
-    path.write_text("".join(f"{400_000_000 * k} 1 {k} 0\n" for k in range(9)))
+    path.write_text("".join(f"{400_000_000 * k} 1 {k} 0\n" for k in range(9)))  # nanoseconds
     assert len(OwnFiles([str(path)], 1e-9, "1,0,0").recordings("train")[0].tracks) == 9
 
 
-def test_archives_of_recordings_are_not_unpacked(tmp_path: Path) -> None:
-    import bz2
-
-    path = tmp_path / "people.bz2"
-    path.write_bytes(bz2.compress(b"0 1 0 0\n" * 10))
-    with pytest.raises(UserError):
-        Tracks.read(path)
-
-
-def test_homographies_are_small(tmp_path: Path) -> None:
+def test_homographies_are_small_and_archives_not_unpacked(tmp_path: Path) -> None:
     path = tmp_path / "H.txt"
     path.write_text("1 2 3\n" * 1_000_000)
     with at_most(300), pytest.raises(UserError, match="at most 2,000,000 are read: is it the right file"):
         OwnFiles(["people.txt"], 0.4, homography=str(path))
+    path.with_suffix(".bz2").write_bytes(bz2.compress(b"0 1 0 0\n" * 10))
+    with pytest.raises(UserError):
+        Tracks.read(path.with_suffix(".bz2"))
 
 
 @pytest.mark.parametrize("dt", [1e-9, 1e-300, float("nan")])
@@ -157,22 +134,17 @@ def test_calls_of_a_controller_are_a_millisecond_apart(dt: float) -> None:
         pedzoo.controller("constant_velocity", dt=dt)
 
 
-def weights(path: Path, **init: Any) -> str:
+def weights(path: Path, empty: bool = False, **init: Any) -> str:
     config = config_of(SGAN.of())
     metadata = {"config": json.dumps(config | {"init": config["init"] | init})}
-    save_file(SGAN.of().state_dict(), path, metadata)
+    save_file({} if empty else SGAN.of().state_dict(), path, metadata)
     return str(path)
 
 
 @pytest.mark.parametrize("size", [20_000, 10**7, 10**15, 10**30])
 @pytest.mark.parametrize("empty", [False, True])
 def test_config_of_weights_asks_for_more_than_they_have(tmp_path: Path, size: int, empty: bool) -> None:
-    path = tmp_path / "sgan.safetensors"
-    name = weights(path, encoder_dim=size)
-    if empty:
-        config = config_of(SGAN.of())
-        init = config["init"] | {"encoder_dim": size}
-        save_file({}, path, {"config": json.dumps(config | {"init": init})})
+    name = weights(tmp_path / "sgan.safetensors", empty, encoder_dim=size)
     load("constant_velocity")
     with at_most(300), pytest.raises(UserError, match=r"another architecture|cannot be built|plain values"):
         load(name)
@@ -229,9 +201,8 @@ def test_servers_have_an_end_to_their_time(tmp_path: Path, monkeypatch: pytest.M
 
 def test_cards_name_no_endless_weights() -> None:
     card = read_card(shipped("checkpoints") / "sgan_goal.zara1" / "card.yaml")
-    with pytest.raises(
-        UserError, match=r"size of weights has 5,000,000,000,000 bytes, at most 4,000,000,000"
-    ):
+    said = "size of weights has 5,000,000,000,000 bytes, at most 4,000,000,000"
+    with pytest.raises(UserError, match=said):
         replace(card, size=5 * 10**12)
     with pytest.raises(UserError, match="expected plain values"):
         replace(card, evaluations=[{"metrics": {"ade": 10**400}}])
@@ -269,9 +240,7 @@ def test_the_largest_weights_that_are_read_give_finite_steps(tmp_path: Path) -> 
         model = cls.of()
         signs = torch.Generator().manual_seed(number)
         state = {
-            key: torch.where(torch.rand(value.shape, generator=signs) < 0.5, -LARGEST, LARGEST).to(
-                value.dtype
-            )
+            key: (LARGEST * torch.randn(value.shape, generator=signs).sign()).to(value.dtype)
             for key, value in model.state_dict().items()
         }
         path = tmp_path / f"{number}.safetensors"

@@ -45,7 +45,7 @@ def test_the_command_makes_page_report_and_picture(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(suites, "RECORDED", {"reacting": recorded})
     monkeypatch.setattr(suites, "FOLD", "embedded")
     monkeypatch.setattr(RobotTransfer, "baselines", ("straight",))
-    out = ["--out", str(tmp_path), "--episodes", "2"]
+    out = ["--out", str(tmp_path), "--episodes", "1"]
     assert main(["reproduce", "robots", "--models", "robot_ppo.circle", *out]) == 0
     page = (tmp_path / "ROBOTS.md").read_text()
     assert "| robot_ppo.circle |" in page and "| straight |" in page and "ROBOTS.png" in page

@@ -76,6 +76,6 @@ def test_render_shows_people_and_goals_from_above() -> None:
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 4  # floor, walls, two people
     with pytest.raises(UserError, match="scene 2: expected 0 to 1"):
         env.render(2)
-    for size in ((0, 80), (80.5, 80), 80, None):
+    for size in ((0, 80), (80.5, 80), None):
         with pytest.raises(UserError, match="expected width and height in pixels, such as"):
             env.render(1, size)  # type: ignore[arg-type]

@@ -67,7 +67,7 @@ def points(axes: Axes, marker: str, fill: str = "full") -> list[np.ndarray]:
 
 
 def test_star_dots_and_coloured_way(walked: PolicyRollout) -> None:
-    path = torch.cat((walked.rollout.past[:, :, -1:], walked.rollout.trace), dim=2)[0].numpy()
+    path = walked.rollout.path[0].numpy()
     axes = drawn(walked, 20)
     stars, dots = points(axes, "*"), points(axes, "o")
     paths = [lines for lines in axes.collections if isinstance(lines, LineCollection)]
@@ -125,14 +125,12 @@ def test_touches_are_marked_where_they_begin(walked: PolicyRollout) -> None:
     np.testing.assert_allclose(rings, walked.rollout.trace[0, 1, 7:8])
 
 
-@pytest.mark.parametrize("suffix", [".png", ".pdf", ".svg"])
-def test_picture_is_written_whole(walked: PolicyRollout, tmp_path: Path, suffix: str) -> None:
-    path = tmp_path / "new" / f"door{suffix}"
+def test_picture_is_written_whole(walked: PolicyRollout, tmp_path: Path) -> None:
+    path = tmp_path / "new" / "door.png"
     plot_rollouts([walked, walked._replace(name="again")], path, 1)
-    assert list(path.parent.iterdir()) == [path] and path.stat().st_size > 5000
-    if suffix == ".png":
-        picture = matplotlib.image.imread(path)
-        assert picture.shape[1] > picture.shape[0] > 300 and picture[..., :3].std() > 0.05
+    assert list(path.parent.iterdir()) == [path]
+    picture = matplotlib.image.imread(path)
+    assert picture.shape[1] > picture.shape[0] > 300 and picture[..., :3].std() > 0.05
 
 
 def test_mistakes(walked: PolicyRollout, tmp_path: Path) -> None:
@@ -151,8 +149,7 @@ def test_mistakes(walked: PolicyRollout, tmp_path: Path) -> None:
 def test_an_episode_on_axes_of_ones_own(walked: PolicyRollout) -> None:
     axes = Figure().subplots()
     draw_episode(axes, walked, 1)
-    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    ends = torch.tensor([axes.get_xlim(), axes.get_ylim()])
     seen = walked.rollout.trace[1][walked.rollout.present[1]]
-    (low_x, low_y), (high_x, high_y) = seen.amin(0).tolist(), seen.amax(0).tolist()
-    assert left < low_x and high_x < right and bottom < low_y and high_y < top
+    assert (ends[:, 0] < seen.amin(0)).all() and (seen.amax(0) < ends[:, 1]).all()
     assert "ended at" in axes.get_title()

@@ -45,7 +45,7 @@ def frames_of(path: Path) -> list[Image]:
         result.append(frame[..., ::-1])
 
 
-@pytest.mark.parametrize("suffix", [".webm", ".mp4", ".WEBM"])
+@pytest.mark.parametrize("suffix", [".mp4", ".WEBM"])
 def test_round_trip(tmp_path: Path, suffix: str, capfd: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "new" / f"colors{suffix}"
     write_video(path, colors(9), 10)

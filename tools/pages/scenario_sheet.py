@@ -83,8 +83,7 @@ def panel(axes: Axes, name: str, env: PedestrianEnv) -> None:
         here, row = past[episode, person, -1], grids.get(int(state.map_id[episode]), (-1, None))[0]
         way = env.prepared.planner.path(here, goal[episode, person], row)
         routes[episode, person] = torch.cat((here[None], torch.from_numpy(way).to(here)))
-    if plan is not None:
-        draw_floor_plan(axes, plan)
+    draw_floor_plan(axes, plan)
     for identity in {*state.map_id.tolist()} - {int(state.map_id[0])}:
         outline(axes, grids[identity][1])
     reached = torch.cat([*routes.values()])

@@ -33,13 +33,10 @@ class Target(NamedTuple):
     """A bound of one metric: a number, or a multiple of what ``others`` have in the same table."""
 
     key: str
-    sense: str
-    """Which side of the bound is enough, one of `_SENSES`."""
-
+    sense: str  # which side of the bound is enough, one of `_SENSES`
     bound: float = 1.0
     others: tuple[str, ...] = ()
-    of: str = "mean"
-    """Whether the bound is the ``mean`` of the others, or the ``least`` of them."""
+    of: str = "mean"  # of the others, or the ``least`` of them
 
     @property
     def text(self) -> str:

@@ -127,8 +127,8 @@ CONFIGS = ("sgan_goal_map", "sgan_goal", "sgan", "social_vrnn", "sgan_goal_map_a
 ANCHORED = ("anchors", "anchor_mlp", "anchor_net")
 """Those whose modes are futures of a fixed length; a best of 20 is what they are made for."""
 
-CONTROLLER = ("open_loop", "closed_loop")
-"""The halves of a controller's training, each with its weights."""
+CONTROLLERS, CONTROLLER = ("sgan_goal", "sgan_goal_map", "anchor_net_goal_map"), ("open_loop", "closed_loop")
+"""Their configs, and the halves of a controller's training, each with its weights."""
 
 RECIPES = [
     *(Recipe(config, EVERYTHING) for config in CONFIGS),
@@ -136,20 +136,14 @@ RECIPES = [
     *(Recipe("sgan_goal_destination", fold) for fold in SCENES),
     *(Recipe(config, fold, pred_len=12) for config in ("sgan", "sgan_pool") for fold in SCENES),
     *(Recipe(config, fold, pred_len) for pred_len in (12, 8) for config in ANCHORED for fold in SCENES),
-    *(
-        Recipe(config, fold)
-        for config in ("anchor_net_goal_destination", "anchor_net_goal")
-        for fold in SCENES
-    ),
-    *(Recipe(f"{half}/sgan_goal", EVERYTHING) for half in CONTROLLER),
-    *(Recipe(f"{half}/sgan_goal_map", EVERYTHING) for half in CONTROLLER),
-    *(Recipe(f"{half}/anchor_net_goal_map", EVERYTHING) for half in CONTROLLER),
+    *(Recipe(f"anchor_net_goal{end}", fold) for end in ("_destination", "") for fold in SCENES),
+    *(Recipe(f"{half}/{config}", EVERYTHING) for config in CONTROLLERS for half in CONTROLLER),
     *(Recipe("open_loop/sgan_goal_map", fold) for fold in SCENES),
     *(Recipe("closed_loop/sgan_goal_map", fold, seeds=1) for fold in SCENES),
     *(Recipe(f"{half}/anchor_net_goal_map", fold, seeds=1) for half in CONTROLLER for fold in SCENES),
     *(
-        Recipe(f"closed_loop/{config}", fold)
-        for config in ("social_walker", "social_walker_indoor", "social_walker_styled")
+        Recipe(f"closed_loop/social_walker{end}", fold)
+        for end in ("", "_indoor", "_styled")
         for fold in (EVERYTHING, *SCENES)
     ),
 ]

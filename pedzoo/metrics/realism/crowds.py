@@ -46,24 +46,13 @@ MINUTES = TRACE_SECONDS / 60
 class CrowdSums(NamedTuple):
     """Sums over the walks of P people in K rounds."""
 
-    samples: dict[str, Samples]
-    """Of every feature."""
-
-    minutes: Tensor
-    """For how long each person was on the way (P,)."""
-
-    agent_contact: Tensor
-    """Minutes in contact with another person, and number of contacts that began (2, P)."""
-
+    samples: dict[str, Samples]  # of every feature
+    minutes: Tensor  # for how long each person was on the way (P,)
+    agent_contact: Tensor  # minutes in contact with another person, and contacts that began (2, P)
     wall_contact: Tensor
-    round: Tensor
-    """In which round each sample of speed was taken (N,) long."""
-
-    speeds_at: Tensor
-    """Sums of speeds (P, C) by the number of others within `CLOSE`, m/s."""
-
-    steps_at: Tensor
-    """How many steps these are (P, C)."""
+    round: Tensor  # in which each sample of speed was taken (N,) long
+    speeds_at: Tensor  # sums of speeds (P, C) by the number of others within `CLOSE`, m/s
+    steps_at: Tensor  # how many steps these are (P, C)
 
 
 def ratios(sums: Tensor, weights: Tensor) -> Tensor:
@@ -81,16 +70,9 @@ def crowd(
     start: Tensor,
     goal: Tensor,
 ) -> CrowdSums:
-    """Return the crowd of a rollout, episodes ``first``, ``first + 1``, ... of a replay.
+    """Return the crowd of a rollout, episodes ``first``, ... of a replay with so many ``scenes`` in a round.
 
-    Args:
-        rollout: The episodes.
-        steps: The same every 0.4 s.
-        around: The surroundings of its people.
-        first: Number of the first one.
-        scenes: Episodes in a round.
-        start: Where the line of each person begins (P, 2), metres.
-        goal: Where it ends (P, 2), metres.
+    The line of each person is from ``start`` to ``goal`` (P, 2), metres.
     """
     people, underway = len(start), rollout.underway
     place = around.close.clamp(max=MOST_CLOSE) + (MOST_CLOSE + 1) * steps.person[steps.scored]
@@ -155,7 +137,7 @@ def distance(first: Samples, second: Samples, mine: Tensor, theirs: Tensor, exac
 def compared(
     crowd: CrowdSums, real: CrowdSums, mine: Tensor, theirs: Tensor, exact: bool = True
 ) -> dict[str, Tensor]:
-    """Return every number of a crowd beside the real one, of R resamples (R,) each, NaN for none.
+    """Return every number of a crowd beside the real one, for weights (R, P) of both; (R,), NaN for none.
 
     * ``w1_speed_m_per_s``, ...: Wasserstein-1 distances; ``w1_speed``, ...: by the real crowd's standard
       deviation; ``realism``: the mean of the latter. Lower is better.
@@ -166,12 +148,7 @@ def compared(
     * ``acceleration_p95_m_per_s2``, ``acceleration_p99_m_per_s2``: quantiles of all samples; with ``_ratio``
       instead of the unit divided by those of the real crowd.
 
-    Args:
-        crowd: The simulated one.
-        real: The recorded one.
-        mine: How often each person counts in the first (R, P).
-        theirs: In the second.
-        exact: Whether the first weights count each person once.
+    ``exact``: the first weights count each person once.
     """
     result: dict[str, Tensor] = {}
     for name, unit in FEATURES.items():

@@ -55,40 +55,23 @@ _AT_ONCE = 250_000
 
 
 class SampledRollout(NamedTuple):
-    """A rollout every 0.4 s, from its begin and with the step before, for people controlled at once.
+    """A rollout every 0.4 s, from its begin and with the step before, for people controlled at once."""
 
-    Attributes:
-        xy: Positions (E, A, S, 2), metres.
-        person: Which person is there (E, A, S) long, -1 for none.
-        velocity: Over the 0.4 s until then (E, A, S, 2), m/s.
-        known: Whether the same person was there at their begin (E, A, S) bool.
-        scored: Whether the policy controlled them meanwhile (E, A, S) bool; only where known. Not the step
-            in which they arrive: policies that decide every 0.1 s leave in the middle of it.
-        radius: Radii of the bodies (E, A), metres.
-    """
-
-    xy: Tensor
-    person: Tensor
-    velocity: Tensor
-    known: Tensor
-    scored: Tensor
-    radius: Tensor
+    xy: Tensor  # positions (E, A, S, 2), metres
+    person: Tensor  # which person is there (E, A, S) long, -1 for none
+    velocity: Tensor  # over the 0.4 s until then (E, A, S, 2), m/s
+    known: Tensor  # whether the same person was there at their begin (E, A, S) bool
+    scored: Tensor  # where known, if the policy controlled them meanwhile and they have not arrived; bool
+    radius: Tensor  # of the bodies (E, A), metres
 
 
 class Surroundings(NamedTuple):
     """The others around people in M rows."""
 
-    place: Tensor
-    """Places of the nearest two less one's own (M, 2, 2), metres; infinite for absent ones."""
-
-    velocity: Tensor
-    """Their velocities less one's own (M, 2, 2), m/s; 0 for absent ones."""
-
-    collision: Tensor
-    """Least time to a collision (M,), at most 10 s, see `collision_seconds`."""
-
-    close: Tensor
-    """Others within `CLOSE` (M,) long."""
+    place: Tensor  # of the nearest two less one's own (M, 2, 2), metres; infinite for absent ones
+    velocity: Tensor  # theirs less one's own (M, 2, 2), m/s; 0 for absent ones
+    collision: Tensor  # least time to a collision (M,), at most 10 s, see `collision_seconds`
+    close: Tensor  # others within `CLOSE` (M,) long
 
     @property
     def company(self) -> Tensor:

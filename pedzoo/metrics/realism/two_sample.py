@@ -46,17 +46,10 @@ _SAME = 0.002
 class Verdict(NamedTuple):
     """What the classifiers said of the W clips of both crowds, each of people whom they had not seen."""
 
-    odds: Tensor
-    """Log-odds that the clip is simulated (W,)."""
-
-    simulated: Tensor
-    """Which clips are (W,) bool."""
-
-    person: Tensor
-    """Whose they are (W,) long, in either crowd's own numbers."""
-
-    gain: Tensor
-    """Share of each of `CHANNELS` in what the classifiers go by (C,), adds up to 1."""
+    odds: Tensor  # log-odds that the clip is simulated (W,)
+    simulated: Tensor  # which clips are (W,) bool
+    person: Tensor  # whose they are (W,) long, in either crowd's own numbers
+    gain: Tensor  # share of each of `CHANNELS` in what the classifiers go by (C,), adds up to 1
 
     @property
     def telling(self) -> dict[str, float]:

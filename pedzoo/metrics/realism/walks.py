@@ -49,17 +49,10 @@ class ScoredSteps(NamedTuple):
 class RecordedWalks(NamedTuple):
     """The recorded walks of P people, from where a policy takes over."""
 
-    scene: Tensor
-    """Scene of each person (P,) long, -1 for people that no policy moves."""
-
-    seconds: Tensor
-    """Until they are within 0.3 m of their goal (P,), NaN likewise."""
-
-    xy: Tensor
-    """Positions every 0.4 s (P, L, 2), metres."""
-
-    points: Tensor
-    """How many (P,) long."""
+    scene: Tensor  # of each person (P,) long, -1 for people that no policy moves
+    seconds: Tensor  # until they are within 0.3 m of their goal (P,), NaN likewise
+    xy: Tensor  # positions every 0.4 s (P, L, 2), metres
+    points: Tensor  # how many (P,) long
 
 
 def tracks_of(parts: Sequence[Rollout], people: int) -> RecordedWalks:
