@@ -209,14 +209,11 @@ def anchors(text: str) -> set[str]:
 
 
 def test_the_table_of_configs_is_complete() -> None:
+    assert [page for page, text in PAGES.items() if "install 'pedzoo[" in text] == [], "there is no index"
     table = PAGES["docs/train.md"].partition("| config | model |")[2].partition("\n\n")[0]
     names = (line.split("|")[1] for line in table.splitlines() if line.startswith("| `"))
     named = {name for cell in names for name in re.findall(r"`([\w/]+)`", cell)}
     assert named == set(config_names())
-
-
-def test_no_page_names_an_install_from_an_index() -> None:
-    assert [page for page, text in PAGES.items() if "install 'pedzoo[" in text] == []
 
 
 def test_every_metric_has_a_row_with_formula_and_unit() -> None:
@@ -286,13 +283,10 @@ def test_sentences_are_short(page: str) -> None:
     assert long(sentences(TEXTS[page])) == []
 
 
-def test_sentences_of_the_glossary_are_short() -> None:
+def test_long_sentences_are_found() -> None:
     rows = [line for line in PAGES["docs/glossary.md"].splitlines() if line.startswith("| **")]
     cells = [re.sub(r"`[^`]*`,?", "", cell) for row in rows for cell in row.strip("| ").split(" | ")]
     assert len(cells) > 160 and long([one for cell in cells for one in re.split(r"(?<=[.?!])\s", cell)]) == []
-
-
-def test_long_sentences_are_found() -> None:
     words = " ".join(["word"] * MOST)
     page = f"# {words} more\n\nShort. {words}.\n\n- `a b` {words}.\n- {words}\n  more.\n\n| {words} more |\n"
     assert long(sentences(page)) == [f"- code {words}.", f"- {words} more."]

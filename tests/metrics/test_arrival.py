@@ -35,10 +35,6 @@ def standing(reached: Tensor, **fields: Any) -> Rollout:
     return made(path, present.expand_as(reached), reached=reached, **fields)
 
 
-def deadlocked(trace: Tensor, goal: Tensor, scored: Tensor) -> list[list[bool]]:
-    return stuck(trace, goal, scored).any(2).tolist()
-
-
 def test_success_needs_all_goals_in_time() -> None:
     reached = torch.tensor([[[1, 2], [1, 1], [2, 2], [2, 2]], [[2, 2], [2, 2], [2, 2], [2, 2]]])
     late = torch.tensor([[False, False, True, False]]).expand(2, 4)
@@ -47,13 +43,10 @@ def test_success_needs_all_goals_in_time() -> None:
     assert arrived_in_time(walked).tolist() == [[True, False, False, False], [False] * 4]
 
 
-def test_people_finish_when_the_last_goal_counts() -> None:
-    reached = torch.tensor([[[0, 1, 1, 2], [2, 2, 2, 2], [0, 0, 1, 1]]])
-    assert finish_seconds(reached, 2)[0].tolist() == pytest.approx([0.4, 0.1, INF])
-
-
 def test_an_episode_takes_as_long_as_its_last_person() -> None:
     """In the second one a person is late, in the third one never arrives."""
+    reached = torch.tensor([[[0, 1, 1, 2], [2, 2, 2, 2], [0, 0, 1, 1]]])
+    assert finish_seconds(reached, 2)[0].tolist() == pytest.approx([0.4, 0.1, INF])
     reached = (torch.arange(40) >= torch.tensor([9, 29, 99])[:, None]).long().expand(3, 3, 40).clone()
     reached[1, 2] = reached[2, 0]
     late = torch.tensor([[False] * 3, [False, True, False], [False] * 3])
@@ -73,10 +66,10 @@ def test_standing_for_5_s_away_from_the_goal_is_a_deadlock() -> None:
     goal[0, 3] = torch.tensor([0.4, 0.0])  # stands before its goal
     present = torch.ones(1, 5, 60, dtype=torch.bool)
     present[0, 4, 50:] = False  # stands, but leaves before 5 s are over
-    assert deadlocked(trace, goal, present) == [[True, False, False, False, False]]
+    assert stuck(trace, goal, present).any(2).tolist() == [[True, False, False, False, False]]
     assert not stuck(trace[:, :, 9:59], goal[:, :, 9:59], present[:, :, 9:59]).any()
     present[0, 0, 30] = False  # two people who stand in the same slot
-    assert deadlocked(trace, goal, present) == [[False] * 5]
+    assert not stuck(trace, goal, present).any()
 
 
 def test_who_comes_back_within_5_s_is_not_deadlocked() -> None:
@@ -101,16 +94,13 @@ def test_way_and_plan_end_where_the_last_goal_is_reached() -> None:
     assert walked_metres(path, scored, reached, 1).tolist() == [[3.0, 6.0, 1.0]]
 
 
-def test_success_is_weighted_by_what_it_took() -> None:
+def test_success_and_seconds_are_weighted_by_what_they_took() -> None:
     done = torch.tensor([[True, True, False, True]])
     least, taken = torch.tensor([[4.0, 4.0, 4.0, 0.0]]), torch.tensor([[5.0, 3.0, 4.0, 0.0]])
     assert weighted(done, least, taken)[0].tolist() == pytest.approx([0.8, 1.0, 0.0, 1.0])
-
-
-def test_an_unfinished_episode_has_no_seconds_per_goal() -> None:
     reached, mask = torch.tensor([[[2], [3]], [[2], [9]]]), torch.tensor([[True, True], [True, False]])
     seconds, goals = seconds_per_goal(torch.tensor([INF, 4.0]), reached, mask)
-    assert (seconds.tolist(), goals.tolist()) == ([0.0, 4.0], [0, 2])
+    assert (seconds.tolist(), goals.tolist()) == ([0.0, 4.0], [0, 2]), "nothing of an unfinished episode"
 
 
 def test_fewest_and_most_goals_are_of_people_who_took_part() -> None:

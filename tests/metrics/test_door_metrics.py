@@ -70,6 +70,11 @@ def test_symmetry_index_of_who_waits_until_the_other_is_through() -> None:
     mirrored = torch.stack((goes, -goes)).unsqueeze(0)
     assert float(door.index_of_symmetry(mirrored, there, GATE, BOTH)[0]) == 0.0
     assert not door.index_of_symmetry(path, there & False, GATE, BOTH)[1]
+    # in metres it ends with the first arrival, at the 21st point
+    reached = (torch.arange(50) >= 20).long() * torch.tensor([[[0], [1]]])
+    result = measure(made(path, gate=GATE, reached=reached))[0]
+    assert result["symmetry_m"] == pytest.approx(0.1 * 22 / 2)
+    assert result["symmetry_index"] == pytest.approx(2.55 / 2.5)
 
 
 def test_yield_delay_and_whether_the_faster_goes_first() -> None:
@@ -93,10 +98,13 @@ def test_yielder_speed_is_the_seconds_least_before_passing() -> None:
     assert float(door.yielder_speed(*moves, torch.tensor([[2.0, INF]], dtype=torch.float64))) == INF
 
 
-def test_specific_flow_is_persons_per_width_and_time() -> None:
+def test_flow_and_headways_are_from_person_to_person() -> None:
+    """Persons per width and time, however they are numbered; people who are not through have none."""
     seconds = torch.tensor([[2.0, 1.0, INF, 3.5], [1.0, INF, INF, INF], [1.0, 1.0, INF, INF]]).double()
     through, room = door.flow(seconds, torch.tensor([0.0, 0.0, 1.0, 0.0, 0.8]).expand(3, 5))
     assert through.tolist() == [3, 0, 0] and room.tolist() == pytest.approx([0.8 * 2.5, 0.0, 0.0])
+    assert door.headways(seconds, 0.5).tolist() == pytest.approx([1.25, math.nan, 0.0], nan_ok=True)
+    assert door.headways(seconds, 0.0)[0] == pytest.approx(1.0)
 
 
 def test_metrics_of_a_person_who_yields() -> None:
@@ -113,15 +121,6 @@ def test_metrics_of_a_person_who_yields() -> None:
     assert "symmetry_index" not in measure(made(path))[0]
 
 
-def test_symmetry_in_metres_ends_with_the_first_arrival() -> None:
-    """The sum of both grows by 0.1 m at each point; the second arrives at the 21st."""
-    path = torch.stack((walk((-2.5, 0.0, 0.0), (-2.5, 0.0, 5.0)), walk((2.5, 0.0, 0.0), (-2.5, 0.0, 5.0))))
-    reached = (torch.arange(50) >= 20).long() * torch.tensor([[[0], [1]]])
-    result = measure(made(path.unsqueeze(0), gate=GATE, reached=reached))[0]
-    assert result["symmetry_m"] == pytest.approx(0.1 * 22 / 2)
-    assert result["symmetry_index"] == pytest.approx(2.55 / 2.5)
-
-
 def test_no_person_yields_where_orca_walks_in_mirror_images() -> None:
     policy, alike = "orca:radius=0.1,jitter=0,dt=0.4", "door:speed_std=0,jitter=0"
     walked, _ = rollout(policy, alike, "compiled", 1)
@@ -134,13 +133,6 @@ def test_no_person_yields_where_orca_walks_in_mirror_images() -> None:
     assert result["faster_first"] == 1.0 and result["symmetry_index"] > 0.1 and result["yield_delay_s"] > 1.0
 
 
-def test_headways_are_times_from_person_to_person() -> None:
-    """In whatever order they are numbered; people who are not through have none."""
-    seconds = torch.tensor([[5.0, 1.0, 2.0, INF, 2.5], [3.0, INF, INF, INF, INF]])
-    assert door.headways(seconds, 0.5).tolist() == pytest.approx([1.0, math.nan], nan_ok=True)
-    assert door.headways(seconds, 0.0)[0] == pytest.approx(0.5)
-
-
 def test_who_slides_along_the_wall_while_waiting_drifts() -> None:
     """0.3 m to the left before the door, then through; who only walks through does not wait."""
     up = torch.tensor([[-1.0, 0.0]]) + torch.arange(6).view(-1, 1) * torch.tensor([[0.0, 0.06]])
@@ -151,23 +143,16 @@ def test_who_slides_along_the_wall_while_waiting_drifts() -> None:
     assert waits.tolist() == [[True, False]] and metres[0].tolist() == pytest.approx([0.3, 0.0])
 
 
-@pytest.mark.parametrize(("before", "waits"), [(1.4, True), (1.6, False), (-0.2, False)])
-def test_people_wait_within_a_metre_and_a_half_before_the_door(before: float, waits: bool) -> None:
+def test_people_wait_within_a_metre_and_a_half_before_the_door() -> None:
     """Who has begun on this side, and stands beyond the wall later, does not wait there."""
-    stands = torch.tensor([-before, 0.1], dtype=torch.float64).expand(1, 1, 11, 2).clone()
+    stands = (
+        torch.tensor([[-1.4, 0.1], [-1.6, 0.1], [0.2, 0.1]]).double().view(1, 3, 1, 2).repeat(1, 1, 11, 1)
+    )
     stands[..., 0, 0] = -2.0
     stands[..., 1:, 1] += 0.05 * torch.arange(10)
-    metres, there = door.wall_drift(stands, scored(stands), GATE, torch.tensor([[9.0]]))
-    assert there.item() == waits and metres.item() == pytest.approx(0.45 * waits)
-    assert not door.wall_drift(stands, ~scored(stands), GATE, torch.tensor([[9.0]]))[1].any()
-
-
-@pytest.mark.parametrize(("off", "turns"), [(2.5, 4), (4.0, 0)])
-def test_turns_count_within_three_metres_of_the_door(off: float, turns: int) -> None:
-    east, north = torch.tensor([0.1, 0.0]).double(), torch.tensor([0.0, 0.1]).double()
-    steps = torch.stack((*[east] * 4, *[north] * 4)).cumsum(0) + torch.tensor([-off, 0.0])
-    path = steps.view(1, 1, 8, 2)
-    assert int(door.sharp(path, scored(path), GATE)[0].sum()) == max(0, turns - 1) * (turns > 0)
+    metres, there = door.wall_drift(stands, scored(stands), GATE, torch.full((1, 3), 9.0))
+    assert there.tolist() == [[True, False, False]] and metres[0].tolist() == pytest.approx([0.45, 0, 0])
+    assert not door.wall_drift(stands, ~scored(stands), GATE, torch.full((1, 3), 9.0))[1].any()
 
 
 def test_a_right_angle_at_speed_is_a_sharp_turn() -> None:
@@ -178,6 +163,8 @@ def test_a_right_angle_at_speed_is_a_sharp_turn() -> None:
     path = torch.cat((torch.zeros(2, 1, 2).double(), torch.stack((steps, slow)).cumsum(1)), 1).unsqueeze(0)
     turns, walks = door.sharp(path, scored(path), GATE)
     assert turns.sum(2).tolist() == [[4, 0]] and walks[0, 0].all()
+    far = path - torch.tensor([4.5, 0.0])  # the corner is 3.5 m from the door
+    assert not door.sharp(far, scored(far), GATE)[0].any()
 
 
 def test_interventions_are_those_of_policies_with_a_layer() -> None:

@@ -220,18 +220,13 @@ def test_speeds_by_density() -> None:
     assert set(some.samples["speed"].person.tolist()) == {0, 2, 3} and len(some.round) == 12
 
 
-def test_error_over_the_common_duration() -> None:
-    true = torch.zeros(2, 3, 2)
-    walk = torch.tensor([1.0, 2.0, 3.0, 9.0]).view(1, 4, 1) * torch.tensor([0.6, 0.8])
-    result = closed_loop_error(walk.expand(2, 4, 2), true, torch.tensor([3, 0]))
-    assert result[0] == pytest.approx(2.0) and result[1].isnan()
-
-
-def test_walks_are_put_together_from_alternating_positions() -> None:
-    xy = torch.arange(10.0).view(5, 2)
-    result, length = padded(xy, torch.tensor([1, 0, 1, 1, 0]), 3)
+def test_walks_are_compared_while_both_last() -> None:
+    result, length = padded(torch.arange(10.0).view(5, 2), torch.tensor([1, 0, 1, 1, 0]), 3)
     assert length.tolist() == [2, 3, 0]
     assert result[..., 0].tolist() == [[2, 8, 0], [0, 4, 6], [0, 0, 0]]
+    walk = torch.tensor([1.0, 2.0, 3.0, 9.0]).view(1, 4, 1) * torch.tensor([0.6, 0.8])
+    error = closed_loop_error(walk.expand(2, 4, 2), torch.zeros(2, 3, 2), torch.tensor([3, 0]))
+    assert error[0] == pytest.approx(2.0) and error[1].isnan()
 
 
 def test_dtw_is_that_of_a_plain_loop(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -332,6 +327,10 @@ def test_company_standing_touching_and_lanes_by_hand() -> None:
     assert result["lane_order"][0].tolist() == pytest.approx([-9 / 3, 0, 0, -9 / 3])
     assert result["lane_order"][1].tolist() == pytest.approx([9 * 2 / 3, 0, 0, 9 * 2 / 3])
     assert added([result, result])["lane_order"][1, 0] == pytest.approx(12)
+    # the main axis is of either way
+    start = torch.tensor([[0.0, 0.0], [3.0, 3.0], [0.0, 0.0]])
+    goal = torch.tensor([[2.0, 2.0], [0.0, 0.0], [0.1, -0.1]])
+    assert main_axis(start, goal).abs().tolist() == pytest.approx([0.5**0.5] * 2)
 
 
 def test_company_needs_eight_steps_of_the_same_two() -> None:
@@ -344,12 +343,6 @@ def test_company_needs_eight_steps_of_the_same_two() -> None:
     assert measured(steps._replace(person=person), 5, axis)["company_share"][0].sum() == 0
     steps.xy[0, 1, 0, 0] += 0.51  # has come nearer since
     assert measured(steps, 5, axis)["company_share"][0].sum() == 0
-
-
-def test_the_main_axis_is_of_either_way() -> None:
-    start = torch.tensor([[0.0, 0.0], [3.0, 3.0], [0.0, 0.0]])
-    goal = torch.tensor([[2.0, 2.0], [0.0, 0.0], [0.1, -0.1]])
-    assert main_axis(start, goal).abs().tolist() == pytest.approx([0.5**0.5] * 2)
 
 
 def test_values_of_steps_have_signs_and_no_heading_at_rest() -> None:

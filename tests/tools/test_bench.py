@@ -66,9 +66,6 @@ def test_a_program_answers_and_its_errors_are_told(tmp_path: Path) -> None:
     taken, failed = in_turns(broken.cases({}), 2, 0.0)
     broken.close()
     assert not taken and list(failed) == ["other: walk, 2 x 3"] and "no room" in str(failed)
-
-
-def test_a_program_that_ends_is_told(tmp_path: Path) -> None:
     silent = program(tmp_path, "sys.exit('gone')")
     (one,) = silent.cases({})
     with pytest.raises(UserError, match=r"other\.py of other: answered .*gone"):
@@ -113,16 +110,12 @@ def test_a_run_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "agent-steps/s" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [(["forecst"], "did you mean 'forecast'"), (["robots", "--turns", "0"], "expected 1 or more")],
-)
-def test_mistakes(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["bench", *words]) == 2
-    assert said in capsys.readouterr().err
-
-
-def test_help_names_every_section(capsys: pytest.CaptureFixture[str]) -> None:
+def test_mistakes_and_help(capsys: pytest.CaptureFixture[str]) -> None:
+    for words, said in (
+        (["forecst"], "did you mean 'forecast'"),
+        (["robots", "--turns", "0"], "expected 1 or more"),
+    ):
+        assert main(["bench", *words]) == 2 and said in capsys.readouterr().err
     with pytest.raises(SystemExit):
         main(["bench", "--help"])
     shown = capsys.readouterr().out

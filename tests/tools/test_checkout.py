@@ -31,11 +31,8 @@ def test_a_wheel_says_how_to_get_a_checkout(
     assert line.startswith(f"pedzoo: {words[0]}: needs a checkout") and "run tools/setup" in line
 
 
-def test_the_overview_has_the_commands_of_a_checkout() -> None:
+def test_a_checkout_has_more_commands_and_suites() -> None:
     assert "pedzoo bench policies" in overview() and "pedzoo reproduce table2" in overview()
-
-
-def test_a_second_folder_of_drop_ins() -> None:
     assert {"door", "table2"} <= set(SUITES.names())
     assert SUITES.describe("table2").startswith("Table II")
     assert SUITES.get("table2").__module__ == "tools.paper.suites"

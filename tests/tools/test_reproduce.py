@@ -57,7 +57,7 @@ def scored(name: str, fold: str, ade: float, **case: str) -> dict[str, Any]:
     return row | {"ci95": {"ade_m": (ade - 0.03, ade + 0.04)}}
 
 
-def test_mean_over_folds_has_all_folds_and_the_interval_of_a_mean() -> None:
+def test_mean_over_folds_has_the_interval_of_a_mean() -> None:
     """Deviations of 0.03 and 0.04 to either side, twice: the mean's are divided by the root of two."""
     rows = [scored("sgan", "eth", 0.2), scored("sgan", "zara1", 0.4), scored("sgan_pool", "eth", 0.2)]
     (mean,) = means(rows, ["eth", "zara1"])
@@ -117,7 +117,7 @@ def test_ratio_of_means_and_seeds_on_the_pages() -> None:
     assert paper.rows[1][:4] == ["Social-VRNN", "0.41\n0.70", "social_vrnn\ngoal none", "-"]
 
 
-def test_models_that_are_there_are_scored_and_kept_and_the_rest_is_named(
+def test_present_models_are_scored_and_missing_ones_named(
     recordings: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "find", lambda name: None)
@@ -258,7 +258,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return ["reproduce", "figure4", "--episodes", "1", "--physics", "compiled", "--out", "made"]
 
 
-def test_figure_4_writes_page_report_and_picture_and_names_what_is_missing(
+def test_figure_4_writes_page_report_and_picture(
     small: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(small) == 0
@@ -282,15 +282,12 @@ def test_what_was_interrupted_goes_on(
 ) -> None:
     whole = Figure4.run
 
-    def interrupted(self: Figure4, workers: int = 1, progress: Any = None) -> None:
-        def stop(step: Any) -> None:
-            if step.units == 2:
-                raise KeyboardInterrupt
-
-        whole(self, workers, stop)
+    def stop(step: Any) -> None:
+        if step.units == 2:
+            raise KeyboardInterrupt
 
     monkeypatch.setattr(Figure4, "baselines", ("go_to_goal",))
-    monkeypatch.setattr(Figure4, "run", interrupted)
+    monkeypatch.setattr(Figure4, "run", lambda self, workers, _: whole(self, workers, stop))
     assert main(small) == 130
     assert "not finished: 2 of 3 parts" in capsys.readouterr().out
     assert [path.name for path in Path("made").iterdir()] == ["FIGURE4.json.partial"]
@@ -334,7 +331,7 @@ def test_mistakes_are_told_before_anything_is_done(
     assert not list(Path().iterdir())
 
 
-def test_page_has_command_notes_pictures_tables_and_lines_within_cells() -> None:
+def test_page_has_command_notes_pictures_and_tables() -> None:
     table = ResultTable("numbers", ["name", "x"], [["one", "1\n[0, 2]"]], 1)
     made: Any = SimpleNamespace(title="A table", pages=lambda _: [table], legend=lambda: {"x": "how many"})
     versions = {"pedzoo": "1", "torch": "2", "commit": "abc"}

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -61,17 +62,14 @@ def cases(asked: Sizes) -> list[TimedCase]:
 
 def starts(scenes: int, people: int) -> Iterator[TimedCase]:
     """Give whole processes; a misspelt name is refused with code 2."""
+
+    def run(words: tuple[str, ...]) -> None:
+        with tempfile.TemporaryDirectory() as folder:  # runs are written there
+            done = subprocess.run([sys.executable, *words], capture_output=True, cwd=folder)
+        assert done.returncode in (0, 2), done.stderr[-300:]
+
     for name, words in STARTS.items():
-
-        def step(words: tuple[str, ...] = words) -> None:
-            with tempfile.TemporaryDirectory() as folder:  # runs are written there
-                done = subprocess.run([sys.executable, *words], capture_output=True, cwd=folder)
-            assert done.returncode in (0, 2), done.stderr[-300:]
-
-        def build(step: Step = step) -> Step:
-            return step
-
-        yield TimedCase("start", name, build)
+        yield TimedCase("start", name, partial(partial, run, words))
 
 
 def environments(scenes: int, people: int) -> Iterator[TimedCase]:
@@ -103,15 +101,16 @@ def robots(scenes: int, people: int) -> Iterator[TimedCase]:
     """Give robots that drive straight among people, with a lidar of 64 beams."""
     from pedzoo.policies.load import load_robot_policy
 
+    def build(walkers: str) -> Step:
+        sensors = ["goal", "odometry", "people", "lidar:beams=64"]
+        scenario = f"goals:map={PLAN},people={people}"
+        env = pedzoo.make_robot_env(scenario, "disc", walkers, scenes, sensors)
+        return stepping(env, load_robot_policy("straight"), round(WARM / env.decision_dt))
+
+    note = "a robot's decision, 0.2 s"
     for walkers in ("orca", MODEL):
-
-        def build(walkers: str = walkers) -> Step:
-            sensors = ["goal", "odometry", "people", "lidar:beams=64"]
-            scenario = f"goals:map={PLAN},people={people}"
-            env = pedzoo.make_robot_env(scenario, "disc", walkers, scenes, sensors)
-            return stepping(env, load_robot_policy("straight"), round(WARM / env.decision_dt))
-
-        yield TimedCase("robots", f"people {walkers}", build, scenes, people, "a robot's decision, 0.2 s", 50)
+        made = partial(build, walkers)
+        yield TimedCase("robots", f"people {walkers}", made, scenes, people, note, 50)
 
 
 def stepping(env: Any, policy: Any, warm: int) -> Step:
@@ -202,18 +201,12 @@ def planners(scenes: int, people: int) -> Iterator[TimedCase]:
 
 def forecasts(scenes: int, people: int) -> Iterator[TimedCase]:
     """Give twenty futures of 8 steps."""
+
+    def build(name: str) -> Step:
+        return torch.no_grad()(partial(pedzoo.load(name).sample, straight(scenes, people), 20, 8))
+
     for name in ("sgan.zara1", "sgan_pool.zara1", "anchor_net.zara1"):
-
-        def build(name: str = name) -> Step:
-            model, batch = pedzoo.load(name), straight(scenes, people)
-
-            @torch.no_grad()
-            def step() -> None:
-                model.sample(batch, 20, 8)
-
-            return step
-
-        yield TimedCase("forecast", name, build, scenes, people, "20 futures of 8 steps")
+        yield TimedCase("forecast", name, partial(build, name), scenes, people, "20 futures of 8 steps")
 
 
 def straight(scenes: int, people: int) -> Any:

@@ -228,11 +228,13 @@ class LoopNoise(Suite):
 
     def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
         """Return one case for each choice."""
-        result = []
-        for name, (scenario, _) in CHOICES.items():
-            more: dict[str, Any] = {"effort": 2.0 * DRAWS, "table": f"{self.name} {name}"}
-            result.append(self.case(options, name, scenario, 200, {"choice": name}, **more))
-        return result
+        effort = 2.0 * DRAWS
+        return [
+            self.case(
+                options, name, scenario, 200, {"choice": name}, effort=effort, table=f"{self.name} {name}"
+            )
+            for name, (scenario, _) in CHOICES.items()
+        ]
 
     def units(
         self, case: EvaluationCase, policies: Any, seeds: tuple[int, ...], deterministic: bool
