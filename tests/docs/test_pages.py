@@ -58,7 +58,7 @@ LESS = {
     "fit": SHORT,
     "forecast": ["--samples", "2"],
     "rollout": ["--episodes", "1", "--video_seconds", "0.5"],
-    "evaluate": ["--suite", "door", "--episodes", "1"],
+    "evaluate": ["--suite", "door", "--episodes", "1", "--workers", "1"],
     **{name: [] for name in ("models", "info", "robots", "export", "plans")},
 }
 """Options by which commands take less time."""
