@@ -44,8 +44,8 @@ class Registry:
 
         Args:
             kind: The word for one of them in messages.
-            packages: ``pedzoo.*``, whose files are served, or modules, whose public classes are; those of
-                ``tools.*`` are there in a checkout alone.
+            packages: ``pedzoo.*``, whose files are served, or modules, whose public classes are, but for
+                abstract ones and tuples; those of ``tools.*`` are there in a checkout alone.
         """
         self.kind, self.package, self._packages = kind, packages[0], packages
 
@@ -186,7 +186,12 @@ def _public_classes(module: str) -> dict[str, ast.ClassDef]:
     """Return the public classes that a module defines by their names as drop-ins; none of a package."""
     body = _parsed(module).body if folder_of(module).with_suffix(".py").is_file() else []
     classes = (node for node in body if isinstance(node, ast.ClassDef) and not node.name.startswith("_"))
-    return {name_of_class(node.name): node for node in classes}
+    interfaces = {"ABC", "NamedTuple"}
+    return {
+        name_of_class(node.name): node
+        for node in classes
+        if not interfaces.intersection(ast.unparse(base) for base in node.bases)
+    }
 
 
 @cache

@@ -19,9 +19,9 @@ from pedzoo.core.registry import ROBOT_REWARDS, ROBOTS, SENSORS
 from pedzoo.core.spec import build
 from pedzoo.policies.load import load_robot_policy
 from pedzoo.sim.robots.env import RobotEnv
-from pedzoo.sim.robots.reward import Outcome, RobotReward
+from pedzoo.sim.robots.rewards import Outcome, RobotReward
 from pedzoo.sim.robots.scenes import with_robots
-from pedzoo.sim.robots.sensor import Sensor
+from pedzoo.sim.robots.sensors import Sensor
 from pedzoo.sim.scenario import PreparedScenario
 
 OPEN = "circle:people=4"
@@ -336,8 +336,8 @@ def test_wrong_names_and_numbers_are_named() -> None:
 
 OWN = """
 import torch
-from pedzoo.sim.robots.reward import RobotReward
-from pedzoo.sim.robots.sensor import Reading, Sensor
+from pedzoo.sim.robots.rewards import RobotReward
+from pedzoo.sim.robots.sensors import Reading, Sensor
 
 class Clock(Sensor):
     readings = {"clock": Reading((2,))}

@@ -27,8 +27,8 @@ from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.policies.walker import Walker
 from pedzoo.sim.make import make_env
-from pedzoo.train.ppo.people import Collection, Critic, Mean, PPOModule, Reward, lived_through
-from pedzoo.train.ppo.trainer import Gatherer, Objective, Optimisation, actor
+from pedzoo.train.ppo.people import Collection, Critic, Mean, Optimisation, PPOModule, Reward, lived_through
+from pedzoo.train.ppo.trainer import Gatherer, Objective, actor
 
 CPU = torch.device("cpu")
 

@@ -84,21 +84,18 @@ class Observations:
         entries = {self._others[name]: space for name, space in readings.items()}
         if own:
             low, high = (
-                np.concatenate([getattr(box, end).reshape(-1) for box in own.values()])
-                for end in ("low", "high")
+                np.concatenate([getattr(box, end).ravel() for box in own.values()]) for end in ("low", "high")
             )
             entries = {"robot": spaces.Box(low, high, dtype=np.float32), **entries}
         self.space = spaces.Dict(entries)
 
-    def __call__(self, seen: TensorDictBase) -> Observation:
+    def __call__(self, seen: Any) -> Observation:
         """Return the observations (B, R, ...) of a batch; the arrays are the caller's own."""
         result: Observation = {}
         if self.columns:
-            parts = [cast("Tensor", seen[name]).flatten(2) for name in self.columns]
-            result["robot"] = torch.cat(parts, -1).cpu().numpy()
+            result["robot"] = torch.cat([seen[name].flatten(2) for name in self.columns], -1).cpu().numpy()
         for name, called in self._others.items():
-            value = cast("Tensor", seen[name]).cpu().numpy()
-            result[called] = value.astype(self.space[called].dtype, copy=True)
+            result[called] = seen[name].cpu().numpy().astype(self.space[called].dtype, copy=True)
         return result
 
 
@@ -134,31 +131,30 @@ class Totals:
 
     def add(self, seen: TensorDictBase) -> None:
         """Add the decision of which ``seen`` is the observation; robots that had ended do not move."""
-        active = cast("Tensor", seen["robots", "info", "active"])
+        sums, active = self._sums, cast("Tensor", seen["robots", "info", "active"])
         trace = cast("Tensor", agents_of(seen)["info", "trace"])[:, self._last]
         way = torch.cat((self._place.unsqueeze(2), trace), 2).diff(dim=2)
         seconds, gap = TRACE_SECONDS * trace.shape[2], self._gap(seen, trace)
-        length, personal = torch.linalg.vector_norm(way, dim=-1).sum(-1), seconds * (gap < PERSONAL_SPACE)
-        for name, value in {"seconds": seconds, "length": length, "personal": personal}.items():
-            self._sums[name] = self._sums[name] + torch.where(active, value, 0.0)
-        self._sums["gap"] = torch.where(active, gap, self._sums["gap"])
+        sums["seconds"] = sums["seconds"] + seconds * active
+        sums["length"] = sums["length"] + active * torch.linalg.vector_norm(way, dim=-1).sum(-1)
+        sums["personal"] = sums["personal"] + seconds * (active & (gap < PERSONAL_SPACE))
+        sums["gap"] = torch.where(active, gap, sums["gap"])
         self._place = trace[:, :, -1]
 
     def info(self, seen: TensorDictBase) -> dict[str, NDArray[Any]]:
         """Return what ``info`` says (B, R)."""
-        flags, sums = cast("TensorDictBase", seen["robots", "info"]), self._sums
-        result = {name: cast("Tensor", flags[key]) for name, key in FLAGS.items()}
-        success, shortest, seconds = result["SUCCESS"], sums["shortest"], sums["seconds"]
+        result = {name: cast("Tensor", seen["robots", "info", key]) for name, key in FLAGS.items()}
+        success, (shortest, gap, seconds, length, personal) = result["SUCCESS"], self._sums.values()
         fastest = shortest / self._env.fleet.top_speed
         result |= {
             "COLLISION": result["COLLISION_HUMAN"] | result["COLLISION_ROBOT"] | result["COLLISION_WALL"],
             "is_success": success,
             "TIME_TO_REACH_GOAL": seconds,
-            "PATH_LENGTH": sums["length"],
-            "SPL": success * shortest / sums["length"].maximum(shortest).clamp_min(1e-6),
+            "PATH_LENGTH": length,
+            "SPL": success * shortest / length.maximum(shortest).clamp_min(1e-6),
             "STL": success * fastest / seconds.maximum(fastest).clamp_min(1e-6),
-            "MINIMUM_DISTANCE_TO_HUMAN": sums["gap"],
-            "PERSONAL_SPACE_COMPLIANCE": 1 - sums["personal"] / seconds.clamp_min(TRACE_SECONDS),
+            "MINIMUM_DISTANCE_TO_HUMAN": gap,
+            "PERSONAL_SPACE_COMPLIANCE": 1 - personal / seconds.clamp_min(TRACE_SECONDS),
         }
         return {name: value.cpu().numpy().copy() for name, value in result.items()}
 
@@ -192,19 +188,14 @@ class Batched:
         settings: dict[str, Any],
         several_robots: bool = False,
     ) -> None:
-        """Make the environment; arguments as of `pedzoo.sim.gym.env.OneScene`, ``size`` in pixels.
-
-        Raises:
-            UserError: An unknown name or setting, a scene that cannot be, several robots, a picture without
-                size, or no display for a window.
-        """
+        """Make the environment; arguments and errors as of `pedzoo.sim.gym.env.OneScene`."""
         if render_mode is not None and render_mode not in MODES:
             raise UserError(f"render_mode {render_mode!r}: expected one of {', '.join(MODES)}, or None")
         self.env: RobotEnv = make_robot_env(scenario, **settings)
         self.observations = Observations(self.env.observation_spec["robots", "observation"])
         limits = [np.array(body.limits, dtype=np.float32).T for body in self.env.scenes.bodies]
         self.actions = [spaces.Box(low, high, dtype=np.float32) for low, high in limits]
-        self.modes = _modes()
+        self.modes = list(MODES if _has_display() else MODES[:1])
         self._seed, self._begun, self._totals = seed, False, Totals(self.env)
         check_size(size)
         self._mode, self._size, self._cameras = render_mode, size, dict[int, Camera]()
@@ -236,13 +227,17 @@ class Batched:
             self.env.set_seed(0 if isinstance(seed, list) else seed)
         if isinstance(seed, list) or begun:
             self.env.choose_scenes(torch.from_numpy(which), seed)
-        return self._first(self.env.reset(), torch.from_numpy(which)) if which.all() else self.restart(which)
+        return self.restart(None if which.all() else which)
 
-    def restart(self, scenes: NDArray[np.bool_]) -> Step:
-        """Begin the next episodes of some scenes (B,) bool."""
-        which = torch.from_numpy(scenes).to(self.env.device)
-        flags = TensorDict({"_reset": which.unsqueeze(-1)}, self.env.batch_size, device=self.env.device)
-        return self._first(self.env.reset(flags), which)
+    def restart(self, scenes: NDArray[np.bool_] | None = None) -> Step:
+        """Begin the next episodes of some scenes (B,) bool, or all anew."""
+        size, device = self.env.batch_size, self.env.device
+        which = torch.ones(size, dtype=torch.bool) if scenes is None else torch.from_numpy(scenes)
+        flags = TensorDict({"_reset": which.to(device).unsqueeze(-1)}, size, device=device)
+        seen = self.env.reset(None if scenes is None else flags)
+        self._totals.begin(seen, which.to(device))
+        self._cameras.clear()  # they stand still until scenes end
+        return self._step_of(seen)
 
     def step(self, action: ArrayLike) -> Step:
         """Take a decision of all robots (B, R, 2), or (B, 2) of one in each scene.
@@ -252,21 +247,15 @@ class Batched:
         """
         given = torch.as_tensor(np.asarray(action, dtype=np.float32), device=self.env.device)
         scenes, robots = self.env.batch_size[0], self.env.robots
-        shapes = {(scenes, robots, 2)}
         # one scene, or one robot, needs no dimension of its own
-        shapes |= {(scenes, 2)} if robots == 1 else set()
-        shapes |= {shape[1:] for shape in shapes} if scenes == 1 else set()
+        shapes = [(scenes, robots, 2)] + [(scenes, 2)] * (robots == 1)
+        shapes += [shape[1:] for shape in shapes] * (scenes == 1)
         if tuple(given.shape) not in shapes:
             raise UserError(f"action of shape {tuple(given.shape)}: expected {(robots, 2)} per scene")
         group = TensorDict({"action": given.view(scenes, robots, 2)}, (scenes, robots))
         actions = TensorDict({"robots": group}, self.env.batch_size, device=self.env.device)
         seen = cast("TensorDictBase", self.env.step(actions)["next"])
         self._totals.add(seen)
-        return self._step_of(seen)
-
-    def _first(self, seen: TensorDictBase, which: Tensor) -> Step:
-        self._totals.begin(seen, which.to(self.env.device))
-        self._cameras.clear()  # they stand still until scenes end
         return self._step_of(seen)
 
     def _step_of(self, seen: TensorDictBase) -> Step:
@@ -276,17 +265,11 @@ class Batched:
             self._window.imshow(self._picture(0))
             self._window.figure.canvas.draw_idle()
             self._window.figure.canvas.flush_events()
-        robots = cast("TensorDictBase", seen["robots"])
-        reward, shape = robots.get("reward", None), (self.env.batch_size[0], self.env.robots)
-        ends = (cast("Tensor", robots[name])[..., 0] for name in ("terminated", "truncated"))
-        terminated, truncated = (flags.cpu().numpy().copy() for flags in ends)
-        return Step(
-            self.observations(cast("TensorDictBase", robots["observation"])),
-            np.zeros(shape) if reward is None else reward[..., 0].double().cpu().numpy(),
-            terminated,
-            truncated,
-            self._totals.info(seen),
-        )
+        robots: Any = seen["robots"]
+        reward = robots.get("reward", torch.zeros_like(robots["done"], dtype=torch.double))
+        ends = (robots[name][..., 0].cpu().numpy().copy() for name in ("terminated", "truncated"))
+        observation, reward = self.observations(robots["observation"]), reward[..., 0].double().cpu().numpy()
+        return Step(observation, reward, *ends, self._totals.info(seen))
 
     def pictures(self) -> list[NDArray[np.uint8]] | None:
         """Return a picture (H, W, 3) of every scene; None where they are shown in a window, or not at all."""
@@ -304,35 +287,29 @@ class Batched:
 
     def _picture(self, scene: int) -> NDArray[np.uint8]:
         """Return a scene from the top (H, W, 3), with robots' headings and goals."""
-        import cv2
-
-        env, state, size = self.env, self.env.state, self._size
-        bodies = Bodies.of(state)
+        physics, state, size = self.env.physics, self.env.state, self._size
+        bodies, there = Bodies.of(state), state.mask[scene]
         if scene not in self._cameras:
-            there = state.mask[scene]
             seen = torch.cat((state.position[scene][there], state.goal_point[scene][there]))
             camera = Camera().around(seen, size) if int(state.map_id[scene]) < 0 else None
-            self._cameras[scene] = env.physics.framed(bodies, scene, size, camera)
+            self._cameras[scene] = physics.framed(bodies, scene, size, camera)
         camera = self._cameras[scene]
-        image = np.ascontiguousarray(env.physics.image(bodies, scene, size, camera))
-        for slot in range(state.mask.shape[1] - env.robots, state.mask.shape[1]):
-            if state.mask[scene, slot]:
-                here, radius = state.position[scene, slot], state.radius[scene, slot]
-                front = here + radius * direction_of(state.heading[scene, slot])
-                points = torch.stack((here, front)).detach().cpu().double().numpy()
-                here, front = map(tuple, np.round(camera.floor_pixels(points, size)).astype(int).tolist())
-                wide = max(3, round(float(radius) * size[0] / (camera.width or 1.0)))
-                cv2.circle(image, here, wide, (0, 0, 0), 2, cv2.LINE_AA)
-                cv2.line(image, here, front, (0, 0, 0), 2, cv2.LINE_AA)
-                Canvas(image, camera).goal(state.goal_point[scene, slot], person_color(slot), 2)
-        return image
+        canvas = Canvas(np.ascontiguousarray(physics.image(bodies, scene, size, camera)), camera)
+        turn = torch.linspace(0, 2 * torch.pi, 33, device=state.heading.device)
+        for slot in range(state.mask.shape[1] - self.env.robots, state.mask.shape[1]):
+            if there[slot]:
+                here, radius = state.position[scene, [slot]], state.radius[scene, slot]
+                ring = here + radius * direction_of(state.heading[scene, slot] + turn)
+                canvas.line(torch.cat((here, ring)), (0, 0, 0), 2)  # the front, and all around
+                canvas.goal(state.goal_point[scene, slot], person_color(slot), 2)
+        return canvas.image
 
 
-def _modes() -> list[str]:
+def _has_display() -> bool:
     shown = sys.platform in ("darwin", "win32") or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
     backend = os.environ.get("MPLBACKEND", "").lower()
     drawn = backend not in ("agg", "cairo", "pdf", "pgf", "ps", "svg", "template")
-    return [*MODES] if shown and drawn and installed("matplotlib") else [*MODES[:1]]
+    return shown and drawn and installed("matplotlib")
 
 
 def _window() -> Any:

@@ -1,16 +1,17 @@
 """Robots among people as a TorchRL environment, by name: a policy moves the robots, people walk inside."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, cast, get_args
+from typing import Any, Literal, cast, get_args
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
+from torch.nn.functional import pad
 from torchrl.data import Bounded, Composite
 from torchrl.envs.utils import ExplorationType, make_composite_from_td, set_exploration_type
 
-from pedzoo.core.adapters import tensordict_of
-from pedzoo.core.batch import actions_of, agents_of
+from pedzoo.core.adapters import put, tensordict_of
+from pedzoo.core.batch import ROBOT, actions_of, agents_of, other_agents
 from pedzoo.core.bodies import RobotBody
 from pedzoo.core.errors import UserError, known_arguments, unknown
 from pedzoo.core.registry import ROBOTS, SENSORS
@@ -27,9 +28,9 @@ from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import CLEARANCE, make_physics
 from pedzoo.sim.observation import observed
 from pedzoo.sim.physics._base import Physics
-from pedzoo.sim.robots.reward import EndsAt, Outcome, WeightedSum, outcome_of
+from pedzoo.sim.robots.rewards import Outcome, Terms, terms_of, weighted_sum
 from pedzoo.sim.robots.scenes import RobotScenes, with_robots
-from pedzoo.sim.robots.sensor import Readings, RobotView, Sensor
+from pedzoo.sim.robots.sensors import Reading, RobotView, Sensor
 from pedzoo.sim.scenario import PreparedScenario
 from pedzoo.sim.state import Events, State
 
@@ -39,8 +40,11 @@ SENSES = ("goal", "odometry", "people")
 GAP = 0.1
 """Metres that ways keep from walls beyond the radius of the widest robot, at least."""
 
-INFO = ("success", "person_contact", "robot_contact", "wall_contact", "timeout", "failed")
-"""Keys of ``robots/info`` beside ``active``; see `Outcome`."""
+INFO = ("active", "success", "person_contact", "robot_contact", "wall_contact", "timeout", "failed")
+"""Keys of ``robots/info``; see `Outcome`."""
+
+EndsAt = Literal["any", "agent", "none"]
+"""Which contacts end a robot's episode: with anything, with people and other robots, or none."""
 
 
 class RobotEnv(PedestrianEnv):
@@ -67,7 +71,7 @@ class RobotEnv(PedestrianEnv):
         physics: Physics,
         people: Policy | Walker | Crowd,
         sensors: Sequence[Sensor],
-        reward: WeightedSum,
+        reward: Terms,
         num_envs: int = 1,
         decision_dt: float = 0.2,
         ends_at: EndsAt = "any",
@@ -90,7 +94,7 @@ class RobotEnv(PedestrianEnv):
             settings: As of `PedestrianEnv`: ``seed``, ``warm_start``, ``device``, ...
 
         Raises:
-            UserError: A setting is out of range, or the intervals of people and robots do not fit.
+            UserError: A setting is out of range, two sensors have one entry, or intervals do not fit.
         """
         if ends_at not in get_args(EndsAt):
             raise unknown("ends_at", ends_at, get_args(EndsAt))
@@ -112,34 +116,43 @@ class RobotEnv(PedestrianEnv):
         self.fleet = scenes.fleet.to(self.device)
         self._people = Teams(people, _Commanded(part)).to(self.device)
         self._ends_at, self._time_limit, self._reward = ends_at, time_limit, reward
-        self._readings = Readings(sensors, decision_dt)
+        self._sensors: list[tuple[Sensor, int]] = []
+        self._readings: dict[str, Tensor] = {}  # of the last decisions, the oldest first
+        entries: dict[str, Reading] = {}
+        for sensor in sensors:
+            name, late = type(sensor).__name__, round(sensor.delay / decision_dt)
+            if twice := entries.keys() & sensor.readings.keys():
+                raise UserError(f"sensor {name}: {', '.join(sorted(twice))} is an entry of two sensors")
+            if abs(late * decision_dt - sensor.delay) > 1e-6:
+                raise UserError(
+                    f"sensor {name}: delay {sensor.delay:g} s: expected a multiple of the {decision_dt:g} s "
+                    "between two decisions"
+                )
+            entries |= sensor.readings
+            self._sensors.append((sensor, late))
         shape = (num_envs, self.robots)
         self._body = TensorDict(self.fleet._asdict(), (self.robots,), device=self.device).expand(shape)
-        self._set_specs(*shape)
+        self._set_specs(entries, *shape)
 
-    def _set_specs(self, *shape: int) -> None:
+    def _set_specs(self, entries: Mapping[str, Reading], *shape: int) -> None:
         points = round(self.decision_dt / TRACE_SECONDS)
-        full = specs.observation_spec(shape[0], self.prepared.people, points, self.bank)
-        seen = {name: one.spec(*shape) for name, one in self._readings.entries.items()}
-        full["robots"] = Composite(
-            observation=Composite(seen, shape=shape),
+        observation = specs.observation_spec(shape[0], self.prepared.people, points, self.bank)
+        observation["robots"] = Composite(
+            observation=Composite({name: one.spec(*shape) for name, one in entries.items()}, shape=shape),
             body=make_composite_from_td(self._body),
-            info=Composite({name: specs.flag(*shape) for name in ("active", *INFO)}, shape=shape),
+            info=Composite({name: specs.flag(*shape) for name in INFO}, shape=shape),
             shape=shape,
         )
+        done, ends = specs.done_spec(shape[0]), ("done", "terminated", "truncated")
+        done["robots"] = Composite({name: specs.flag(*shape, 1) for name in ends}, shape=shape)
+        self.observation_spec, self.done_spec = observation.to(self.device), done.to(self.device)
         limits = torch.tensor([body.limits for body in self.scenes.bodies]).unbind(-1)
         low, high = (limit.expand(*shape, 2).clone() for limit in limits)
-        entries = {
-            "action": Bounded(low, high, torch.Size((*shape, 2))),
-            "reward": specs.real(*shape, 1),
-        }
-        done = specs.done_spec(shape[0])
-        ends = {name: specs.flag(*shape, 1) for name in ("done", "terminated", "truncated")}
-        done["robots"] = Composite(ends, shape=shape)
-        self.observation_spec, self.done_spec = full.to(self.device), done.to(self.device)
-        for name, entry in entries.items():
-            group = Composite({name: entry}, shape=shape)
-            setattr(self, f"{name}_spec", Composite(robots=group, shape=shape[:1]).to(self.device))
+        entry = {"action": Bounded(low, high, torch.Size((*shape, 2))), "reward": specs.real(*shape, 1)}
+        self.action_spec, self.reward_spec = (
+            Composite(robots=Composite({name: one}, shape=shape), shape=shape[:1]).to(self.device)
+            for name, one in entry.items()
+        )
 
     def view(self, state: State, guidance: Guidance) -> RobotView:
         """Return what sensors look at."""
@@ -152,7 +165,8 @@ class RobotEnv(PedestrianEnv):
         self._begun = flags.view(-1)
         observation = super()._reset(tensordict, **kwargs)
         over = ~self.state.controlled[:, -self.robots :]
-        self._set_ends(observation, over, over & self.state.overdue[:, -self.robots :])
+        late = over & self.state.overdue[:, -self.robots :]
+        put(cast("TensorDict", observation["robots"]), _ends(over.unsqueeze(-1), late.unsqueeze(-1)))
         return observation
 
     def _opened(self, state: State) -> State:
@@ -176,65 +190,86 @@ class RobotEnv(PedestrianEnv):
         state, outcome, happened, taken = before, Outcome.none(before.controlled[:, people:]), [], []
         for part in range(self._parts):
             seen = observed(state, guidance, self.bank)
-            agents_of(seen)["command"] = torch.nn.functional.pad(command, (0, 0, people, 0))
+            agents_of(seen)["command"] = pad(command, (0, 0, people, 0))
             # how the robots' policy explores is no matter of people's
             with set_exploration_type(ExplorationType.RANDOM):
                 velocity = actions_of(self._people(seen))
             after, guidance, events = kernel.step(state, velocity, self.physics, self.rules)
-            result = outcome_of(
-                state, after, events, self.robots, self.scenes.robot_goals, self._time_limit, self._ends_at
-            )
-            ended = torch.nn.functional.pad(result.ended, (people, 0))
-            after = after._replace(controlled=after.controlled & ~ended)
+            result = self._outcome(state, after, events)
+            after = after._replace(controlled=after.controlled & ~pad(result.ended, (people, 0)))
             outcome = outcome.then(result) if part else result
             happened.append(events)
             taken.append((velocity, state, after))
             state = after
         if bool((state.failed & ~before.failed).any()):
             # of the first part that failed: what comes later moves nobody
-            self._warn(*next(part for part in taken if bool((part[2].failed & ~part[1].failed).any())))
+            self._warn(*next(one for one in taken if bool((one[2].failed & ~one[1].failed).any())))
         self._scenes = scenes._replace(state=state, guidance=guidance)
-        over_time = [torch.cat(parts, 2) for parts in list(zip(*happened, strict=True))[:4]]
-        together = Events(*over_time, *happened[-1][4:])
-        observation = self._observation(state, guidance, together, outcome)
-        reward = self._reward(first, self.view(state, guidance), together.trace, outcome)
+        over_time = [torch.cat(values, 2) for values in list(zip(*happened, strict=True))[:4]]
+        events = Events(*over_time, *happened[-1][4:])
+        observation = self._observation(state, guidance, events, outcome)
+        reward = weighted_sum(self._reward, first, self.view(state, guidance), events.trace, outcome)
         over = ~state.controlled[:, people:]
         late = outcome.timeout | outcome.failed | (over & state.overdue[:, people:])
-        observation["robots", "reward"] = reward.unsqueeze(-1)
-        self._set_ends(observation, over, late)
-        ended, late = over.all(1).unsqueeze(1), late.any(1).unsqueeze(1)
-        for name, value in _ends(ended, late).items():
-            observation[name] = value
+        ends = _ends(over.unsqueeze(-1), late.unsqueeze(-1))
+        put(cast("TensorDict", observation["robots"]), ends | {"reward": reward.unsqueeze(-1)})
+        put(observation, _ends(over.all(1, keepdim=True), late.any(1, keepdim=True)))
         return observation
 
-    def _set_ends(self, observation: TensorDictBase, over: Tensor, late: Tensor) -> None:
-        """Write which robots' episodes are over (B, R) bool, and which of them are so without an end."""
-        robots = cast("TensorDict", observation["robots"])
-        for name, value in _ends(over, late).items():
-            robots[name] = value.unsqueeze(-1)
+    def _outcome(self, before: State, after: State, events: Events) -> Outcome:
+        """Return what a decision of people came to for robots, of the scenes before and after it."""
+        last = slice(-self.robots, None)
+        active = before.controlled[:, last]
+        touched = active & events.agent_contact[:, last].any(-1)
+        wall = active & events.wall_contact[:, last].any(-1)
+        person = touched
+        if self.robots > 1:  # of which kind is the nearest body on the way
+            away = events.trace[:, last].unsqueeze(2) - events.trace.unsqueeze(1)
+            gap = torch.linalg.vector_norm(away, dim=-1).amin(-1)
+            gap = gap - before.radius.unsqueeze(1) - before.radius[:, last].unsqueeze(2)
+            others = other_agents(before.mask, self.robots)
+            nearest = gap.masked_fill(~others, torch.inf).argmin(-1)
+            person = touched & (before.kind.gather(1, nearest) != ROBOT)
+        late = after.overdue[:, last]
+        if self._time_limit is not None:
+            late = (after.clock >= self._time_limit - 1e-3).unsqueeze(1)
+        hit = {"any": touched | wall, "agent": touched, "none": torch.zeros_like(touched)}[self._ends_at]
+        failed = active & after.failed.unsqueeze(1)
+        success = active & (events.reached[:, last, -1] >= self.scenes.robot_goals) & ~hit
+        timeout = active & (late | ~after.mask[:, last]) & ~success & ~hit & ~failed
+        ended = active & (success | hit | timeout | failed)
+        return Outcome(active, success, person, touched & ~person, wall, timeout, failed, ended)
 
     def _observation(
         self, state: State, guidance: Guidance, happened: Events | None = None, outcome: Outcome | None = None
     ) -> TensorDict:
         batch, robots = super()._observation(state, guidance, happened), self._body.batch_size
+        view, rows = self.view(state, guidance), None
         if happened is None:  # only scenes that begin are looked at again
             assert self._scenes is not None
             rows = self._begun.nonzero().view(-1)
-            seen = self._readings(self.view(*self._scenes.select(rows)), rows)
-        else:
-            seen = self._readings(self.view(state, guidance))
+            view = self.view(*self._scenes.select(rows))
+        for sensor, late in self._sensors if rows is None or len(rows) else ():
+            for name, now in sensor.observe(view).items():
+                now = now.expand(late + 1, *now.shape)
+                last = self._readings.get(name, now)
+                last = torch.cat((last[1:], now[:1])) if rows is None else last.index_copy(1, rows, now)
+                self._readings[name] = last
+        # a caller may write into what it gets
+        seen = {name: last[0].clone() for name, last in self._readings.items()}
         outcome = outcome or Outcome.none(state.controlled[:, -self.robots :])
-        flags = {name: getattr(outcome, name) for name in ("active", *INFO)}
+        flags = {name: getattr(outcome, name) for name in INFO}
         group = {
             "observation": tensordict_of(seen, robots, self.device),
             "info": tensordict_of(flags, robots, self.device),
             "body": self._body,
         }
-        batch["robots"] = tensordict_of(group, robots, self.device)
+        put(batch, {"robots": tensordict_of(group, robots, self.device)})
         return batch
 
 
 def _ends(over: Tensor, late: Tensor) -> dict[str, Tensor]:
+    """Return which episodes are over (...) bool, and which of them are so because it is ``late``."""
     return {"done": over, "terminated": over & ~late, "truncated": over & late}
 
 
@@ -254,7 +289,7 @@ def make_robot_env(
     people: str | Policy | Walker | Crowd = "orca",
     num_envs: int = 1,
     sensors: str | Sensor | Sequence[str | Sensor] = SENSES,
-    reward: Mapping[str, float] | WeightedSum | None = None,
+    reward: Mapping[str, float] | None = None,
     physics: str = "compiled",
     clearance: float | None = None,
     robot_goals: int = 1,
@@ -274,7 +309,7 @@ def make_robot_env(
         num_envs: B, scenes that are run at once.
         sensors: Names with settings, ``lidar:beams=64``, ``file.py:Class``, or sensors: one, or a list.
         reward: Weights of terms by name, ``{"progress": 1, "collision": 5}``; None for
-            `pedzoo.sim.robots.reward.DEFAULT_WEIGHTS`.
+            `pedzoo.sim.robots.rewards.DEFAULT_WEIGHTS`.
         physics: As in `pedzoo.make_env`.
         clearance: Metres that planned ways keep from walls; None: 0.25, or more for wide robots.
         robot_goals: Goals that each robot has to reach.
@@ -298,7 +333,7 @@ def make_robot_env(
         make_physics(physics, prepared.bank, body_radius),
         crowd_of(people) if isinstance(people, str) else people,
         [one if isinstance(one, Sensor) else build(SENSORS, one, Sensor) for one in senses],
-        reward if isinstance(reward, WeightedSum) else WeightedSum(reward),
+        terms_of(reward),
         num_envs,
         **settings,
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import torch
@@ -19,8 +19,8 @@ class RobotRollout:
     """E episodes of N people and R robots, on a trace of T points every 0.1 s.
 
     Attributes:
-        walked: All agents; people are the first N slots, robots the last R. An episode ends with that of its
-            last robot. ``controlled`` says when a robot was on its way.
+        walked: All agents, robots in the last R slots, until the last robot's episode ends. ``controlled``
+            says when a robot was on its way.
         alone: The same scenes of the same seed without robots, for as long.
         heading: Where robots face (E, R, 1 + T), radians, from where the episode begins.
         person_contact: A robot touched a person in that 0.1 s (E, R, T) bool.
@@ -69,23 +69,20 @@ class RobotRollout:
     def episodes(self, index: slice) -> RobotRollout:
         """Return some of the episodes."""
         values: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
-        for name, value in values.items():
-            if name != "bodies" and not isinstance(value, int):
-                values[name] = value.episodes(index) if isinstance(value, Rollout) else value[index]
-        return RobotRollout(**values)
+        some = {name: value[index] for name, value in values.items() if isinstance(value, Tensor)}
+        walks = {name: values[name].episodes(index) for name in ("walked", "alone")}
+        return replace(self, **some, **walks)
 
 
 def joined_robots(parts: Sequence[RobotRollout]) -> RobotRollout:
     """Join rollouts of the same robots; shorter ones stand still until the longest ends."""
     longest = max(part.walked.trace.shape[2] for part in parts)
     result: dict[str, Any] = {}
-    for field in fields(RobotRollout):
-        values = [getattr(part, field.name) for part in parts]
-        result[field.name] = values[0]
+    for name in (field.name for field in fields(RobotRollout)):
+        values = [getattr(part, name) for part in parts]
         if isinstance(values[0], Rollout):
-            result[field.name] = joined(values)
+            result[name] = joined(values)
         elif isinstance(values[0], Tensor):
-            points = longest + (field.name == "heading")
-            over_time = values[0].dim() == 3
-            result[field.name] = torch.cat([grown(v, points) if over_time else v for v in values])
-    return RobotRollout(**result)
+            points, over_time = longest + (name == "heading"), values[0].dim() == 3
+            result[name] = torch.cat([grown(v, points) if over_time else v for v in values])
+    return replace(parts[0], **result)

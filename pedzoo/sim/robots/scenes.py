@@ -27,9 +27,9 @@ from pedzoo.sim.scenario import WARM_SECONDS, Layout, PreparedScenario, Scenario
 class RobotScenes(Scenario):
     """A scenario of N people and R robots: the scenario of N + R people, whose last R are robots.
 
-    So a robot starts where a person would, and goes where a person would go. Slots 0 to N - 1 are people,
-    the last R are robots. Without robots (``present=False``) the same people are in the same scenes: robots
-    are taken out after the warm start, so that all people are where they are beside the robots.
+    So a robot starts where a person would, and goes where a person would go. Without robots
+    (``present=False``) the same people are in the same scenes: robots are taken out after the warm start, so
+    that all people are where they are beside the robots.
 
     Attributes:
         robots: R.
@@ -46,18 +46,19 @@ class RobotScenes(Scenario):
         present: bool = True,
         body_radius: float = BODY_RADIUS,
     ) -> None:
-        """Take the scenario of N + R people; `with_robots` makes it. See the class for the arguments."""
+        """Take the scenario of N + R people; `with_robots` makes it."""
         robot_goals = as_integer("robot_goals", robot_goals)
         if not bodies or robot_goals < 1:
             raise UserError(f"{len(bodies)} robots, robot_goals {robot_goals}: expected at least 1 of each")
         self.inner, self.bodies, self.robots = inner, list(bodies), len(bodies)
         self.fleet, self.robot_goals, self.present = Fleet.of(self.bodies), robot_goals, present
         self.body_radius = body_radius
-        of_people = ("people", "speed", "speed_std", "goals", "later", "finished", "unknown", "waits")
-        for name in (*of_people, "pauses", "gate"):  # robots wait like the people whose places they take
+        # robots wait like the people whose places they take
+        for name in "people speed speed_std goals later finished unknown waits pauses gate".split():
             setattr(self, name, getattr(inner, name))
-        limited = (body.drive != "holonomic" or math.isfinite(body.acceleration) for body in bodies)
-        self.wheels = inner.wheels or any(limited)
+        self.wheels = inner.wheels or any(
+            body.drive != "holonomic" or math.isfinite(body.acceleration) for body in bodies
+        )
         self.smallest_radius = min(inner.smallest_radius or body_radius, *(body.radius for body in bodies))
 
     def without_robots(self, prepared: PreparedScenario) -> PreparedScenario:
@@ -96,43 +97,40 @@ class RobotScenes(Scenario):
     def layout(self, prepared: PreparedScenario, draws: Draws) -> Layout:
         """Return people as the scenario has them, and robots in the last places."""
         layout, fleet = prepared.tables.layout(draws), self.fleet.to(draws.key.device)
-        people, scenes = prepared.people - self.robots, len(draws.key)
+        people, played = prepared.people - self.robots, prepared.script is not None
         start = self._in_time(prepared, layout)
         layout = layout._replace(
             start=start,
             # a scene of fewer people leaves out the last ones, which are robots here
-            mask=layout.mask if people == 0 or prepared.script else layout.mask.roll(-self.robots, 1),
+            mask=layout.mask if people == 0 or played else layout.mask.roll(-self.robots, 1),
             top_speed=filled(layout.top_speed, TOP_SPEED_RATIO * layout.pref_speed),
         )
         usual = {"radius": self.body_radius, "kind": 0, "drive": HOLONOMIC, "track": 1}  # of people
-        usual |= dict.fromkeys(("acceleration", "turn_acceleration"), math.inf)
         robots = {"mask": True, "kind": ROBOT, "radius": fleet.radius}
         robots |= dict.fromkeys(("pref_speed", "top_speed"), fleet.top_speed)
         if self.wheels:
             wheels = ("drive", "acceleration", "turn_acceleration", "track")
             robots |= {name: getattr(fleet, name) for name in wheels}
-        if layout.group is not None and prepared.script is None:
-            robots |= {"group": -1}
+        if layout.group is not None and not played:
+            robots["group"] = -1
         for name, theirs in robots.items():
             values = getattr(layout, name)
             if values is None:
                 like = layout.goal if name in ("kind", "drive") else layout.pref_speed
-                values = torch.full_like(like, usual[name])
-            theirs = torch.as_tensor(theirs, device=values.device).to(values).expand(scenes, self.robots)
+                values = torch.full_like(like, usual.get(name, math.inf))
+            theirs = torch.as_tensor(theirs, device=values.device).to(values).expand(len(values), self.robots)
             layout = layout._replace(**{name: torch.cat((values[:, :people], theirs), 1)})
-        if layout.history is not None and prepared.script is None:  # robots stand in the warm start
+        if layout.history is not None and not played:  # robots stand in the warm start
             standing = start.unsqueeze(2).expand_as(layout.history)
             layout = layout._replace(history=torch.cat((layout.history[:, :people], standing[:, people:]), 1))
         return layout
 
     def _in_time(self, prepared: PreparedScenario, layout: Layout) -> Tensor:
-        """Return starts (B, A, 2); robots stand in the warm start, and are in time to meet people.
-
-        A person of an encounter walks for the warm start, and then ``meet`` seconds to where people meet.
-        """
+        """Return starts (B, A, 2): robots, which stand in the warm start, are in time to meet people."""
         if self.inner.meet is None:
             return layout.start
         planner, people = prepared.planner, prepared.people - self.robots
+        # a person walks for the warm start, and then `meet` seconds to where people meet
         pace, own = layout.pref_speed, self.fleet.top_speed.to(layout.pref_speed)
         pace = torch.cat((pace[:, :people], own.expand(len(pace), -1)), 1)
         ahead = layout.pref_speed + (layout.pref_speed - pace) * self.inner.meet / WARM_SECONDS
@@ -161,16 +159,16 @@ def with_robots(
         UserError: An unknown name or setting, or a scenario without places for so many robots.
     """
     spec = scenario_spec(scenario)
-    cls = SCENARIOS.get(spec.name, Scenario)
+    cls, robots = SCENARIOS.get(spec.name, Scenario), len(bodies)
     places = cls.place_of_robot
     settings = {key: values[0] for key, values in places.items()} | dict(spec.settings)
     if places:
-        if len(bodies) > 1 or any(str(settings[key]).lower() not in values for key, values in places.items()):
+        if robots > 1 or any(str(settings[key]).lower() not in values for key, values in places.items()):
             given = ", ".join(f"{key}={settings[key]}" for key in places)
             expected = ", ".join(f"{key}={' or '.join(values)}" for key, values in places.items())
             raise UserError(
-                f"{spec.name} with {len(bodies)} robots, {given}: expected one robot in the place of one "
-                f"person, {expected}"
+                f"{spec.name} with {robots} robots, {given}: expected one robot in the place of one person, "
+                f"{expected}"
             )
     elif "people" not in setting_types(cls):
         raise UserError(
@@ -180,27 +178,19 @@ def with_robots(
     else:
         home = groups_by_setting(cls).get("people")
         group = setting_groups(cls)[home] if home else None
-        usual = group.people if group else inspect.signature(cls).parameters["people"].default
-        usual = usual if isinstance(spec, Spec) else str(usual)
-        settings["people"] = _more(settings.get("people", usual), len(bodies))
+        people = group.people if group else inspect.signature(cls).parameters["people"].default
+        people = settings.get("people", people if isinstance(spec, Spec) else str(people))
+        number = load_yaml(people) if isinstance(people, str) else people
+        several = number if isinstance(number, list) else [number]  # or the least and the largest
+        if all(isinstance(one, int) for one in several):  # of people written one by one the last are robots
+            more = [one + robots for one in several]
+            more = more if isinstance(number, list) else more[0]
+            people = str(more) if isinstance(people, str) else more
+        settings["people"] = people
     inner = build(SCENARIOS, spec._replace(settings=settings), Scenario)
-    if inner.people < len(bodies):
+    if inner.people < robots:
         raise UserError(
-            f"{inner.people} people and {len(bodies)} robots: robots take the places of the last people of "
+            f"{inner.people} people and {robots} robots: robots take the places of the last people of "
             f"{spec.name}: expected at least as many people"
         )
     return RobotScenes(inner, bodies, robot_goals, **options)
-
-
-def _more(people: Any, robots: int) -> Any:
-    """Return a number of people, or the least and largest one, with robots; texts stay texts.
-
-    People who are written one by one stay as many: robots take the places of the last.
-    """
-    value = load_yaml(people) if isinstance(people, str) else people
-    numbers = value if isinstance(value, list) else [value]
-    if not all(isinstance(one, int) for one in numbers):
-        return people
-    more = [one + robots for one in numbers]
-    more = more if isinstance(value, list) else more[0]
-    return str(more) if isinstance(people, str) else more

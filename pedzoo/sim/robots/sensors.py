@@ -1,29 +1,200 @@
-"""The table of sensors: every public class here is a sensor by its name."""
+"""What robots observe: the view of a scene, and the table of sensors, which are classes by name."""
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
+from torchrl.data import Bounded, Categorical
+from torchrl.data.tensor_specs import TensorSpec
 
+from pedzoo.core import randomness
 from pedzoo.core.batch import other_agents
-from pedzoo.core.geometry import direction_of
+from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import direction_of, rotate, unrotate
+from pedzoo.core.registry import name_of_class
+from pedzoo.core.types import TRACE_SECONDS
+from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim.camera import Lens
-from pedzoo.sim.physics._base import Bodies
-from pedzoo.sim.robots.sensor import Reading, RobotView, Sensor
+from pedzoo.sim.physics._base import Bodies, Physics
+from pedzoo.sim.state import State
 
 NOT_SEEN = 15.0
 """Metres: position of masked people in the observation of CrowdNav++."""
 
 
-def _check_view(sensor: Any, number: str, count: int) -> None:
+class RobotView(NamedTuple):
+    """B scenes of A agents, of which the last R are robots: what sensors and rewards look at.
+
+    Attributes:
+        state: The scenes.
+        guidance: What the planner says to all agents.
+        physics: Casts rays, and takes pictures.
+        robots: R.
+    """
+
+    state: State
+    guidance: Guidance
+    physics: Physics
+    robots: int
+
+    def robot(self, values: Tensor) -> Tensor:
+        """Return the values (B, R, ...) of robots among those of all agents (B, A, ...)."""
+        return values[:, -self.robots :]
+
+    @property
+    def position(self) -> Tensor:
+        """Positions of robots (B, R, 2), metres."""
+        return self.robot(self.state.position)
+
+    @property
+    def heading(self) -> Tensor:
+        """Headings of robots (B, R), radians."""
+        return self.robot(self.state.heading)
+
+    def own(self, vectors: Tensor) -> Tensor:
+        """Return vectors (B, R, ..., 2) of the world in the robots' frames: x ahead, y to the left."""
+        return unrotate(vectors, _aligned(direction_of(self.heading), vectors))
+
+    def world(self, vectors: Tensor) -> Tensor:
+        """Return vectors (B, R, ..., 2) of the robots' frames in the world's: the inverse of `own`."""
+        return rotate(vectors, _aligned(direction_of(self.heading), vectors))
+
+    def own_places(self, points: Tensor) -> Tensor:
+        """Return points (B, R, ..., 2) of the world in the robots' frames, from their positions, metres."""
+        return self.own(points - _aligned(self.position, points))
+
+    def rays(self, direction: Tensor, reach: float, people: bool = True) -> Tensor:
+        """Return how far rays from the robots' centres go (B, R, N), metres, at most ``reach``.
+
+        ``direction`` (B, R, N, 2): unit vectors of the world. Without ``people`` walls alone are in the way.
+        """
+        bodies = Bodies.of(self.state)
+        if not people:
+            bodies = bodies._replace(mask=torch.zeros_like(bodies.mask))
+        # a ray that begins inside a body does not see it: so a robot does not see itself
+        origin = self.position.unsqueeze(2).expand_as(direction).flatten(1, 2)
+        return self.physics.rays(bodies, origin, direction.flatten(1, 2), reach).view(direction.shape[:3])
+
+
+class Reading(NamedTuple):
+    """What one entry of an observation is like: its shape without scenes and robots, dtype and bounds."""
+
+    shape: tuple[int, ...]
+    dtype: torch.dtype = torch.float32
+    low: float = -torch.inf
+    high: float = torch.inf
+
+    def spec(self, scenes: int, robots: int) -> TensorSpec:
+        """Return the spec of the entry of some scenes and robots."""
+        shape = torch.Size((scenes, robots, *self.shape))
+        if self.dtype == torch.bool:
+            return Categorical(2, shape=shape, dtype=torch.bool)
+        return Bounded(self.low, self.high, shape, dtype=self.dtype)
+
+
+@dataclass(eq=False, kw_only=True)
+class Sensor(ABC):
+    """What robots observe in every decision: a class of this file, or ``file.py:Class``.
+
+    A sensor with more settings is a dataclass.
+
+    Attributes:
+        noise: Standard deviation of normal noise, in the sensor's unit.
+        dropout: Share of decisions in which the reading is missing: all of its numbers are 0.
+        delay: Seconds by which readings are late.
+    """
+
+    noise: float = 0.0
+    dropout: float = 0.0
+    delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the values. Raises UserError: one is out of range."""
+        given = f"noise {self.noise}, dropout {self.dropout}, delay {self.delay}"
+        valid = self.noise >= 0 and 0 <= self.dropout < 1 and self.delay >= 0
+        self.check(valid, given, "at least 0, a share below 1, and seconds from 0 on")
+        self._set_up()
+
+    def _set_up(self) -> None:  # noqa: B027  for our own sensors
+        pass
+
+    def check(self, valid: bool, given: str, expected: str) -> None:
+        """Raise the error of settings ``given`` that are not as ``expected``, unless they are valid."""
+        if not valid:
+            raise UserError(f"sensor {name_of_class(type(self).__name__)}: {given}: expected {expected}")
+
+    @property
+    @abstractmethod
+    def readings(self) -> Mapping[str, Reading]:
+        """What the entries are like that it adds to an observation, by name."""
+
+    @abstractmethod
+    def read(self, view: RobotView) -> dict[str, Tensor]:
+        """Return the entries (B, R, ...) without noise, dropout and delay.
+
+        Scenes that begin anew are asked for alone: B is that of the view, and nothing is remembered by row.
+        """
+
+    def observe(self, view: RobotView) -> dict[str, Tensor]:
+        """Return the entries with noise and dropout, which depend on scene, robot and clock alone.
+
+        Raises:
+            UserError: `read` returned other entries than `readings` says, or other shapes.
+        """
+        exact, expected, name = self.read(view), self.readings, type(self).__name__
+        if not isinstance(exact, Mapping) or exact.keys() != expected.keys():
+            given = ", ".join(map(str, exact)) if isinstance(exact, Mapping) else f"{exact!r:.60}"
+            entries = ", ".join(expected)
+            raise UserError(
+                f"sensor {name}: read returned {given}: expected the entries of its readings, {entries}"
+            )
+        for entry, reading in expected.items():
+            shape = (len(view.state.mask), view.robots, *reading.shape)
+            if (given := shape_of(exact[entry])) != shape:
+                raise UserError(
+                    f"sensor {name}: {entry} is {given}: expected (B, R, ...) = {shape}, as "
+                    f"Reading({tuple(reading.shape)}) says"
+                )
+        if not self.noise and not self.dropout:
+            return exact
+        tick = (view.state.clock / TRACE_SECONDS).round().long()
+        key = randomness.join(view.state.key, name, tick).unsqueeze(1)
+        key = randomness.join(key, torch.arange(view.robots, device=tick.device))
+        missing = randomness.uniform(randomness.join(key, "dropout")) < self.dropout
+        result = {}
+        for entry, value in exact.items():
+            ones = [1] * (value.dim() - 2)
+            if value.is_floating_point():
+                numbers = torch.arange(value[0, 0].numel(), device=value.device).view(value.shape[2:])
+                own = randomness.join(randomness.join(key, entry).view(*key.shape, *ones), numbers)
+                noisy = value + self.noise * randomness.normal(own)
+                # what is not seen is 0, and stays so
+                value = torch.where(value == 0, value, noisy.clamp(expected[entry].low, expected[entry].high))
+            result[entry] = value.masked_fill(missing.view(*key.shape, *ones), 0)
+        return result
+
+
+def shape_of(value: object) -> tuple[int, ...] | str:
+    """Return the shape of what a person's own code returned, or what it is if it is no tensor."""
+    return tuple(value.shape) if isinstance(value, Tensor) else f"{value!r:.60}, no tensor"
+
+
+def _aligned(value: Tensor, like: Tensor) -> Tensor:
+    """Return (B, R, 2) with as many dimensions as ``like`` (B, R, ..., 2)."""
+    return value.view(*value.shape[:2], *[1] * (like.dim() - 3), 2)
+
+
+def _check_view(sensor: "Lidar | People", number: str, count: int) -> None:
     """Check how many things a sensor sees, how far in metres, and how wide in degrees."""
     reach, angle = sensor.reach, sensor.field_of_view
-    valid, given = count >= 1 and reach > 0 and 0 < angle <= 360, f"{number} {count}, reach {reach}"
-    expected = "at least 1, metres above 0, and degrees up to 360"
-    sensor.check(valid, f"{given}, field_of_view {angle}", expected)
+    given = f"{number} {count}, reach {reach}, field_of_view {angle}"
+    valid = count >= 1 and reach > 0 and 0 < angle <= 360
+    sensor.check(valid, given, "at least 1, metres above 0, and degrees up to 360")
 
 
 class Goal(Sensor):
@@ -34,8 +205,7 @@ class Goal(Sensor):
     """
 
     readings: Mapping[str, Reading] = {
-        "goal": Reading((2,)),
-        "waypoint": Reading((2,)),
+        **dict.fromkeys(("goal", "waypoint"), Reading((2,))),
         "remaining_path": Reading((1,), low=0.0),
     }
 
@@ -64,12 +234,9 @@ class Odometry(Sensor):
 
     def read(self, view: RobotView) -> dict[str, Tensor]:
         """See `Sensor.read`."""
-        state = view.state
-        numbers = {"turn_rate": state.turn_rate, "radius": state.radius, "heading": state.heading}
-        return {
-            "velocity": view.own(view.robot(state.velocity)),
-            **{name: view.robot(value).unsqueeze(-1) for name, value in numbers.items()},
-        }
+        names = ("turn_rate", "radius", "heading")
+        own = {name: view.robot(getattr(view.state, name)).unsqueeze(-1) for name in names}
+        return {"velocity": view.own(view.robot(view.state.velocity)), **own}
 
 
 @dataclass(eq=False)
@@ -132,25 +299,24 @@ class Camera(Sensor):
     reach: float = 10.0
 
     def _set_up(self) -> None:
-        width, height, angle = self.width, self.height, self.field_of_view
-        eyes, reach = self.eye_height, self.reach
+        names = ("width", "height", "field_of_view", "eye_height", "reach")
+        width, height, angle, eyes, reach = numbers = [getattr(self, name) for name in names]
         valid = min(width, height) >= 1 and 0 < angle < 180 and eyes > 0 and reach > 0
-        given = f"width {width}, height {height}, field_of_view {angle}, eye_height {eyes}, reach {reach}"
+        given = ", ".join(f"{name} {number}" for name, number in zip(names, numbers, strict=True))
         self.check(valid, given, "pixels, degrees below 180, and metres above 0")
-        self.lens = Lens(width, height, math.radians(angle), eyes, reach)
+        self._lens = Lens(width, height, math.radians(angle), eyes, reach)
 
     @property
     def readings(self) -> Mapping[str, Reading]:
         """See `Sensor.readings`."""
-        size = self.lens.height, self.lens.width
         return {
-            "rgb": Reading((*size, 3), torch.uint8, low=0, high=255),
-            "depth": Reading(size, low=0.0, high=self.lens.reach),
+            "rgb": Reading((self.height, self.width, 3), torch.uint8, low=0, high=255),
+            "depth": Reading((self.height, self.width), low=0.0, high=self.reach),
         }
 
     def read(self, view: RobotView) -> dict[str, Tensor]:
         """See `Sensor.read`."""
-        pictures = view.physics.onboard(Bodies.of(view.state), view.heading, self.lens)
+        pictures = view.physics.onboard(Bodies.of(view.state), view.heading, self._lens)
         rgb, depth = (torch.from_numpy(values).to(view.heading.device) for values in pictures)
         return {"rgb": rgb, "depth": depth}
 
@@ -217,7 +383,6 @@ class People(Sensor):
 
     def _set_up(self) -> None:
         _check_view(self, "most", self.most)
-        self.half_angle = math.radians(self.field_of_view / 2)
 
     @property
     def readings(self) -> Mapping[str, Reading]:
@@ -228,27 +393,27 @@ class People(Sensor):
         """See `Sensor.read`."""
         state, robots = view.state, view.robots
         scenes, agents = state.mask.shape
-        shape = (scenes, robots, agents, 2)
-        place = view.own_places(state.position.unsqueeze(1).expand(shape))
+        place, velocity, radius = (
+            value.unsqueeze(1).expand(scenes, robots, agents, -1)
+            for value in (state.position, state.velocity, state.radius.unsqueeze(-1))
+        )
+        place = view.own_places(place)
         distance = torch.linalg.vector_norm(place, dim=-1)
         seen = other_agents(state.mask, robots) & (distance <= self.reach)
-        if self.half_angle < math.pi:
-            seen = seen & (torch.atan2(place[..., 1], place[..., 0]).abs() <= self.half_angle)
+        if self.field_of_view < 360:
+            half = math.radians(self.field_of_view / 2)
+            seen = seen & (torch.atan2(place[..., 1], place[..., 0]).abs() <= half)
         if self.line_of_sight:
             direction = view.world(place) / distance.clamp_min(1e-6).unsqueeze(-1)
             free = view.rays(direction, min(self.reach, view.physics.bank.max_distance), people=False)
-            seen = seen & (free >= (distance - state.radius.unsqueeze(1)).clamp_max(free.max()))
+            seen = seen & (free >= (distance - radius[..., 0]).clamp_max(free.max()))
         count = min(self.most, agents)
         nearest = torch.where(seen, distance, torch.inf).topk(count, largest=False).indices
-        velocity = view.own(state.velocity.unsqueeze(1).expand(shape))
-        rows = torch.cat((place, velocity, state.radius[:, None, :, None].expand(*shape[:3], 1)), -1)
         mask = seen.gather(2, nearest)
+        rows = torch.cat((place, view.own(velocity), radius), -1)
         rows = rows.gather(2, nearest.unsqueeze(-1).expand(*nearest.shape, 5)) * mask.unsqueeze(-1)
         missing = self.most - count
-        return {
-            "people": torch.nn.functional.pad(rows, (0, 0, 0, missing)),
-            "people_mask": torch.nn.functional.pad(mask, (0, missing)),
-        }
+        return {"people": pad(rows, (0, 0, 0, missing)), "people_mask": pad(mask, (0, missing))}
 
 
 class AttnGraph(People):
@@ -269,14 +434,9 @@ class AttnGraph(People):
         predicted: int = 5,
         seconds: float = 0.25,
     ) -> None:
-        """Say which people are seen, and how far they are predicted.
+        """See the people that `People` sees, and P steps, ``predicted``, of so many ``seconds`` ahead.
 
-        Args:
-            most: N.
-            reach: See `People`.
-            field_of_view: See `People`.
-            predicted: P, steps ahead; 0 for where people are alone, as in DS-RNN.
-            seconds: Of one of them.
+        With 0 steps it says where people are alone, as in DS-RNN.
         """
         super().__init__(most, reach, field_of_view)
         given = f"predicted {predicted}, seconds {seconds}"

@@ -22,7 +22,7 @@ from pedzoo.policies.robots._base import ObservedPeople, Robot
 from pedzoo.sim import crowdnav
 from pedzoo.sim.crowdnav import CROWDNAV, CROWDNAV_PP, RADIUS, TIME_STEP, Setting
 from pedzoo.sim.observation import done_spec, flag, real
-from pedzoo.sim.robots.reward import DEFAULT_WEIGHTS
+from pedzoo.sim.robots.rewards import DEFAULT_WEIGHTS
 
 SETTINGS = {"crowdnav": CROWDNAV, "crowdnav_pp": CROWDNAV_PP}
 """Crowds by name."""
@@ -89,7 +89,7 @@ class CrowdNavEnv(EnvBase):
             people: N, in each crowd; None: as the setting says.
             crowds: C.
             robot: A body with settings; it faces its goal at first.
-            reward: Weights; see `pedzoo.sim.robots.reward.DEFAULT_WEIGHTS`.
+            reward: Weights; see `pedzoo.sim.robots.rewards.DEFAULT_WEIGHTS`.
             first: Seed of the first crowd; the others follow.
         """
         super().__init__(batch_size=torch.Size([num_envs]))

@@ -1,8 +1,6 @@
 """PPO of people in the loop, on rewards that need no gradient: actor, critic, rewards and the training."""
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, ClassVar, cast
 
@@ -27,7 +25,7 @@ from pedzoo.policies.walker import Noise, Walker
 from pedzoo.sim.make import make_env, make_scenario, prepare_scenario
 from pedzoo.sim.scenario import PreparedScenario
 from pedzoo.train.module import ForecastModule
-from pedzoo.train.ppo.trainer import PPO, Gatherer, Objective, Optimisation, actor, check_ranges
+from pedzoo.train.ppo.trainer import PPO, Gatherer, Objective, Updates, actor, check_ranges
 
 _RING = 8
 """Directions in which walls are looked for."""
@@ -56,6 +54,19 @@ class Collection:
     physics: str = "compiled"
     noise: Noise | None = None
     std: float = 0.15
+
+
+@dataclass(frozen=True)
+class Optimisation(Updates):
+    """How much is learnt from the decisions of an iteration, and from recorded scenes beside them.
+
+    Attributes:
+        lr_critic: Learning rate of the critic's Adam, constant.
+        recorded: Weight of the generator's own loss on recorded scenes, per scene; 0 leaves it out.
+    """
+
+    lr_critic: float = 1e-3
+    recorded: float = 0.0
 
 
 class Reward:
@@ -95,13 +106,11 @@ class Reward:
         Raises:
             UserError: A negative number, or no such function.
         """
-        given = {name: value for name, value in locals().items() if name not in ("self", "terms")}
-        for name, value in given.items():
+        self.person_cost, self.walls, self.near, self.near_distance = person_cost, walls, near, near_distance
+        self.effort, self.overspeed, self.arrival = effort, overspeed, arrival
+        for name, value in vars(self).items():
             if value < 0 or (name == "near_distance" and value == 0):
                 raise UserError(f"reward.{name} {value}: expected a number above 0, or 0 for none")
-        self.person_cost, self.walls, self.arrival = person_cost, walls, arrival
-        self.near, self.near_distance = near, near_distance
-        self.effort, self.overspeed = effort, overspeed
         self.terms = [(name, function_in_file(name), weight) for name, weight in (terms or {}).items()]
 
     def __call__(self, before: TensorDict, after: TensorDict) -> Tensor:
@@ -111,28 +120,21 @@ class Reward:
         """
         seen, then = agents_of(before), agents_of(after)
         info = cast("TensorDict", then["info"])
-        reward = then["reward"][..., 0]
-        reward = reward - self.person_cost * info["agent_contact"].any(-1)
-        reward = reward - self.walls * info["wall_contact"].any(-1)
+        cost = self.person_cost * info["agent_contact"].any(-1) + self.walls * info["wall_contact"].any(-1)
         if self.near:
             there = seen["mask"].unsqueeze(-1).expand(info["trace"].shape[:-1])
             short = (1 - nearest(info["trace"], there) / self.near_distance).clamp_min(0.0)
-            reward = reward - self.near * short.mean(-1)
-        if self.effort:
-            reward = reward - self.effort * (then["velocity"] - seen["velocity"]).square().sum(-1)
-        if self.overspeed:
-            speed = torch.linalg.vector_norm(then["velocity"], dim=-1)
-            reward = reward - self.overspeed * (speed - seen["pref_speed"][..., 0]).clamp_min(0.0)
-        if self.arrival:
-            left = seen["controlled"] & ~then["controlled"] & ~after["failed"]
-            reward = reward + self.arrival * left
+            cost = cost + self.near * short.mean(-1)
+        cost = cost + self.effort * (then["velocity"] - seen["velocity"]).square().sum(-1)
+        speed = torch.linalg.vector_norm(then["velocity"], dim=-1)
+        cost = cost + self.overspeed * (speed - seen["pref_speed"][..., 0]).clamp_min(0.0)
+        left = seen["controlled"] & ~then["controlled"] & ~after["failed"]
+        reward = then["reward"][..., 0] - cost + self.arrival * left
         for name, term, weight in self.terms:
             own = term(before, after)
-            if not isinstance(own, Tensor) or own.shape != reward.shape:
-                given = tuple(own.shape) if isinstance(own, Tensor) else type(own).__name__
-                raise UserError(
-                    f"reward {name}: expected the reward of all agents {tuple(reward.shape)}, not {given}"
-                )
+            given = tuple(own.shape) if isinstance(own, Tensor) else type(own).__name__
+            if given != (expected := tuple(reward.shape)):
+                raise UserError(f"reward {name}: expected the reward of all agents {expected}, not {given}")
             reward = reward + weight * own
         return reward
 
@@ -140,9 +142,9 @@ class Reward:
 class Mean(TensorDictModuleBase):
     """Writes mean and standard deviation (B, A, 2), m/s, of each person's velocity.
 
-    The generator's noise is no part of the density: it is drawn by the scene's key, like an observation, and
-    equal in collecting and in updates. The deviation is one number: turning the scene turns the distribution.
-    People that the policy does not move have a fixed distribution, and so a constant likelihood.
+    The generator's noise is no part of the density: it is drawn by the scene's key, and equal in collecting
+    and in updates. The deviation is one number: turning the scene turns the distribution. People that the
+    policy does not move have a fixed distribution, and so a constant likelihood.
     """
 
     in_keys: ClassVar[list[Any]] = ["agents", "maps", "map_id", "scene_pose", "scene_key", "time"]
@@ -154,7 +156,7 @@ class Mean(TensorDictModuleBase):
         self.walker, self.log_std = walker, log_std
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write them."""
+        """Write ``loc`` and ``scale``."""
         # a walker writes an action: not over the taken one
         seen = tensordict.select(*self.in_keys).clone(False)
         with set_exploration_type(ExplorationType.RANDOM):
@@ -191,8 +193,7 @@ class Critic(TensorDictModuleBase):
         nn.init.zeros_(last.weight)
         nn.init.zeros_(last.bias)
         angle = torch.arange(_RING) * (2 * math.pi / _RING)
-        ring = torch.cat((torch.zeros(1, 2), _RADIUS * direction_of(angle)))
-        self.register_buffer("ring", ring, persistent=False)
+        self._ring = torch.cat((torch.zeros(1, 2), _RADIUS * direction_of(angle)))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write each person's value (N, A, 1), metres of progress; 0 where no person is."""
@@ -207,7 +208,7 @@ class Critic(TensorDictModuleBase):
         vectors = torch.stack(
             (crowd.pack(agents["velocity"]), crowd.pack(agents["desired_velocity"]), goal / 4.0), 1
         )
-        around = position.unsqueeze(1) + rotate(self.get_buffer("ring"), frame.unsqueeze(1))
+        around = position.unsqueeze(1) + rotate(self._ring.to(frame), frame.unsqueeze(1))
         map_id, pose = batch["map_id"][crowd.scene, 0], batch["scene_pose"][crowd.scene]
         walls = maps_of(batch).signed_distance(around, map_id, pose).clamp(-_FAR, _FAR) / _FAR
         alone = self.alone(way, speed)
@@ -294,18 +295,14 @@ class PPOModule(PPO, ForecastModule):
         super().__init__(generator, **options)
         if not scenarios:
             raise UserError("--model.scenarios: expected at least one, such as door")
-        numbers = {name: getattr(collection, name) for name in ("envs", "steps", "std")}
-        check_ranges("--model.collection.", **numbers)
-        optimisation.check("--model.optimisation.", collection.envs * collection.steps)
-        self.automatic_optimization = False
+        check_ranges("--model.collection.", envs=collection.envs, steps=collection.steps, std=collection.std)
+        decisions = collection.envs * collection.steps
+        self.set_up(optimisation, self.clip or math.inf, decisions, "--model.optimisation.")
         self.scenarios = [make_scenario(name) for name in scenarios]
-        self.reward, self.collection, self.how = reward, collection, optimisation
-        self.most = self.clip or math.inf
+        self.reward, self.collection, self.optimisation = reward, collection, optimisation
         self.critic = Critic(optimisation.gamma)
         self.log_std = nn.Parameter(torch.tensor(collection.std).log())
-        self.register_buffer("skipped", torch.zeros((), dtype=torch.long))
         self._prepared: list[PreparedScenario] = []
-        self._gatherers: list[Gatherer] = []
 
     def setup(self, stage: str) -> None:
         """Plan the scenes, too: errors are raised before anything is written."""
@@ -315,7 +312,7 @@ class PPOModule(PPO, ForecastModule):
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
         """Return Adam; the actor's learning rate is set at every iteration."""
-        critic = {"params": list(self.critic.parameters()), "lr": self.how.lr_critic}
+        critic = {"params": list(self.critic.parameters()), "lr": self.optimisation.lr_critic}
         return torch.optim.Adam([{"params": [*self.generator.parameters(), self.log_std]}, critic], self.lr)
 
     def steps_per_iteration(self) -> float:
@@ -326,25 +323,32 @@ class PPOModule(PPO, ForecastModule):
         """Make environments, collectors and TorchRL's loss; processes share the scenes of a seed."""
         acting = actor(Mean(Walker(self.generator, self.collection.noise), self.log_std), "agents", "action")
         self._objective = Objective(acting, self.critic, self.how, self.device)
+        scenes, physics = self.collection.envs, self.collection.physics
         rank, processes = self.trainer.global_rank, self.trainer.world_size
+        shares = {"first_episode": rank * scenes, "stride": processes * scenes}
         for scenario in self._prepared:
-            scenes = self.collection.envs
-            shares = {"first_episode": rank * scenes, "stride": processes * scenes}
-            env = make_env(scenario, scenes, self.collection.physics, **shares)
+            env = make_env(scenario, scenes, physics, **shares)
             env.policy_name = "the model in training"
-            self._gatherers.append(Gatherer(env, acting, self.collection.steps, self.device))
+            self.gatherers.append(Gatherer(env, acting, self.collection.steps, self.device))
 
     def training_step(self, batch: TensorDict, batch_idx: int) -> None:
         """Gather decisions and learn from them."""
         number, optimizer, random = int(self.iteration), cast("Any", self.optimizers()), self.random()
-        with _without_dropout(self.generator):
-            seen = self._gatherers[number % len(self._gatherers)].gather(self.step_seed)
-            lived = lived_through(seen.to(self.device), self.reward, self.critic)
-            known = self._objective.rated(lived)
-            self.set_lr(optimizer, self.lr)
-            optimizer.param_groups[1]["lr"] = self.how.lr_critic
-            self._recorded = batch.split(-(-len(batch) // self.how.minibatches)), random
-            log = self.learn(self._objective.loss, known, random)
+        # the network that decides in an update has to be the one that walked: without dropout
+        dropping = [
+            part for part in self.generator.modules() if isinstance(part, nn.Dropout) and part.training
+        ]
+        for part in dropping:
+            part.eval()
+        seen = self.gatherers[number % len(self.gatherers)].gather(self.step_seed)
+        lived = lived_through(seen.to(self.device), self.reward, self.critic)
+        known = self._objective.rated(lived)
+        self.set_lr(optimizer, self.lr)
+        optimizer.param_groups[1]["lr"] = self.optimisation.lr_critic
+        self._recorded = batch.split(-(-len(batch) // self.how.minibatches)), random
+        log = self.learn(self._objective.loss, known, random)
+        for part in dropping:
+            part.train()
         self.iteration += 1
         people = agents_of(known)
         target, value = (people[key][people["scored"]] for key in ("value_target", "value"))
@@ -358,25 +362,8 @@ class PPOModule(PPO, ForecastModule):
 
     def terms(self, part: TensorDict, result: TensorDict, number: int) -> TensorDict:
         """Add the generator's own loss on a part of the recorded scenes, if it has a weight."""
-        if self.how.recorded:
+        if weight := self.optimisation.recorded:
             parts, random = self._recorded
             scenes = cast("TensorDict", parts[number % len(parts)])
-            result["loss_recorded"] = self.how.recorded * self.generator.loss(scenes, random) / len(scenes)
+            result["loss_recorded"] = weight * self.generator.loss(scenes, random) / len(scenes)
         return result
-
-    def teardown(self, stage: str) -> None:
-        """Close the environments; after an error, garbage collection closes those of pybullet."""
-        for gatherer in self._gatherers:
-            gatherer.close()
-        self._gatherers = []
-
-
-@contextmanager
-def _without_dropout(model: nn.Module) -> Iterator[None]:
-    """Switch dropout off: the network that decides in an update has to be the one that walked."""
-    parts = [part for part in model.modules() if isinstance(part, nn.Dropout) and part.training]
-    for part in parts:
-        part.eval()
-    yield
-    for part in parts:
-        part.train()

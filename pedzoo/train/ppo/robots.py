@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, ClassVar, cast
 
 import torch
@@ -23,13 +24,26 @@ from pedzoo.policies.robots.attention import Attention, Encoder, as_action, fram
 from pedzoo.sim.robots.env import RobotEnv, make_robot_env
 from pedzoo.train.ppo.crowdnav import SETTINGS, CrowdNavEnv
 from pedzoo.train.ppo.teacher import CONSTANT_VELOCITY, Teacher, teacher_of
-from pedzoo.train.ppo.trainer import PPO, Gatherer, Objective, Optimisation, actor, check_ranges
+from pedzoo.train.ppo.trainer import PPO, Gatherer, Objective, Updates, actor, check_ranges
 
 _PEOPLE = "orca"
 """Who walks where nothing else is said, and always in CrowdNav's scenarios."""
 
 _SEEN: list[Any] = [("robots", "observation"), ("robots", "body")]
 """What actor and critic read."""
+
+_WRITTEN = ("loc", "scale", "decision", "log_prob", "taught", "action")
+"""What `Decider` writes."""
+
+
+@dataclass(frozen=True)
+class RobotUpdates(Updates):
+    """What robots learn best with."""
+
+    minibatches: int = 16
+    gamma: float = 0.98
+    entropy: float = 0.001
+    critic: float = 0.5
 
 
 class Mean(TensorDictModuleBase):
@@ -44,7 +58,7 @@ class Mean(TensorDictModuleBase):
         self.policy, self.log_std = policy, nn.Parameter(torch.full((2,), math.log(std)))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write them."""
+        """Write ``loc`` and ``scale``."""
         mean = self.policy.mean(tensordict)
         tensordict["robots", "loc"] = mean
         tensordict["robots", "scale"] = self.log_std.clamp(-4, 0.5).exp().expand_as(mean)
@@ -52,13 +66,13 @@ class Mean(TensorDictModuleBase):
 
 
 class Value(TensorDictModuleBase):
-    """The critic: the return that a robot can still expect."""
+    """The critic: the return that a robot can still expect, by a network as large as the policy's."""
 
     in_keys: ClassVar[list[Any]] = _SEEN
     out_keys: ClassVar[list[Any]] = [("robots", "value")]
 
     def __init__(self, policy: Attention) -> None:
-        """Make a network as large as the policy's."""
+        """Create the parameters."""
         super().__init__()
         self.encoder = Encoder(**policy.config)
         self.net = head(self.encoder.features, 2 * policy.config["width"], 1)
@@ -74,24 +88,19 @@ class Decider(TensorDictModuleBase):
     """Writes decisions (B, R, 2), actions, and the decisions of a teacher, if there is one: ``taught``."""
 
     in_keys: ClassVar[list[Any]] = _SEEN
-    out_keys: ClassVar[list[Any]] = [
-        ("robots", key) for key in ("loc", "scale", "decision", "log_prob", "taught", "action")
-    ]
+    out_keys: ClassVar[list[Any]] = [("robots", key) for key in _WRITTEN]
 
     def __init__(self, acting: ProbabilisticActor) -> None:
         """Take the actor."""
         super().__init__()
-        self.acting = acting
-        self.teacher: Teacher | None = None
+        self.acting, self.teacher = acting, cast("Teacher | None", None)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write them; a teacher sees the scenes on the CPU."""
         decided: Any = self.acting(tensordict.select(*self.in_keys).clone())["robots"]
         decision = decided["decision"]
-        if self.teacher:
-            decided["taught"] = self.teacher(tensordict.to("cpu")).to(decision.device)
-        else:
-            decided["taught"] = decision
+        taught = self.teacher(tensordict.to("cpu")).to(decision.device) if self.teacher else decision
+        decided["taught"] = taught
         cast("Any", tensordict["robots"]).update(decided.exclude("observation", "body"))
         act(tensordict, decision)
         return tensordict
@@ -112,8 +121,6 @@ class RobotPPO(PPO):
     episodes of every scenario, the same ones every time.
     """
 
-    iteration: Tensor
-
     def __init__(
         self,
         policy: Attention,
@@ -132,14 +139,8 @@ class RobotPPO(PPO):
         std: float = 0.4,
         lr: float = 1e-3,
         final_lr: float = 0.05,
-        passes: int = 4,
-        minibatches: int = 16,
-        gamma: float = 0.98,
-        gae_lambda: float = 0.95,
-        clip_ratio: float = 0.2,
-        entropy: float = 0.001,
-        critic: float = 0.5,
         clip: float = 0.5,
+        **how: Any,
     ) -> None:
         """Take the robot, its place and the settings of its training.
 
@@ -151,7 +152,7 @@ class RobotPPO(PPO):
             people: A policy or a mixed crowd, in scenarios that are not CrowdNav's.
             robot: A body with settings.
             decision_dt: Seconds between two decisions.
-            reward: Weights by name; see `pedzoo.sim.robots.reward.DEFAULT_WEIGHTS`.
+            reward: Weights by name; see `pedzoo.sim.robots.rewards.DEFAULT_WEIGHTS`.
             envs: B, scenes of every scenario.
             steps: T, decisions in each of them for one update.
             updates: In an epoch.
@@ -162,14 +163,8 @@ class RobotPPO(PPO):
             std: Standard deviation of decisions at the beginning, a share of the robot's limits.
             lr: Learning rate of Adam at the beginning.
             final_lr: Share of it left at the end; it falls linearly.
-            passes: Over the decisions of an update.
-            minibatches: Steps of the optimizer in one pass.
-            gamma: Discount of a decision.
-            gae_lambda: Of the generalised advantage.
-            clip_ratio: By how much the likelihood of a decision may change to a gain.
-            entropy: Weight of the distribution's entropy.
-            critic: Weight of the critic's loss.
             clip: Largest norms of the gradients of actor and critic.
+            how: Settings of an update: those of `RobotUpdates`.
 
         Raises:
             UserError: No scenario, a number out of range, or people who are unknown or have no use.
@@ -177,10 +172,7 @@ class RobotPPO(PPO):
         super().__init__()
         numbers = {"envs": envs, "steps": steps, "updates": updates, "episodes": episodes, "std": std}
         check_ranges("--model.", **numbers, imitate=imitate, lr=lr, final_lr=final_lr, clip=clip)
-        self.how = Optimisation(
-            lr, passes, minibatches, gamma, gae_lambda, clip_ratio, entropy=entropy, critic=critic
-        )
-        self.how.check("--model.", envs * steps)
+        self.set_up(RobotUpdates(**how), clip, envs * steps, "--model.")
         if not scenarios:
             raise UserError("--model.scenarios: expected at least one, such as door:people=4")
         if any(parse(scenario).name not in SETTINGS for scenario in scenarios):
@@ -190,17 +182,14 @@ class RobotPPO(PPO):
                 f"--model.people {people:.200}: no use for people with crowdnav scenarios, which have their "
                 f"own: leave it out, or set --model.scenarios '[\"door:people=4\"]'"
             )
-        self.automatic_optimization = False
         self.scenarios, self.people, self.robot = scenarios, people, robot
         self.decision_dt, self.reward, self.physics = decision_dt, reward, physics
         self.envs, self.steps, self.updates, self.episodes = envs, steps, updates, episodes
-        self.lr, self.final_lr, self.most, self.imitate = lr, final_lr, clip, imitate
+        self.lr, self.final_lr, self.imitate = lr, final_lr, imitate
         self.teacher = teacher_of(teacher)
         self.mean, self.value = Mean(policy, std), Value(policy)
         self.seed = torch.initial_seed() % 2**31
-        for name in ("iteration", "skipped"):
-            self.register_buffer(name, torch.zeros((), dtype=torch.long))
-        self._gatherers: list[Gatherer] = []
+        self.register_buffer("iteration", torch.zeros((), dtype=torch.long))
 
     @property
     def policy(self) -> Attention:
@@ -243,7 +232,7 @@ class RobotPPO(PPO):
         acting = actor(self.mean, "robots", "decision")
         self._decider = (Decider(acting),)  # in a tuple: its parameters are registered already
         self._objective = Objective(acting, self.value, self.how, self.device, "decision", "robots")
-        self._gatherers = [
+        self.gatherers = [
             Gatherer(self.environment(name, self.envs, True), self._decider[0], self.steps, self.device)
             for name in self.scenarios
         ]
@@ -254,7 +243,7 @@ class RobotPPO(PPO):
         torch.manual_seed(self.seed * 1_000_003 + int(self.iteration))
         self._decider[0].teacher = self.teacher if int(self.iteration) < self.imitate else None
         seed = self.seed * 1_000_003 + self.current_epoch
-        gathered = [gatherer.gather(seed) for gatherer in self._gatherers]
+        gathered = [gatherer.gather(seed) for gatherer in self.gatherers]
         parts: Any = [lived.select("robots", ("next", "robots")) for lived in gathered]
         lived = cast("TensorDict", torch.cat(parts)).to(self.device)
         with torch.no_grad():
@@ -298,12 +287,6 @@ class RobotPPO(PPO):
         known = {"scenarios": self.scenarios, "crowd": self.people, "robot": self.robot}
         known |= {"decision_dt": self.decision_dt, "sensors": self.policy.sensors}
         checkpoint["pedzoo"] = {"architecture": "attention", "init": self.policy.config, "protocol": known}
-
-    def teardown(self, stage: str) -> None:
-        """Close the environments."""
-        for gatherer in self._gatherers:
-            gatherer.close()
-        self._gatherers = []
 
 
 def outcome_shares(robots: TensorDictBase) -> dict[str, Tensor]:

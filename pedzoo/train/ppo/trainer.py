@@ -32,42 +32,37 @@ _LOGGED: dict[Any, str] = {
 """Logged values of TorchRL's loss and their names: agents who do not count are 0 in the last two."""
 
 _RANGES: dict[str, tuple[Callable[[float], bool], str]] = {
-    **dict.fromkeys(
-        ("envs", "steps", "updates", "episodes", "passes", "minibatches"), (lambda n: n >= 1, "at least 1")
-    ),
+    **dict.fromkeys(("envs", "steps", "updates", "episodes"), (lambda n: n >= 1, "at least 1")),
+    **dict.fromkeys(("passes", "minibatches"), (lambda n: n >= 1, "at least 1")),
     **dict.fromkeys(("lr", "lr_critic", "final_lr", "imitate"), (lambda n: 0 <= n < inf, "at least 0")),
     **dict.fromkeys(("std", "clip"), (lambda n: n > 0, "above 0")),
     **dict.fromkeys(("gamma", "gae_lambda"), (lambda n: 0 <= n <= 1, "0 to 1")),
     "clip_ratio": (lambda n: 0 < n < 1, "in (0, 1)"),
 }
-"""What settings may be, and how that is said."""
+"""What settings may be, and how that is said; all others may be anything."""
 
 
 def check_ranges(place: str, **numbers: float) -> None:
     """Raise UserError for numbers out of range; ``place`` stands before their names, such as ``--model.``."""
     for name, number in numbers.items():
-        fits, expected = _RANGES[name]
-        if not fits(number):
-            raise UserError(f"{place}{name} {number}: expected {expected}")
+        if name in _RANGES and not _RANGES[name][0](number):
+            raise UserError(f"{place}{name} {number}: expected {_RANGES[name][1]}")
 
 
 @dataclass(frozen=True)
-class Optimisation:
+class Updates:
     """How much is learnt from the decisions of an iteration.
 
     Attributes:
-        lr_critic: Learning rate of the critic's Adam, constant.
-        passes: Over the decisions of an iteration.
-        minibatches: Updates of one pass.
+        passes: Over these decisions.
+        minibatches: Steps of the optimizer in one pass.
         gamma: Discount of a decision.
         gae_lambda: Of the generalised advantage: 0 trusts the critic, 1 the rewards.
         clip_ratio: By how much the likelihood of a decision may change to a gain.
         entropy: Weight of the distribution's entropy, which keeps it broad.
         critic: Weight of the critic's loss.
-        recorded: Weight of the generator's own loss on recorded scenes, per scene; 0 leaves it out.
     """
 
-    lr_critic: float = 1e-3
     passes: int = 4
     minibatches: int = 4
     gamma: float = 0.97
@@ -75,14 +70,6 @@ class Optimisation:
     clip_ratio: float = 0.2
     entropy: float = 0.0
     critic: float = 1.0
-    recorded: float = 0.0
-
-    def check(self, place: str, decisions: int) -> None:
-        """Raise UserError where a number is out of range; ``place`` as of `check_ranges`."""
-        names = ("lr_critic", "passes", "minibatches", "gamma", "gae_lambda", "clip_ratio")
-        check_ranges(place, **{name: getattr(self, name) for name in names})
-        if self.minibatches > decisions:
-            raise UserError(f"{place}minibatches {self.minibatches}: there are {decisions} decisions in all")
 
 
 class Gatherer:
@@ -163,7 +150,7 @@ class Objective:
         self,
         acting: ProbabilisticActor,
         critic: TensorDictModuleBase,
-        how: Optimisation,
+        how: Updates,
         device: torch.device,
         action: str = "action",
         group: str = "agents",
@@ -209,11 +196,27 @@ class PPO(L.LightningModule):
         how: Settings of the updates.
         most: Largest norm of the gradient of each of the two.
         skipped: How many updates were left out because a gradient was not finite.
+        gatherers: Where decisions are gathered.
     """
 
-    how: Optimisation
-    most: float
+    iteration: Tensor
     skipped: Tensor
+
+    def set_up(self, how: Updates, most: float, decisions: int, place: str) -> None:
+        """Take the settings of updates from so many ``decisions``, checked as by `check_ranges`."""
+        check_ranges(place, **vars(how))
+        if how.minibatches > decisions:
+            raise UserError(f"{place}minibatches {how.minibatches}: there are {decisions} decisions in all")
+        self.automatic_optimization = False
+        self.how, self.most = how, most
+        self.register_buffer("skipped", torch.zeros((), dtype=torch.long))
+        self.gatherers: list[Gatherer] = []
+
+    def teardown(self, stage: str) -> None:
+        """Close the environments; after an error, garbage collection closes those of pybullet."""
+        for gatherer in self.gatherers:
+            gatherer.close()
+        self.gatherers = []
 
     def learn(
         self, loss: ClipPPOLoss, known: TensorDict, random: torch.Generator | None = None
