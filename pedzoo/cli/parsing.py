@@ -186,16 +186,10 @@ _MESSAGES: tuple[tuple[str, str | Callable[..., str]], ...] = (
 
 def parameters(owner: object) -> list[str]:
     """Return the names that a class accepts, in its groups too, and in its bases where it passes them on."""
-    names: list[str] = []
-    for cls in inspect.getmro(owner) if isinstance(owner, type) else ():
-        if "__init__" not in vars(cls):
-            continue
-        taken = inspect.signature(cls.__init__).parameters.values()
-        names += [item.name for item in taken if item.kind not in (item.VAR_POSITIONAL, item.VAR_KEYWORD)][1:]
-        names += [f"{group}.{name}" for name, group in groups_by_setting(cls).items()]
-        if all(item.kind != item.VAR_KEYWORD for item in taken):
-            break
-    return names
+    if not isinstance(owner, type):
+        return []
+    names = ArgumentParser(exit_on_error=False).add_class_arguments(owner, fail_untyped=False)
+    return [*names, *(f"{group}.{name}" for name, group in groups_by_setting(owner).items())]
 
 
 def known_options(parser: ArgumentParser, classes: Iterable[tuple[str, type]] = ()) -> list[str]:

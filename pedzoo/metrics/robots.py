@@ -10,17 +10,16 @@ where others define them:
 * HuNav: Perez-Higueras et al., "HuNavSim", RA-L 2023; robotics-upo/hunav_sim ``hunav_metrics.py``.
 * iGibson: social navigation; ``STL`` and personal space of 0.5 m.
 
-Of HuNav's list these are left out: group intrusions (people of pedzoo have no groups); obstacle forces and
-social work (they sum over obstacle points that each simulator chooses by itself); mean angular speed and mean
-acceleration with their sign (left and right cancel out: amounts are here instead); its jerk, which is
-acceleration by time. Its rule of which of two collided with the other swaps the arguments of ``atan2``: here
-it is who moves faster towards the other. Its social forces on the robot and on people are the same number:
-each pair's have the same amount.
+Of HuNav's list these are left out: group intrusions; obstacle forces and social work, which depend on the
+simulator's obstacle points; mean angular speed and acceleration with their sign, where left and right cancel
+out; its jerk, which is acceleration by time. Its rule of who collided with whom swaps the arguments of
+``atan2``: here it is who moves faster towards the other.
 
-The effect on people is against the same scenes of the same seed without robots. Both begin alike: the robots
-are taken out after the warm start. People's noise is the same, too.
+The effect on people is against the same scenes and noise without robots, which are taken out after the warm
+start.
 """
 
+import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -51,11 +50,8 @@ SOCIAL_FACTOR, LAMBDA, GAMMA, ANGULAR, VELOCITY = 2.1, 2.0, 0.35, 2.0, 3.0
 ENCOUNTER = 3.0
 """Seconds: a robot and a person with a shorter time to collision meet."""
 
-FROM_REST = round(1.0 / TRACE_SECONDS)
-"""Trace points in which robots set out, 1 s: that is no answer to people."""
-
-LASTS = round(6.0 / TRACE_SECONDS)
-"""Trace points in which those who meet pass each other, 6 s."""
+FROM_REST, LASTS = round(1.0 / TRACE_SECONDS), round(6.0 / TRACE_SECONDS)
+"""Trace points in which robots set out, 1 s, which is no answer to people; and pass whom they meet, 6 s."""
 
 YIELDS = 0.1
 """m/s: a smaller change of velocity is no yielding."""
@@ -136,28 +132,32 @@ def robot_metrics(rollout: RobotRollout) -> dict[str, Ratio]:
     radius = walked.radius[:, first:]
     reach = radius.unsqueeze(2) + sizes.unsqueeze(1)
     agents = _Agents(walked.path[:, first:], people, rollout.there, present, moved, radius, reach)
-    result = _ends(rollout) | _touches(rollout, agents) | _driving(rollout) | _near(agents) | _effect(rollout)
-    met, known, yields = encounters(agents.robots, agents.people, agents.there, agents.moved, agents.reach)
-    result["encounters_per_min"] = ratio(met.sum(2), contacts.person_minutes(agents.there))
-    result["person_yields"] = share(yields, known)
+    result = (
+        _ends(rollout, agents) | _driving(rollout) | _near(agents) | _encounters(agents) | _effect(rollout)
+    )
     return {name: result[name] for name in LEGEND}
 
 
-def _ends(rollout: RobotRollout) -> dict[str, Ratio]:
+def _ends(rollout: RobotRollout, agents: _Agents) -> dict[str, Ratio]:
     """Return how episodes end, and how long they take."""
     walked, there, last = rollout.walked, rollout.there, slice(-rollout.robots, None)
     reached, success, goals = walked.reached[:, last], rollout.success, rollout.goals
-    every = torch.ones_like(success)
+    every, touches = torch.ones_like(success), rollout.person_contact.any(-1)
+    drives = _drives_into(rollout, agents)
     metres = arrival.walked_metres(walked.path[:, last], there, reached, goals)
     planned = arrival.planned_metres(walked.planned[:, last], reached, goals)
     seconds, needed = arrival.finish_seconds(reached, goals), planned / rollout.bodies.top_speed
-    return {
-        "success": share(success, every),
-        "collision_person": share(rollout.person_contact.any(-1), every),
-        "collision_robot": share(rollout.robot_contact.any(-1), every),
-        "collision_wall": share(rollout.wall_contact.any(-1), every),
-        "timeout": share(rollout.timeout, every),
-        "failed": share(rollout.failed, every),
+    ends = {
+        "success": success,
+        "collision_person": touches,
+        "collision_robot": rollout.robot_contact.any(-1),
+        "collision_wall": rollout.wall_contact.any(-1),
+        "timeout": rollout.timeout,
+        "failed": rollout.failed,
+        "robot_on_person": touches & drives,
+        "person_on_robot": touches & ~drives,
+    }
+    return {name: share(flag, every) for name, flag in ends.items()} | {
         "spl": mean(arrival.weighted(success, planned, metres), every),
         "stl": mean(arrival.weighted(success, needed, seconds), every),
         "time_s": mean(seconds, success),
@@ -167,26 +167,19 @@ def _ends(rollout: RobotRollout) -> dict[str, Ratio]:
     }
 
 
-def _touches(rollout: RobotRollout, agents: _Agents) -> dict[str, Ratio]:
-    """Return whether the robot or the person causes the first touch of a person: who moves faster towards it.
+def _drives_into(rollout: RobotRollout, agents: _Agents) -> Tensor:
+    """Return which robots (E, R) bool move faster towards the person whom they touch first than it does.
 
     After SEAN 2.0's "robot on person collision" (Tsoi et al., RA-L 2022), which HuNav has, too.
     """
-    contact, (episodes, people) = rollout.person_contact, agents.people.shape[:2]
-    touches, point = contact.any(-1), contact.long().argmax(-1).unsqueeze(2)
-    e, r = torch.arange(episodes).view(-1, 1, 1), torch.arange(rollout.robots).view(-1, 1)
-    n = torch.arange(people)
+    e, r, n = (torch.arange(size) for size in agents.reach.shape)
+    e, r, point = e[:, None, None], r[:, None], rollout.person_contact.long().argmax(-1).unsqueeze(2)
     before, after = (agents.people[e, n, point + step] for step in (0, 1))  # (E, R, N, 2)
     robot, moved = (agents.robots[e, r, point + step] for step in (0, 1))  # (E, R, 1, 2)
     gap = (after - moved).norm(dim=-1) - agents.reach
     nearest = gap.masked_fill(~agents.present[e, n, point], torch.inf).argmin(2, keepdim=True)
     closing = ((moved - robot) + (after - before)) * (before - robot)
-    drives = (closing.sum(-1) >= 0).gather(2, nearest)[..., 0]
-    every = torch.ones_like(drives)
-    return {
-        "robot_on_person": share(touches & drives, every),
-        "person_on_robot": share(touches & ~drives, every),
-    }
+    return (closing.sum(-1) >= 0).gather(2, nearest)[..., 0]
 
 
 def _driving(rollout: RobotRollout) -> dict[str, Ratio]:
@@ -240,17 +233,14 @@ def _near(agents: _Agents) -> dict[str, Ratio]:
 def intrusions(robots: Tensor, people: Tensor, present: Tensor, reach: Tensor) -> tuple[Tensor, Tensor]:
     """Return when robots are where people are about to go (E, R, T) bool, and how near (E, R, T), metres.
 
-    At point t a robot intrudes whose body touches a person's body of 0.25, 0.5, ... 1.25 s later. The share
-    of an episode's points, mean over episodes, is CrowdNav++'s intrusion ratio. The distance is the least one
-    between centres of those that touch, infinite for none; its mean over intrusions is CrowdNav++'s, too.
-    There people's future is simulated; here it is what they really did.
+    At point t a robot intrudes whose body touches a person's body of 0.25, 0.5, ... 1.25 s later. The
+    distance is the least one between centres of those that touch, infinite for none. In CrowdNav++ people's
+    future is simulated; here it is what they really did.
     """
-    points = people.shape[2]
-    least = torch.full(robots.shape[:3], torch.inf)
+    points, least = people.shape[2], torch.full(robots.shape[:3], torch.inf)
     for step in range(1, FUTURE_STEPS + 1):
-        ahead = step * FUTURE_SECONDS / TRACE_SECONDS
-        first, share = int(ahead), ahead - int(ahead)
-        last = first + (share > 0)
+        share, first = math.modf(step * FUTURE_SECONDS / TRACE_SECONDS)
+        first, last = int(first), int(first) + (share > 0)
         if last >= points:
             break
         later = torch.lerp(people[:, :, first : points - last + first], people[:, :, last:], share)
@@ -264,10 +254,9 @@ def intrusions(robots: Tensor, people: Tensor, present: Tensor, reach: Tensor) -
 def social_force(apart: Tensor, velocity: Tensor) -> Tensor:
     """Return the amounts of the social force between pairs (...), m/s^2: of either on the other.
 
-    The model of Moussaid et al. (Proc. R. Soc. B 276, 2009) with the parameters of HuNav, which sums it over
-    people and steps for ``social_force_on_robot`` and ``social_force_on_agents``. ``d`` is the distance,
-    ``e`` the direction, ``D = 2 v + e``, ``B = 0.35 |D|``, ``a`` the angle from e to D. Then the force is
-    ``2.1 sqrt(exp(-d/B - (3 B a)^2)^2 + exp(-d/B - (2 B a)^2)^2)``, without the second term where a is 0.
+    The model of Moussaid et al. (Proc. R. Soc. B 276, 2009) with the parameters of HuNav. ``d`` is the
+    distance, ``e`` the direction, ``D = 2 v + e``, ``B = 0.35 |D|``, ``a`` the angle from e to D. The force
+    is ``2.1 sqrt(exp(-d/B - (3 B a)^2)^2 + exp(-d/B - (2 B a)^2)^2)``, without the second term where a is 0.
 
     Args:
         apart: From one to the other (..., 2), metres.
@@ -285,17 +274,15 @@ def social_force(apart: Tensor, velocity: Tensor) -> Tensor:
     return SOCIAL_FACTOR * torch.hypot(ahead, aside)
 
 
-def encounters(
-    robots: Tensor, people: Tensor, there: Tensor, moved: Tensor, reach: Tensor
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Return which robots and people met, in which one of the two yields, and in which the person does.
+def _encounters(agents: _Agents) -> dict[str, Ratio]:
+    """Return how often robots and people meet, and in which share of these encounters the person yields.
 
-    All (E, R, N) bool. An encounter of a pair begins where the time after which they would touch, if both
-    kept their velocities, first falls below 3 s, but not in the first second, in which robots set out. It
-    ends at the closest approach of the next 6 s. A change is the largest ``|v(t) - v(begin)|`` in between;
-    one of at least 0.1 m/s is yielding, and who changes more yields. A pair has one encounter in an episode,
-    the first. Only people that a policy ``moved`` can yield. Arguments are as those of `_Agents`.
+    An encounter of a pair begins where the time after which they would touch, if both kept their velocities,
+    first falls below 3 s, but not in the first second, in which robots set out. It ends at the closest
+    approach of the next 6 s. A change is the largest ``|v(t) - v(begin)|`` in between; one of at least 0.1
+    m/s is yielding, and who changes more yields. A pair has one encounter in an episode, the first.
     """
+    robots, people, there, _, moved, _, reach = agents
     mine, theirs = (path.diff(dim=2) / TRACE_SECONDS for path in (robots, people))
     apart = people[:, :, 1:].unsqueeze(1) - robots[:, :, 1:].unsqueeze(2)
     closing = theirs.unsqueeze(1) - mine.unsqueeze(2)
@@ -306,15 +293,17 @@ def encounters(
     after = both & (point >= begin) & (point <= begin + LASTS)
     closest = apart.norm(dim=-1).masked_fill(~after, torch.inf).argmin(-1, keepdim=True)
     during = after & (point <= closest)
-
-    def change(velocity: Tensor) -> Tensor:
+    changes: list[Tensor] = []
+    for velocity in (mine.unsqueeze(2), theirs.unsqueeze(1)):
         velocity = velocity.expand(*near.shape, 2)
         first = torch.take_along_dim(velocity, begin.unsqueeze(-1), 3)
-        return (velocity - first).norm(dim=-1).where(during, 0.0).amax(-1)
-
-    robot, person, met = change(mine.unsqueeze(2)), change(theirs.unsqueeze(1)), near.any(-1)
+        changes.append((velocity - first).norm(dim=-1).where(during, 0.0).amax(-1))
+    robot, person, met = *changes, near.any(-1)
     known = met & (torch.maximum(robot, person) >= YIELDS)
-    return met, known, known & (person > robot)
+    return {
+        "encounters_per_min": ratio(met.sum(2), contacts.person_minutes(there)),
+        "person_yields": share(known & (person > robot), known),
+    }
 
 
 class WalkProgress(NamedTuple):
@@ -334,12 +323,11 @@ class WalkProgress(NamedTuple):
 
 
 def delay(joined: WalkProgress, alone: WalkProgress, pref_speed: Tensor, ended: Tensor) -> Tensor:
-    """Return how much later people arrive because of the robot (E, N), seconds; below 0: earlier.
+    """Return how much later people arrive with the robot than without (E, N), seconds; below 0: earlier.
 
-    A person who had arrived at the end of the robot's episode did so at a known time. For others it is that
-    end plus what was left of their planned way at the speed that they like. Their delay is the difference
-    of the two times, with the robot less without. Of people who arrived in neither that is the planned way
-    that they covered less, by their preferred speed.
+    Who had not arrived when the robot's episode ended would do so after what was left of the planned way, at
+    the speed that they like. Of people who arrived in neither, the delay is the planned way that they covered
+    less, by that speed.
 
     Args:
         joined: With the robot.
@@ -358,8 +346,8 @@ def delay(joined: WalkProgress, alone: WalkProgress, pref_speed: Tensor, ended: 
 def detour(joined: WalkProgress, alone: WalkProgress) -> Tensor:
     """Return how much farther people walk for the same progress (E, N), metres; below 0: less far.
 
-    What they walked less what they covered of the planner's paths, with the robot less without. So a person
-    who only waits has a delay, and no detour.
+    What they walked less what they covered of the planner's paths, with the robot less without: a person who
+    only waits has a delay, and no detour.
     """
     return (joined.walked - joined.covered) - (alone.walked - alone.covered)
 
@@ -380,14 +368,13 @@ def _effect(rollout: RobotRollout) -> dict[str, Ratio]:
     pair = progress(walked, rollout.progress), progress(alone, rollout.progress_alone)
     known = walked.controlled[:, people].any(-1) & ~(walked.failed | alone.failed).unsqueeze(1)
     later = delay(*pair, walked.pref_speed[:, people], rollout.seconds)
-    minutes, events = contacts.person_minutes(walked.scored[:, people]), {}
-    for name in ("agent_contact", "wall_contact"):
-        more, less = (contacts.contact_events((getattr(one, name) & one.scored)[:, people]) for one in both)
-        events[name] = ratio(more - less, minutes)
-    return {
+    result = {
         "delay_s": mean(later, known),
         "delay_total_s": ratio(later.where(known, 0.0), known.any(1)),
         "detour_m": mean(detour(*pair), known),
-        "contacts_more_per_min": events["agent_contact"],
-        "wall_contacts_more_per_min": events["wall_contact"],
     }
+    for name, contact in (("contacts", "agent_contact"), ("wall_contacts", "wall_contact")):
+        touched = ((getattr(one, contact) & one.scored)[:, people] for one in both)
+        more, less = (contacts.contact_events(one) for one in touched)
+        result[f"{name}_more_per_min"] = ratio(more - less, contacts.person_minutes(walked.scored[:, people]))
+    return result

@@ -1,7 +1,6 @@
-"""CrowdNav, a benchmark of a robot among people who cross a circle: its own rules, for many cases at once.
+"""CrowdNav, a benchmark of a robot among people who cross a circle: its own rules, not the kernel's.
 
-The rules are those of the two papers at `CROWDNAV` and `CROWDNAV_PP`, in double precision. Time does not pass
-by `pedzoo.sim.kernel.step` here.
+They are those of the two papers at `CROWDNAV` and `CROWDNAV_PP`, for many cases at once, in double precision.
 """
 
 from __future__ import annotations
@@ -51,9 +50,9 @@ class Setting:
         people: In each case, N.
         circle: Radius of the circle on which people start, metres.
         shift: Least and most shift of their starts along x and along y, metres.
-        arena: Half the side of the square where the robot's start and goal are drawn at least ``far``
-            apart, metres; None: from (0, -circle) to (0, circle).
-        far: See there.
+        arena: Half the side of the square where the robot's start and goal are drawn, metres; None: from
+            (0, -circle) to (0, circle).
+        far: Least distance between the two, metres.
         discomfort_dist: Metres between bodies below which people are disturbed; starts keep them.
         time_limit: Seconds; a case ends `EARLY` before it.
         swept: Whether a collision counts on the way of a step, with the people's velocities of the step
@@ -174,11 +173,7 @@ def cases(setting: Setting, seeds: Sequence[int]) -> State:
 
 
 def begin(
-    setting: Setting,
-    robot: Robot,
-    people: ObservedPeople,
-    goal: Tensor,
-    draws: list[np.random.RandomState],
+    setting: Setting, robot: Robot, people: ObservedPeople, goal: Tensor, draws: list[np.random.RandomState]
 ) -> State:
     """Return cases at their start; see `State`."""
     known = people._replace(mask=in_range(setting, robot, people))
@@ -194,9 +189,6 @@ def _free_place(setting: Setting, draws: list[np.random.RandomState], rows: Tens
     """Return places (R, 2) of cases ``rows`` (R,) near the circle, each drawn until it keeps clear of others.
 
     ``taken`` (R, K, 2) is where others are and where they go, metres; NaN is nowhere.
-
-    Raises:
-        RuntimeError: A case has no place for one more person.
     """
     result, left, (least, most) = taken.new_zeros(len(rows), 2), torch.arange(len(rows)), setting.shift
     for _ in range(TRIES):
@@ -241,13 +233,10 @@ def step(setting: Setting, state: State, velocity: Tensor) -> tuple[State, Event
     reward = ends[outcome] + torch.where(disturbing & going & (outcome == GOES_ON), depth, 0)
 
     people, going = walked(people, chosen), going & (outcome == GOES_ON)
-    seen, gone_on = in_range(setting, moved, people), walked(state.known, state.known.velocity)
-    known = ObservedPeople(
-        torch.where(seen[..., None], people.position, gone_on.position),
-        torch.where(seen[..., None], people.velocity, gone_on.velocity),
-        people.radius,
-        state.known.mask | seen,
-    )
+    seen, known = in_range(setting, moved, people), walked(state.known, state.known.velocity)
+    pairs = zip(people[:2], known[:2], strict=True)
+    position, velocity = (torch.where(seen[..., None], now, guess) for now, guess in pairs)
+    known = ObservedPeople(position, velocity, people.radius, known.mask | seen)
     after = State(state.seconds + TIME_STEP, moved, people, state.goal, known, going, state.draws)
     seconds = after.seconds if setting.swept else state.seconds
     return replaced(setting, after), Events(outcome, seconds, reward, clearance, intruded)
@@ -261,20 +250,18 @@ def walked(people: ObservedPeople, velocity: Tensor) -> ObservedPeople:
 def people_velocity(setting: Setting, robot: Robot | None, people: ObservedPeople, goal: Tensor) -> Tensor:
     """Return the people's next velocities (B, N, 2), m/s: ORCA in single precision, as RVO2 computes.
 
-    Each takes others to want nothing, but that changes no velocity: ORCA looks at those that others have.
     People go to ``goal`` (B, N, 2), metres; ``robot`` is among them, or None.
     """
     wanted, slots = toward(goal - people.position), people.mask.shape[1]
-    if setting.visible and robot is not None:
-        own = ObservedPeople(*robot[:2], robot.radius, torch.ones_like(robot.radius, dtype=torch.bool))
+    if setting.visible and robot is not None:  # what others want changes no velocity
+        own = (*robot[:2], robot.radius, torch.ones_like(robot.radius, dtype=torch.bool))
         pairs = zip(people, own, strict=True)
         people = ObservedPeople(*(torch.cat((them, it[:, None]), 1) for them, it in pairs))
         wanted = torch.nn.functional.pad(wanted, (0, 0, 0, 1))
-    position, velocity, radius, mask = people
-    radius = radius.float() + (MARGIN + setting.safety_space)
-    speed, most = torch.full(mask.shape, SPEED), max(10, setting.people)
+    speed, most = torch.full(people.mask.shape, SPEED), max(10, setting.people)
     orca = OrcaSettings(dt=TIME_STEP, neighbor_dist=10.0, max_neighbors=most, time_horizon=5.0)
-    given = position.float(), velocity.float(), wanted.float(), speed, mask, orca
+    given = people.position.float(), people.velocity.float(), wanted.float(), speed, people.mask, orca
+    radius = people.radius.float() + (MARGIN + setting.safety_space)
     return orca_velocity(*given, radius=radius)[:, :slots].double()
 
 

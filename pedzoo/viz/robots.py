@@ -25,22 +25,19 @@ FINER = 2
 MARGIN, WHOLE = 0.4, 20.0
 """Metres around what is seen: a floor plan of at most so many metres, or all ways on a larger one."""
 
-SHOWN = 6
-"""One in so many beams is drawn."""
+SHOWN, RECENT = 6, 30
+"""One in so many beams is drawn, and so many trace points of the ways: 3 s."""
 
 COLORS, SWATCH = 48, 12
 """Of a GIF; and rows of pixels by which the colours of people count, however small people are."""
-
-RECENT = 30
-"""Trace points of the ways that are drawn, 3 s."""
 
 
 def film_robots(
     rollout: RobotRollout, env: RobotEnv, path: str | Path, title: str = "", episode: int = 0, **settings: Any
 ) -> None:
-    """Write a moving picture in real time of one episode, from above.
+    """Write a moving picture in real time of one episode, from above: ``.gif``, ``.webm`` or ``.mp4``.
 
-    Arguments are those of `robot_frames`, beside ``path``: ``.gif``, ``.webm`` or ``.mp4``.
+    Other arguments are those of `robot_frames`.
 
     Raises:
         UserError: No such episode, another suffix, or the file cannot be written.
@@ -94,12 +91,12 @@ def robot_frames(
     camera = Camera("top").around(seen, large, MARGIN)
     floor, radius = draw_floor(plan, unknown, one.pose[0], large, camera), one.radius[0].tolist()
     heading, facing = rollout.heading[episode, :, : shown.length + 1], headings_along(shown.path)
-    ends = _lidar_ends(shown, heading, env, beams, reach)
+    ends: Any = _lidar_ends(shown, heading, env, beams, reach) if beams else None
     frames = shown.length if seconds is None else min(shown.length, round(seconds / TRACE_SECONDS))
     for frame in range(frames + 1):
         canvas, place = Canvas(floor.copy(), camera), shown.path[:, frame]
         here = shown.present[:, frame].nonzero()[:, 0].tolist()
-        for robot in (agent for agent in here if agent >= first and beams):
+        for robot in (agent for agent in here if agent >= first and ends is not None):
             _draw_lidar(canvas, place[robot], ends[frame, robot - first])
         for agent in here:
             color = ROBOT_BODY if agent >= first else person_color(agent)
@@ -119,19 +116,11 @@ def robot_frames(
 
 def _lidar_ends(shown: ShownEpisode, heading: Tensor, env: RobotEnv, beams: int, reach: float) -> Tensor:
     """Return where the beams of all robots end in every frame (F, R, N, 2), metres."""
-    frames, one = shown.path.shape[1], shown.rollout
-    angle = 2 * torch.pi * torch.arange(beams) / max(beams, 1)
-    direction = direction_of(heading.T.unsqueeze(2) + angle)
-    origin = shown.path[-len(heading) :].transpose(0, 1).unsqueeze(2).expand_as(direction)
-    if not beams:
-        return origin
-    bodies = Bodies(
-        shown.path.transpose(0, 1),
-        shown.present.T,
-        one.map_id.expand(frames).unsqueeze(1),
-        one.pose.expand(frames, -1),
-        one.radius.expand(frames, -1),
-    )
+    place, one = shown.path.transpose(0, 1), shown.rollout
+    direction = direction_of(heading.T.unsqueeze(2) + 2 * torch.pi * torch.arange(beams) / beams)
+    origin = place[:, -len(heading) :].unsqueeze(2).expand_as(direction)
+    same = (value.expand(len(place), -1) for value in (one.map_id.unsqueeze(1), one.pose, one.radius))
+    bodies = Bodies(place, shown.present.T, *same)
     far = env.physics.rays(bodies, origin.flatten(1, 2), direction.flatten(1, 2), reach)
     return origin + far.view(*direction.shape[:3], 1) * direction
 
@@ -152,22 +141,17 @@ def _draw_lidar(canvas: Canvas, origin: Tensor, ends: Tensor) -> None:
 
 
 def _write_gif(path: Path, frames: Sequence[Image]) -> None:
-    """Write pictures (H, W, 3) uint8 RGB as a GIF that runs in real time, whole or not at all.
-
-    Raises:
-        UserError: The file cannot be written.
-    """
+    """Write pictures (H, W, 3) uint8 RGB as a GIF that runs in real time, whole or not at all."""
     from PIL import Image as Pillow
 
     pictures = [Pillow.fromarray(frame) for frame in frames]
     # one palette for all frames: what does not move does not flicker, and takes no room
     bodies = [np.full((SWATCH, frames[0].shape[1], 3), person_color(agent), np.uint8) for agent in range(10)]
     palette = Pillow.fromarray(np.vstack([*frames[:: max(1, len(frames) // 4)], *bodies])).quantize(COLORS)
-    pictures = [picture.quantize(palette=palette, dither=Pillow.Dither.NONE) for picture in pictures]
+    first, *rest = (picture.quantize(palette=palette, dither=Pillow.Dither.NONE) for picture in pictures)
+    every = round(1000 * TRACE_SECONDS)
     try:
         with atomic_write(path) as part:
-            every = round(1000 * TRACE_SECONDS)
-            more = {"append_images": pictures[1:], "duration": every, "loop": 0, "optimize": False}
-            pictures[0].save(part, save_all=True, **more)
+            first.save(part, save_all=True, append_images=rest, duration=every, loop=0, optimize=False)
     except OSError as error:
         raise UserError(f"cannot write {str(path)!r}: {error.strerror}") from error

@@ -104,13 +104,13 @@ def test_headings_are_between_decisions() -> None:
 def test_the_command_its_table_and_its_page(small: None, tmp_path: Path) -> None:
     file, page = tmp_path / "robots.json", tmp_path / "robots.md"
     command = ["evaluate", "straight", "stop", "--suite", "robots", "--episodes", "2"]
-    command += ["--people", "go_to_goal,replay:fold=embedded,share=0.1", "--robot", "diff_drive:radius=0.35"]
+    command += ["--people", "go_to_goal,replay:fold=embedded,share=0.04", "--robot", "diff_drive:radius=0.35"]
     assert main([*command, "--json", str(file), "--markdown", str(page)]) == 0
     report = json.loads(file.read_text())
-    assert report["protocol"]["people"] == ["go_to_goal", "replay:fold=embedded,share=0.1"]
+    assert report["protocol"]["people"] == ["go_to_goal", "replay:fold=embedded,share=0.04"]
     assert report["protocol"]["robot"] == "diff_drive:radius=0.35"
     tables = {row["table"]: row for row in report["summary"] if row["name"] == "straight"}
-    assert list(tables) == ["robots go_to_goal", "robots replay:fold=embedded,share=0.1"]
+    assert list(tables) == ["robots go_to_goal", "robots replay:fold=embedded,share=0.04"]
     walked, replayed = tables.values()
     assert (walked["cases"], walked["n"]) == (2, 4)
     assert "delay_s" in walked["metrics"] and "delay_s" not in replayed["metrics"]

@@ -92,14 +92,14 @@ def test_a_case_is_the_same_in_any_batch(setting: Setting) -> None:
 
 
 def test_a_run_is_the_same_in_any_batch_and_leaves_cases_as_they_are() -> None:
-    drawn = cases(CROWDNAV_PP, range(1425, 1433))
+    drawn = cases(CROWDNAV_PP, range(1425, 1429))
     before = drawn.people.position.clone(), [one.random_sample() for one in drawn.copy().draws]
     many = run(load_local_planner("crowdnav_social_force", TIME_STEP), CROWDNAV_PP, drawn)
     assert torch.equal(before[0], drawn.people.position)
     assert before[1] == [one.random_sample() for one in drawn.draws]
-    one = runs("crowdnav_social_force", CROWDNAV_PP, range(1430, 1431))
-    assert ends(many)[5] == ends(one)[0]
-    assert many.path[5].item() == pytest.approx(one.path[0].item(), abs=1e-5)
+    one = runs("crowdnav_social_force", CROWDNAV_PP, range(1427, 1428))
+    assert ends(many)[2] == ends(one)[0]
+    assert many.path[2].item() == pytest.approx(one.path[0].item(), abs=1e-5)
 
 
 # RVO2 and published logs
@@ -115,9 +115,8 @@ def rvo2() -> Any:
 
 
 def test_the_first_50_cases_of_orca_end_as_with_rvo2(rvo2: Any) -> None:
-    assert ends(runs("crowdnav_orca", CROWDNAV, range(TEST, TEST + 50))) == [
-        rvo2.crowdnav(TEST + case) for case in range(50)
-    ]
+    seeds = range(TEST, TEST + 50)
+    assert ends(runs("crowdnav_orca", CROWDNAV, seeds)) == [rvo2.crowdnav(seed) for seed in seeds]
 
 
 @pytest.mark.slow
@@ -162,16 +161,11 @@ def test_a_collision_counts_on_the_way_of_a_step() -> None:
     _, end, reward = stepped(CROWDNAV, drawn, 1.0, 0.0)
     assert (end, reward) == ("collision", -0.25)
     # past a robot at rest at 0.7 m: 0.1 m between bodies, 0.1 m too near, for 0.25 s
-    _, end, reward = stepped(CROWDNAV, drawn, 0.0, 0.0)
-    assert (end, reward) == ("goes on", pytest.approx(-0.1 * 0.5 * 0.25))
+    for near in (drawn, scene([[0.0, 0.7]], [[0.0, 0.0]])):
+        _, end, reward = stepped(CROWDNAV, near, 0.0, 0.0)
+        assert (end, reward) == ("goes on", pytest.approx(-0.1 * 0.5 * 0.25))
     # CrowdNav++ looks at the beginning of a step alone
     assert stepped(replace(CROWDNAV_PP, foresight=0, replaced=False), drawn, 1.0, 0.0)[1] == "goes on"
-
-
-def test_discomfort_costs_by_depth_and_time() -> None:
-    # 0.7 m between centres is 0.1 m between bodies: (0.1 - 0.2) * 0.5 * 0.25
-    _, end, reward = stepped(CROWDNAV, scene([[0.0, 0.7]], [[0.0, 0.0]]), 0.0, 0.0)
-    assert (end, reward) == ("goes on", pytest.approx(-0.0125))
 
 
 def test_the_goal_counts_after_the_step_and_a_collision_counts_more() -> None:
@@ -185,10 +179,8 @@ def test_the_goal_counts_after_the_step_and_a_collision_counts_more() -> None:
 def test_time_is_over_a_second_before_the_limit_whatever_happens() -> None:
     made = runs("stop", replace(CROWDNAV, time_limit=3.0), range(2))
     assert ends(made) == [("timeout", 2.25)] * 2  # the step that begins at 2 s
-    reached = scene([[0.0, 9.0]], [[0.0, 0.0]], goal=(0.3, 0.0))
-    state = reached._replace(seconds=24.0)
-    _, events = step(CROWDNAV, state, torch.tensor([[1.0, 0.0]]))
-    assert int(events.outcome) == TIMEOUT
+    reached = scene([[0.0, 9.0]], [[0.0, 0.0]], goal=(0.3, 0.0))._replace(seconds=24.0)
+    assert stepped(CROWDNAV, reached, 1.0, 0.0)[1] == "timeout"
 
 
 def test_robots_are_not_faster_than_they_can_and_nan_fails_alone() -> None:
@@ -249,12 +241,10 @@ def test_robots_take_people_out_of_sight_to_go_straight_on() -> None:
 
 def test_robots_intrude_where_people_will_be() -> None:
     # The person comes at 1 m/s: in five steps from 1.7 m to 0.45 m, less than 0.6 m.
-    drawn = scene([[1.7, 0.0]], [[-1.0, 0.0]])._replace(goal=torch.tensor([[[-9.0, 0.0]]]).double())
-    _, events = step(CROWDNAV_PP, drawn, torch.zeros(1, 2))
-    assert float(events.intruded) == pytest.approx(0.45, abs=1e-5)
-    far = scene([[1.9, 0.0]], [[-1.0, 0.0]])._replace(goal=torch.tensor([[[-9.0, 0.0]]]).double())
-    _, events = step(CROWDNAV_PP, far, torch.zeros(1, 2))
-    assert float(events.intruded) == math.inf
+    for place, expected in ((1.7, pytest.approx(0.45, abs=1e-5)), (1.9, math.inf)):
+        drawn = scene([[place, 0.0]], [[-1.0, 0.0]])
+        drawn = drawn._replace(goal=torch.tensor([[[-9.0, 0.0]]]).double())
+        assert float(step(CROWDNAV_PP, drawn, torch.zeros(1, 2))[1].intruded) == expected
 
 
 # Robots by name

@@ -153,25 +153,32 @@ class LearnedPlanner:
 
     def __call__(self, robot: Robot, people: ObservedPeople) -> Tensor:
         """Return the next velocities (B, 2), m/s; robots face along the x axis of the world."""
-        shape, goal = (len(robot.goal), 1), robot.goal - robot.position
-        place, nothing = people.position - robot.position.unsqueeze(1), torch.zeros_like(goal[:, :1])
-        rows = torch.cat((place, people.velocity, people.radius.unsqueeze(-1)), dim=-1)
-        seen = {
-            "goal": goal,
-            "waypoint": goal,
-            "velocity": robot.velocity,
-            "remaining_path": torch.linalg.vector_norm(goal, dim=-1, keepdim=True),
-            "radius": robot.radius.unsqueeze(1),
-            "turn_rate": nothing,
-            "heading": nothing,
-            "people": torch.where(people.mask.unsqueeze(-1), rows, 0),
-            "people_mask": people.mask,
-        }
+        shape, still = (len(robot.goal), 1), torch.zeros_like(robot.goal[:, 0])
         bodies = self.bodies._replace(radius=robot.radius, top_speed=robot.v_pref, slowest=-robot.v_pref)
         body = {name: value.expand(shape[0]).unsqueeze(1) for name, value in bodies._asdict().items()}
-        sensed = TensorDict({name: value.unsqueeze(1) for name, value in seen.items()}, shape)
-        group = TensorDict({"observation": sensed, "body": TensorDict(body, shape)}, shape)
+        observation = TensorDict(sensed(robot, people, still, still), shape)
+        group = TensorDict({"observation": observation, "body": TensorDict(body, shape)}, shape)
         return self.policy.action(TensorDict({"robots": group}, shape[:1]))[:, 0]
+
+
+def sensed(robot: Robot, people: ObservedPeople, heading: Tensor, turn_rate: Tensor) -> dict[str, Tensor]:
+    """Return what sensors read of one robot in each scene (B, 1, ...), where all of its way is in sight.
+
+    It faces along ``heading`` (B,), radians, and turns at ``turn_rate`` (B,), rad/s.
+    """
+    way, axis = robot.goal - robot.position, direction_of(heading)
+    place, axes = people.position - robot.position.unsqueeze(1), axis.unsqueeze(1).expand_as(people.position)
+    place, velocity = (unrotate(value, axes) for value in (place, people.velocity))
+    rows = torch.cat((place, velocity, people.radius.unsqueeze(-1)), dim=-1)
+    numbers = {"remaining_path": torch.linalg.vector_norm(way, dim=-1), "radius": robot.radius}
+    numbers |= {"turn_rate": turn_rate, "heading": heading}
+    seen = {name: value.unsqueeze(1) for name, value in numbers.items()}
+    seen |= dict.fromkeys(("goal", "waypoint"), unrotate(way, axis)) | {
+        "velocity": unrotate(robot.velocity, axis),
+        "people": torch.where(people.mask.unsqueeze(-1), rows, 0),
+        "people_mask": people.mask,
+    }
+    return {name: value.unsqueeze(1) for name, value in seen.items()}
 
 
 def _seen(scenes: TensorDictBase, bodies: Fleet) -> tuple[Robot, DriveState, ObservedPeople]:

@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike
 from pettingzoo import ParallelEnv
 
 from pedzoo.core.spec import Spec
-from pedzoo.sim.gym.batched import FPS, MODES, Step
-from pedzoo.sim.gym.env import OneScene, robot_of
+from pedzoo.sim.gym.batched import Step
+from pedzoo.sim.gym.env import OneScene, RobotGymEnv, robot_of
 
 Dicts = dict[str, Any]
 
@@ -17,17 +17,13 @@ Dicts = dict[str, Any]
 class RobotParallelEnv(OneScene, ParallelEnv[str, Any, Any]):
     """One scene with R robots, ``robot_0`` and so on; observations are those of `RobotGymEnv`.
 
-    ``people`` has other robots, too. A robot whose episode is over stands where it is, and is no agent
-    any more.
+    ``people`` has other robots, too. A robot whose episode is over stands, and is no agent any more.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
+    metadata: ClassVar[dict[str, Any]] = RobotGymEnv.metadata | {
         "name": "pedzoo_robots_v0",
-        "render_modes": list(MODES),
-        "render_fps": FPS,
         "is_parallelizable": True,
     }
-
     several = "one parallel_env for each scene, or pedzoo.make_robot_env"
     several_robots = True
 
@@ -35,11 +31,10 @@ class RobotParallelEnv(OneScene, ParallelEnv[str, Any, Any]):
         """Make the scene; arguments as of `OneScene`. ``robot`` is a list of names here."""
         super().__init__(scenario, **settings)
         self.possible_agents = [f"robot_{number}" for number in range(self.batched.env.robots)]
-        self.agents = []
+        self.agents, self._chance = [], np.random.default_rng()
         self.action_spaces = dict(zip(self.possible_agents, self.batched.actions, strict=True))
         space = self.batched.observations.space
         self.observation_spaces = {agent: spaces.Dict(space.spaces) for agent in self.possible_agents}
-        self._chance = np.random.default_rng()
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
         """Return what an agent observes."""
@@ -59,13 +54,11 @@ class RobotParallelEnv(OneScene, ParallelEnv[str, Any, Any]):
         """Take the decisions of all agents; one without an action stands."""
         nothing = np.zeros(2, dtype=np.float32)
         given = [np.asarray(actions.get(agent, nothing), np.float32) for agent in self.possible_agents]
-        result = self._by_agent(self.batched.step(np.stack(given)))
-        _, _, terminated, truncated, _ = result
+        _, _, terminated, truncated, _ = result = self._by_agent(self.batched.step(np.stack(given)))
         self.agents = [agent for agent in self.agents if not (terminated[agent] or truncated[agent])]
         return result
 
     def _by_agent(self, step: Step) -> tuple[Dicts, Dicts, Dicts, Dicts, Dicts]:
-        """Return observations, rewards, both kinds of ends, and infos by agent."""
         robots = {agent: robot_of(step, self.possible_agents.index(agent)) for agent in self.agents}
         one, two, three, four, five = ({agent: part[i] for agent, part in robots.items()} for i in range(5))
         return one, two, three, four, five

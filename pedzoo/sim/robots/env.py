@@ -78,20 +78,11 @@ class RobotEnv(PedestrianEnv):
         time_limit: float | None = None,
         **settings: Any,
     ) -> None:
-        """Take the parts; `pedzoo.make_robot_env` makes them from their names.
+        """Take the parts; `pedzoo.make_robot_env` makes them from their names, and says what they are.
 
-        Args:
-            prepared: People and robots: what `RobotScenes.prepare` returned.
-            physics: Moves them.
-            people: Moves the people.
-            sensors: What robots observe.
-            reward: Of the robots.
-            num_envs: B.
-            decision_dt: Seconds between two decisions of the robots.
-            ends_at: Which contacts end a robot's episode: ``any``, with an ``agent``, ``none``.
-            time_limit: Seconds that robots have; None: as people, 20 s per goal or four times as long as the
-                way to it takes at top speed.
-            settings: As of `PedestrianEnv`: ``seed``, ``warm_start``, ``device``, ...
+        ``prepared`` is what `RobotScenes.prepare` returned. Robots decide every ``decision_dt`` seconds. They
+        have ``time_limit`` seconds; None: as people, 20 s per goal or four times as long as the way to it
+        takes at top speed. ``settings`` are those of `PedestrianEnv`: ``seed``, ``warm_start``, ...
 
         Raises:
             UserError: A setting is out of range, two sensors have one entry, or intervals do not fit.

@@ -61,11 +61,8 @@ class RobotReward(ABC):
     def __call__(self, before: RobotView, after: RobotView, trace: Tensor, outcome: Outcome) -> Tensor:
         """Return the term (B, R) for one decision; what it says of robots that had ended does not count.
 
-        Args:
-            before: The scenes when the decision began.
-            after: And when it ended.
-            trace: Where all agents were every 0.1 s between (B, A, S, 2), metres.
-            outcome: What became of the robots.
+        It sees the scenes ``before`` and ``after``, where all agents were every 0.1 s between, ``trace``
+        (B, A, S, 2), metres, and what became of the robots.
         """
 
 

@@ -78,7 +78,7 @@ class RobotScenes(Scenario):
         return max(self.inner.fastest_agent, *(body.top_speed for body in self.bodies))
 
     def plans(self) -> list[OccupancyGrid]:
-        """Return the floor plans of the scenario."""
+        """See `Scenario.plans`."""
         return self.inner.plans()
 
     def prepare(self, clearance: float) -> PreparedScenario:
@@ -147,13 +147,9 @@ def with_robots(
 ) -> RobotScenes:
     """Return the scenes of a scenario, by its name with settings, with robots beside its people.
 
-    Args:
-        scenario: Such as ``goals:map=plan.yaml,people=6``: six people, and the robots. In
-            ``replay:simulated=one`` a robot takes the place of one recorded person, and others are played
-            back. With ``simulated=around`` the people's policy moves them.
-        bodies: Of the robots.
-        robot_goals: Goals that each robot has to reach.
-        options: More of `RobotScenes`: ``present``, ``body_radius``.
+    ``goals:map=plan.yaml,people=6`` has six people, and the robots. In ``replay:simulated=one`` a robot takes
+    the place of one recorded person, and others are played back; with ``simulated=around`` the people's
+    policy moves them. ``robot_goals`` and ``options`` are arguments of `RobotScenes`.
 
     Raises:
         UserError: An unknown name or setting, or a scenario without places for so many robots.

@@ -28,13 +28,9 @@ NOT_SEEN = 15.0
 
 
 class RobotView(NamedTuple):
-    """B scenes of A agents, of which the last R are robots: what sensors and rewards look at.
+    """B scenes of A agents, the last R of which are ``robots``: what sensors and rewards look at.
 
-    Attributes:
-        state: The scenes.
-        guidance: What the planner says to all agents.
-        physics: Casts rays, and takes pictures.
-        robots: R.
+    ``guidance`` is what the planner says to all agents; ``physics`` casts rays, and takes pictures.
     """
 
     state: State
@@ -243,14 +239,9 @@ class Odometry(Sensor):
 class Lidar(Sensor):
     """A planar lidar: how far it is to walls and bodies all around a robot.
 
-    ``lidar`` (B, R, N): metres from the robot's centre, at most ``reach``; counterclockwise. Beams are spread
-    evenly over the field of view. With 360 degrees the first one points ahead; with less it points to the
-    right end of the field, the last one to the left end.
-
-    Attributes:
-        beams: N.
-        reach: Metres.
-        field_of_view: Degrees.
+    ``lidar`` (B, R, N): metres from the robot's centre, at most ``reach``, of N ``beams``, counterclockwise.
+    They are spread evenly over the field of view, degrees. With 360 the first one points ahead; with less it
+    points to the right end of the field, the last one to the left end.
     """
 
     beams: int = 64
@@ -277,11 +268,10 @@ class Lidar(Sensor):
 
 @dataclass(eq=False)
 class Camera(Sensor):
-    """A colour camera with depth on a robot.
+    """A colour camera with depth on a robot, above its centre; it looks ahead, level, and not at the robot.
 
-    ``rgb`` (B, R, H, W, 3) uint8, and ``depth`` (B, R, H, W), metres along the optical axis. It stands above
-    the robot's centre and looks ahead, level; a robot does not see itself. Walls and people are seen as
-    `bullet` has them, the only backend with such pictures.
+    ``rgb`` (B, R, H, W, 3) uint8, and ``depth`` (B, R, H, W), metres along the optical axis. Walls and people
+    are seen as `bullet` has them, the only backend with such pictures.
 
     Attributes:
         width: W, pixels.
@@ -289,7 +279,6 @@ class Camera(Sensor):
         field_of_view: From left to right, degrees.
         eye_height: Metres above the floor.
         reach: Greatest depth, metres: where nothing is nearer.
-        noise: Of depths, see `Sensor`; metres.
     """
 
     width: int = 64
@@ -325,13 +314,9 @@ class Camera(Sensor):
 class Patch(Sensor):
     """A square of floor around a robot, seen from above: walls, and bodies.
 
-    ``patch`` (B, R, 2, N, N): 1 where the centre of a cell is in a wall (layer 0) or in a body (layer 1). The
-    robot is in the middle and faces up: rows go from ahead to behind, columns from left to right. Its own
-    body is not drawn.
-
-    Attributes:
-        cells: N.
-        side: Length of the square's side, metres.
+    ``patch`` (B, R, 2, N, N): 1 where the centre of one of N x N ``cells`` is in a wall (layer 0) or in a
+    body (layer 1). The robot is in the middle and faces up: rows go from ahead to behind, columns from left
+    to right. Its own body is not drawn. ``side`` is that of the square, metres.
     """
 
     cells: int = 32

@@ -15,10 +15,10 @@ from torchrl.envs.utils import make_composite_from_td
 
 from pedzoo.core.bodies import HOLONOMIC, Fleet, RobotBody, speed_and_turn
 from pedzoo.core.errors import as_integer, unknown
-from pedzoo.core.geometry import direction_of, unrotate
+from pedzoo.core.geometry import direction_of
 from pedzoo.core.registry import ROBOTS
 from pedzoo.core.spec import build
-from pedzoo.policies.robots._base import ObservedPeople, Robot
+from pedzoo.policies.robots._base import ObservedPeople, Robot, sensed
 from pedzoo.sim import crowdnav
 from pedzoo.sim.crowdnav import CROWDNAV, CROWDNAV_PP, RADIUS, TIME_STEP, Setting
 from pedzoo.sim.observation import done_spec, flag, real
@@ -94,9 +94,12 @@ class CrowdNavEnv(EnvBase):
         """
         super().__init__(batch_size=torch.Size([num_envs]))
         self.decision_dt, self.robots = TIME_STEP, 1
-        self.weights = dict(DEFAULT_WEIGHTS if reward is None else reward)
-        if unknown_terms := self.weights.keys() - {*DEFAULT_WEIGHTS, "intrusion"}:
-            raise unknown("reward", min(unknown_terms), [*DEFAULT_WEIGHTS, "intrusion"])
+        self.weights, terms = (
+            dict(DEFAULT_WEIGHTS if reward is None else reward),
+            [*DEFAULT_WEIGHTS, "intrusion"],
+        )
+        if unknown_terms := self.weights.keys() - {*terms}:
+            raise unknown("reward", min(unknown_terms), terms)
         self._random, self._first = torch.Generator().manual_seed(0), 0
         self.setting = setting if people is None else replace(setting, people=people)
         seeds = torch.arange(first, first + crowds).split(512)
@@ -105,19 +108,17 @@ class CrowdNavEnv(EnvBase):
         self.fleet = Fleet.of([build(ROBOTS, robot, RobotBody)])
         self._body = TensorDict(self.fleet._asdict(), (1,)).expand(num_envs, 1)
         self._crowd = self._clock = torch.zeros(num_envs, dtype=torch.long)
-        self._position = self._moving = torch.zeros(num_envs, 2)
         self._heading = self._turn = torch.zeros(num_envs)
-        self._set_specs(num_envs)
-
-    def _set_specs(self, scenes: int) -> None:
-        shape, done = (scenes, 1), done_spec(scenes)
+        place, own = torch.zeros(num_envs, 2), (self.fleet.radius, self.fleet.top_speed)
+        self._robot = Robot(place, place, place, *(number.expand(num_envs) for number in own))
+        shape, self.done_spec = (num_envs, 1), done_spec(num_envs)
         ends = {name: flag(*shape, 1) for name in ("done", "terminated", "truncated")}
-        done["robots"] = Composite(ends, shape=shape)
-        self.done_spec = done
-        self.observation_spec = make_composite_from_td(self._observation(torch.zeros(3, scenes).bool()))
-        for name, entry in (("action", real(*shape, 2)), ("reward", real(*shape, 1))):
-            spec = Composite(robots=Composite({name: entry}, shape=shape), shape=shape[:1])
-            setattr(self, f"{name}_spec", spec)
+        self.done_spec["robots"] = Composite(ends, shape=shape)
+        self.observation_spec = make_composite_from_td(self._observation(torch.zeros(3, num_envs).bool()))
+        self.action_spec, self.reward_spec = (
+            Composite(robots=Composite({name: entry}, shape=shape), shape=shape[:1])
+            for name, entry in (("action", real(*shape, 2)), ("reward", real(*shape, 1)))
+        )
 
     def _set_seed(self, seed: int | None) -> None:
         number = 0 if seed is None else as_integer("seed", seed)
@@ -128,33 +129,37 @@ class CrowdNavEnv(EnvBase):
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         flags = None if tensordict is None else tensordict.get("_reset", None)
         anew = torch.ones_like(self._crowd, dtype=torch.bool) if flags is None else flags.view(-1)
-        count = len(self.crowds.place)
+        count, robot, row = len(self.crowds.place), self._robot, anew[:, None]
         crowd = (self._first + torch.arange(len(anew))) % count  # each one, while there are enough
         if flags is not None:
             crowd = torch.randint(count, crowd.shape, generator=self._random)
         self._crowd = torch.where(anew, crowd, self._crowd)
         self._clock = torch.where(anew, 0, self._clock)
-        self._position = torch.where(anew[:, None], self.crowds.start[self._crowd], self._position)
-        self._moving = torch.where(anew[:, None], 0.0, self._moving)
-        self._heading = torch.where(anew, torch.atan2(*self._way().flip(1).unbind(1)), self._heading)
+        start, goal = self.crowds.start[self._crowd], self.crowds.goal[self._crowd]
+        position = torch.where(row, start, robot.position)
+        self._robot = robot._replace(
+            position=position, velocity=robot.velocity.masked_fill(row, 0.0), goal=goal
+        )
+        ahead = goal - position
+        self._heading = torch.where(anew, torch.atan2(ahead[:, 1], ahead[:, 0]), self._heading)
         self._turn = torch.where(anew, 0.0, self._turn)
         return self._observation(torch.zeros(3, len(anew)).bool())
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        before, setting = self._robot, self.setting
         velocity = self._driven(cast("Tensor", tensordict["robots", "action"]))
-        robot, people = self._met()
-        gap = crowdnav.swept_clearance(robot, people, velocity, TIME_STEP).amin(1)
-        steps, foresight = self.crowds.place.shape[1] - 1, torch.arange(1, 1 + self.setting.foresight)
+        gap = crowdnav.swept_clearance(before, self._people(), velocity, TIME_STEP).amin(1)
+        steps, foresight = self.crowds.place.shape[1] - 1, torch.arange(1, 1 + setting.foresight)
         later = self.crowds.place[self._crowd[:, None], (self._clock[:, None] + foresight).clamp_max(steps)]
-        apart = (later - self._position[:, None, None]).norm(dim=-1) - RADIUS - self.fleet.radius
-        before = self._way().norm(dim=-1)
-        self._position, self._clock = self._position + TIME_STEP * velocity, self._clock + 1
-        left, hit = self._way().norm(dim=-1), gap < 0
-        arrived = left < self.fleet.radius
+        apart = (later - before.position[:, None, None]).norm(dim=-1) - RADIUS - self.fleet.radius
+        position, self._clock = before.position + TIME_STEP * velocity, self._clock + 1
+        self._robot = self._robot._replace(position=position)
+        past, left = ((before.goal - place).norm(dim=-1) for place in (before.position, position))
+        hit, arrived = gap < 0, left < self.fleet.radius
         events = torch.stack((arrived & ~hit, hit, (self._clock >= steps) & ~arrived & ~hit))
-        near = self.setting.discomfort_dist
+        near = setting.discomfort_dist
         terms = {
-            "progress": before - torch.where(arrived, 0.0, left),
+            "progress": past - torch.where(arrived, 0.0, left),
             "success": events[0].float(),
             "collision": -hit.float(),
             "discomfort": -(near - gap.clamp_min(0)).clamp_min(0) / near * TIME_STEP,
@@ -171,53 +176,37 @@ class CrowdNavEnv(EnvBase):
 
     def _driven(self, action: Tensor) -> Tensor:
         """Return the velocities (B, 2) by which robots move in a step, and let them face and move so."""
-        fleet = self.fleet
+        fleet, robot = self.fleet, self._robot
         command = fleet.commands(action, self._heading.unsqueeze(1))[:, 0]
         if int(fleet.drive) == HOLONOMIC:
-            self._moving = command
+            self._robot = robot._replace(velocity=command)
             return command
         speed, turn = speed_and_turn(command.unbind(-1), fleet.drive, fleet.track)
-        tick, now = TIME_STEP / TICKS, (self._moving * direction_of(self._heading)).sum(-1)
+        tick, now = TIME_STEP / TICKS, (robot.velocity * direction_of(self._heading)).sum(-1)
         more, more_turn = fleet.acceleration * tick, fleet.turn_acceleration * tick
-        place = torch.zeros_like(self._position)
+        place = torch.zeros_like(command)
         for _ in range(TICKS):
             now = now + (speed - now).clamp(-more, more)
             self._turn = self._turn + (turn - self._turn).clamp(-more_turn, more_turn)
             self._heading = self._heading + 0.5 * tick * self._turn
             place = place + tick * now[:, None] * direction_of(self._heading)
             self._heading = self._heading + 0.5 * tick * self._turn
-        self._moving = now[:, None] * direction_of(self._heading)
+        self._robot = robot._replace(velocity=now[:, None] * direction_of(self._heading))
         return place / TIME_STEP
 
-    def _way(self) -> Tensor:
-        """Return the ways to the goals (B, 2), metres."""
-        return self.crowds.goal[self._crowd] - self._position
-
-    def _met(self) -> tuple[Robot, ObservedPeople]:
-        """Return the robots, and all people of their crowds."""
+    def _people(self) -> ObservedPeople:
+        """Return all people of the crowds."""
         place, velocity = (part[self._crowd, self._clock] for part in self.crowds[:2])
         radius = torch.full_like(place[..., 0], RADIUS)
-        own = self.fleet.radius.expand(len(place)), self.fleet.top_speed.expand(len(place))
-        robot = Robot(self._position, self._moving, self.crowds.goal[self._crowd], *own)
-        return robot, ObservedPeople(place, velocity, radius, torch.ones_like(radius, dtype=torch.bool))
+        return ObservedPeople(place, velocity, radius, torch.ones_like(radius, dtype=torch.bool))
 
     def _observation(self, events: Tensor) -> TensorDict:
         """Return what robots sense; discs face one way all the time."""
-        robot, people = self._met()
-        ahead, mask = direction_of(self._heading), crowdnav.in_range(self.setting, robot, people)
-        place = people.position - self._position[:, None]
-        place, velocity = (
-            unrotate(value, ahead[:, None].expand_as(value)) for value in (place, people.velocity)
-        )
-        goal = unrotate(self._way(), ahead)
-        rows = torch.cat((place, velocity, people.radius[..., None]), -1) * mask[..., None]
-        numbers = {"remaining_path": self._way().norm(dim=-1), "radius": robot.radius}
-        numbers |= {"turn_rate": self._turn, "heading": self._heading}
-        seen = {"goal": goal, "waypoint": goal, "velocity": unrotate(self._moving, ahead)}
-        seen |= {"people": rows, "people_mask": mask} | {name: one[:, None] for name, one in numbers.items()}
+        people = self._people()
+        people = people._replace(mask=crowdnav.in_range(self.setting, self._robot, people))
         info = torch.cat((torch.ones_like(events[:1]), events))
         group = {
-            "observation": {name: value.unsqueeze(1) for name, value in seen.items()},
+            "observation": sensed(self._robot, people, self._heading, self._turn),
             "info": dict(zip(INFO, info.unsqueeze(-1), strict=True)),
             "body": self._body,
         }

@@ -27,14 +27,8 @@ from pedzoo.sim.scenario import PreparedScenario
 from pedzoo.train.module import ForecastModule
 from pedzoo.train.ppo.trainer import PPO, Gatherer, Objective, Updates, actor, check_ranges
 
-_RING = 8
-"""Directions in which walls are looked for."""
-
-_RADIUS = 0.5
-"""Metres at which they are."""
-
-_FAR = 1.0
-"""Metres: farther walls are all alike."""
+_RING, _RADIUS, _FAR = 8, 0.5, 1.0
+"""Directions in which walls are looked for, and at how many metres; farther ones than 1 m are all alike."""
 
 
 @dataclass(frozen=True)
@@ -70,11 +64,10 @@ class Optimisation(Updates):
 
 
 class Reward:
-    """The environment's own reward, and more where weights say so; all weights 0 leave it as it is.
+    """The environment's own reward, and more where weights say so, which are in metres of progress.
 
-    The environment's is the way that got shorter, in metres, less
-    `pedzoo.sim.state.CONTACT_COST` for a decision in which something was touched; every weight is in
-    that unit, metres of progress. A reward of one's own is a function in ``terms``, or a subclass that
+    The environment's is the way that got shorter, less `pedzoo.sim.state.CONTACT_COST` for a decision in
+    which something was touched. A reward of one's own is a function in ``terms``, or a subclass that
     overrides ``__call__``, named by its ``class_path`` in the config.
     """
 
@@ -106,11 +99,11 @@ class Reward:
         Raises:
             UserError: A negative number, or no such function.
         """
+        for name, value in {**locals()}.items():
+            if isinstance(value, int | float) and (value < 0 or (name == "near_distance" and value == 0)):
+                raise UserError(f"reward.{name} {value}: expected a number above 0, or 0 for none")
         self.person_cost, self.walls, self.near, self.near_distance = person_cost, walls, near, near_distance
         self.effort, self.overspeed, self.arrival = effort, overspeed, arrival
-        for name, value in vars(self).items():
-            if value < 0 or (name == "near_distance" and value == 0):
-                raise UserError(f"reward.{name} {value}: expected a number above 0, or 0 for none")
         self.terms = [(name, function_in_file(name), weight) for name, weight in (terms or {}).items()]
 
     def __call__(self, before: TensorDict, after: TensorDict) -> Tensor:
@@ -170,10 +163,9 @@ class Mean(TensorDictModuleBase):
 class Critic(TensorDictModuleBase):
     """One decentralised network for all people: each person's value from their surroundings.
 
-    In each person's own frame it sees their velocity, goal and desired velocity, others relative to them
-    (`RelativePooling`), the distance to walls here and on a ring, and the length of the remaining path,
-    which the policy does not see. Untrained it gives the reward of a person alone who walks that path at the
-    preferred speed: the first updates already show which people were held up.
+    In each person's own frame it sees their velocity, goal and desired velocity, others (`RelativePooling`),
+    the distance to walls, and the length of the remaining path. Untrained it gives the reward of a person
+    alone who walks that path at the preferred speed: the first updates show which people were held up.
     """
 
     in_keys: ClassVar[list[Any]] = ["agents", "maps", "map_id", "scene_pose"]
@@ -185,11 +177,8 @@ class Critic(TensorDictModuleBase):
         self.gamma = gamma
         self.others = RelativePooling(hidden_dim, pool_dim)
         seen = 3 * 2 + 3 + 1 + _RING  # vectors; speed and way; walls
-        last = nn.Linear(hidden_dim, 1)
-        self.net = nn.Sequential(
-            *(nn.Linear(seen + pool_dim, hidden_dim), nn.Tanh()),
-            *(nn.Linear(hidden_dim, hidden_dim), nn.Tanh(), last),
-        )
+        first, last = nn.Linear(seen + pool_dim, hidden_dim), nn.Linear(hidden_dim, 1)
+        self.net = nn.Sequential(first, nn.Tanh(), nn.Linear(hidden_dim, hidden_dim), nn.Tanh(), last)
         nn.init.zeros_(last.weight)
         nn.init.zeros_(last.bias)
         angle = torch.arange(_RING) * (2 * math.pi / _RING)
@@ -231,9 +220,8 @@ class Critic(TensorDictModuleBase):
 def lived_through(seen: TensorDict, reward: Reward, critic: TensorDictModuleBase) -> TensorDict:
     """Return decisions (B, T) with each person's rewards, values and ends, as `Objective` wants them.
 
-    An episode ends for a person who leaves, and for a slot that another person takes over: rewards of others
-    are not theirs. Where the time is up for a whole scene the rest is estimated instead. ``seen`` (B, T) is
-    of `Gatherer.gather`.
+    An episode ends for a person who leaves, and for a slot that another person takes over. Where the time is
+    up for a whole scene the rest is estimated instead. ``seen`` (B, T) is of `Gatherer.gather`.
     """
     shape, maps = seen.batch_size, maps_of(seen)
     before = cast("TensorDict", seen.exclude("next", "maps").flatten(0, 1))
@@ -249,9 +237,8 @@ def lived_through(seen: TensorDict, reward: Reward, critic: TensorDictModuleBase
     gone = ~then["controlled"] | (then["id"] != now["id"])
     for name in ("done", "terminated"):
         then[name] = (after[name] | gone).unsqueeze(-1)
-    before["next"] = TensorDict(
-        {"agents": then.select("reward", "done", "terminated", "value")}, before.batch_size
-    )
+    kept = then.select("reward", "done", "terminated", "value")
+    before["next"] = TensorDict({"agents": kept}, before.batch_size)
     return before.unflatten(0, shape)
 
 
@@ -260,12 +247,8 @@ class PPOModule(PPO, ForecastModule):
 
     Each is one sample of the batch: decentralised actor and critic with shared parameters (independent PPO).
     The generator gives the mean of the velocity, a learned number the standard deviation; only the mean walks
-    after training. Losses and advantages are those of people that the policy moves: without padding, people
-    who have left and played-back people.
-
-    An iteration gathers decisions in one of the scenarios, in turn, and learns from them as set in
-    `Optimisation`. Recorded scenes of the data can keep the forecasts: ``recorded`` weighs the generator's
-    own loss on their batch in every update.
+    after training. Only people that the policy moves count. An iteration gathers decisions in one of the
+    scenarios, in turn. Recorded scenes of the data can keep the forecasts, see `Optimisation`.
     """
 
     in_scenes = True

@@ -116,9 +116,7 @@ class RobotPPO(PPO):
     """Trains one robot in each scene, among people who are walked inside.
 
     Scenes are on the CPU, where a few hundred of them are fastest; what learns may be on another device.
-    An update gathers ``steps`` decisions in ``envs`` scenes of every scenario, and makes ``passes`` over them
-    in ``minibatches`` by TorchRL's loss. A validation runs the mean of the policy through ``episodes``
-    episodes of every scenario, the same ones every time.
+    A validation runs the mean of the policy through the same episodes of every scenario every time.
     """
 
     def __init__(
@@ -252,7 +250,9 @@ class RobotPPO(PPO):
         then = cast("TensorDict", lived["next", "robots"])
         scored = then["info", "active"]
         lived["robots", "scored"] = scored & ~then.get(("info", "failed"), torch.zeros_like(scored))
-        log = {**outcome_shares(then), "reward": then["reward"].mean()}
+        over = then["done"][..., 0] & scored
+        log = {name: (over & flag).sum() / over.sum().clamp_min(1) for name, flag in _flags(then).items()}
+        log["reward"] = then["reward"].mean()
         known = self._objective.rated(lived)
         share = min(int(self.iteration) / max(cast("int", self.trainer.max_epochs) * self.updates, 1), 1.0)
         for group in cast("Any", self.optimizers()).param_groups:
@@ -289,21 +289,11 @@ class RobotPPO(PPO):
         checkpoint["pedzoo"] = {"architecture": "attention", "init": self.policy.config, "protocol": known}
 
 
-def outcome_shares(robots: TensorDictBase) -> dict[str, Tensor]:
-    """Return the shares of success, contacts and so on among the episodes that ended in decisions (...)."""
-    over = robots["done"][..., 0] & robots["info", "active"]
-    return {name: (over & flag).sum() / over.sum().clamp_min(1) for name, flag in _flags(robots).items()}
-
-
 def _flags(robots: TensorDictBase) -> dict[str, Tensor]:
     """Return for which robots (...) bool a decision was a success, a collision with anything, or the end."""
     info = cast("TensorDictBase", robots["info"])
-    touched = [info[name] for name in info.keys() if str(name).endswith("_contact")]
-    return {
-        "success": info["success"],
-        "collision": torch.stack(touched).any(0),
-        "timeout": info["timeout"],
-    }
+    touched = torch.stack([info[name] for name in info.keys() if str(name).endswith("_contact")]).any(0)
+    return {"success": info["success"], "collision": touched, "timeout": info["timeout"]}
 
 
 @torch.no_grad()
@@ -313,21 +303,21 @@ def walked_once(
     """Return how one episode in each scene went: shares, seconds of those that succeeded, and the return.
 
     Args:
-        env: With one robot in each scene.
+        env: With one robot in each scene, on the CPU.
         decide: Returns decisions (B, R, 2) for what robots sense.
-        device: Where it decides; scenes are on the CPU.
+        device: Where it decides.
     """
     env.set_seed(0, static_seed=True)
     now = env.reset()
     over = torch.zeros_like(now["robots", "info", "active"])
     flags: dict[str, Tensor] = dict.fromkeys(("success", "collision", "timeout"), over)
-    reward, seconds = torch.zeros(over.shape), torch.zeros(over.shape)
+    reward = seconds = torch.zeros(over.shape)
     while not bool(over.all()):
         act(now, decide(now.select(*_SEEN).to(device)).cpu())
         now = env.step(now)["next"]
         robots = cast("TensorDictBase", now["robots"])
-        seconds += env.decision_dt * ~over
-        reward += torch.where(over, 0.0, robots["reward"][..., 0])
+        seconds = seconds + env.decision_dt * ~over
+        reward = reward + torch.where(over, 0.0, robots["reward"][..., 0])
         flags = {name: flags[name] | (flag & ~over) for name, flag in _flags(robots).items()}
         over = over | robots["done"][..., 0]
     share = {name: flag.float().mean() for name, flag in flags.items()}

@@ -32,13 +32,7 @@ Teacher = Callable[[TensorDictBase], Tensor]
 
 
 def teacher_of(name: str) -> Teacher:
-    """Return a teacher: `CONSTANT_VELOCITY`, or a policy of robots by its name with settings.
-
-    Such a policy may see everything: `pedzoo.policies.load.load_robot_policy`.
-
-    Raises:
-        UserError: An unknown name or setting.
-    """
+    """Return the teacher `CONSTANT_VELOCITY`, or a policy by `load_robot_policy`; errors as there."""
     if name == CONSTANT_VELOCITY:
         return taught
     policy = load_robot_policy(name)
@@ -52,10 +46,9 @@ def teacher_of(name: str) -> Teacher:
 
 @torch.no_grad()
 def taught(scenes: TensorDictBase) -> Tensor:
-    """Return the decisions (..., R, 2) of the best of some constant velocities.
+    """Return the decisions (..., R, 2) of the best of some constant velocities, by what the robot senses.
 
-    It reads what the robot senses. Where the lidar's beams end it sees points that stand. Robots on wheels
-    turn towards the velocity.
+    Where the lidar's beams end it sees points that stand. Robots on wheels turn towards the velocity.
     """
     bodies = bodies_of(scenes)
     seen = cast("TensorDictBase", scenes["robots", "observation"])

@@ -73,22 +73,17 @@ class Updates:
 
 
 class Gatherer:
-    """B scenes in which a policy gathers decisions.
+    """B scenes in which a policy gathers decisions; where that ends, the rest of an episode is estimated.
 
-    A checkpoint keeps no scenes. They depend on their seed and the policy alone, so a resumed training meets
-    those of an uninterrupted one. The price: where a gathering ends, the rest of an episode is estimated.
+    They depend on their seed and the policy alone: a resumed training meets those of an uninterrupted one.
     """
 
     def __init__(
         self, env: EnvBase, policy: TensorDictModuleBase, steps: int, device: torch.device | None = None
     ) -> None:
-        """Make TorchRL's collector.
+        """Make TorchRL's collector of T decisions, ``steps``, of scenes on the CPU.
 
-        Args:
-            env: The scenes, on the CPU.
-            policy: Writes actions and ``log_prob``; its weights may change in between.
-            steps: T, decisions of every scene in one gathering.
-            device: Where the policy is; experience is on the CPU.
+        The ``policy`` on a ``device`` writes actions and ``log_prob``; its weights may change in between.
         """
         self.env: Any = env
         self._seed = -1
@@ -123,10 +118,7 @@ class Gatherer:
 
 
 def actor(mean: TensorDictModuleBase, group: str, action: str) -> ProbabilisticActor:
-    """Return TorchRL's actor: writes ``action`` (B, A, 2) of a group and its ``log_prob`` (B, A).
-
-    ``mean`` writes the ``loc`` and ``scale`` of the distribution, each (B, A, 2).
-    """
+    """Return TorchRL's actor: writes ``action`` (B, A, 2) of a group by ``loc`` and ``scale`` of ``mean``."""
     parameters: Any = {"loc": (group, "loc"), "scale": (group, "scale")}
     return ProbabilisticActor(
         cast("TensorDictModule", mean),
@@ -176,7 +168,7 @@ class Objective:
 
     @torch.no_grad()
     def rated(self, lived: TensorDict) -> TensorDict:
-        """Return decisions (B, T) in one row (N,) with advantages, without what followed them.
+        """Return decisions (B, T) in one row (N,), without what followed them, with advantages.
 
         Those of the decisions that count have mean 0 and standard deviation 1, all others are 0.
         """
@@ -221,12 +213,9 @@ class PPO(L.LightningModule):
     def learn(
         self, loss: ClipPPOLoss, known: TensorDict, random: torch.Generator | None = None
     ) -> dict[str, Tensor]:
-        """Make all passes over decisions (N,), and return the means of what is logged of them.
+        """Make all passes over decisions (N,) of `Objective.rated`, and return the means of what is logged.
 
-        Args:
-            loss: Of `Objective`.
-            known: As of `Objective.rated`.
-            random: Draws their order; None for torch's own generator.
+        Their order is drawn by ``random``, or torch's own generator.
         """
         optimizer, logged = cast("Any", self.optimizers()), []
         for _ in range(self.how.passes):
@@ -248,8 +237,5 @@ class PPO(L.LightningModule):
         return {_LOGGED[key]: value for key, value in means.items()}
 
     def terms(self, part: TensorDict, result: TensorDict, number: int) -> TensorDict:
-        """Return the result of TorchRL's loss of some decisions, with more or other terms ``loss_...``.
-
-        ``number`` is that of the update in this iteration.
-        """
+        """Return the result of TorchRL's loss in an update, with more or other terms ``loss_...``."""
         return result
