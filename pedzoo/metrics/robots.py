@@ -47,14 +47,11 @@ FUTURE_STEPS, FUTURE_SECONDS = 5, 0.25
 SOCIAL_FACTOR, LAMBDA, GAMMA, ANGULAR, VELOCITY = 2.1, 2.0, 0.35, 2.0, 3.0
 """Parameters of the social force (HuNav's): its factor, lambda, gamma, n and n'."""
 
-ENCOUNTER = 3.0
-"""Seconds: a robot and a person with a shorter time to collision meet."""
-
 FROM_REST, LASTS = round(1.0 / TRACE_SECONDS), round(6.0 / TRACE_SECONDS)
 """Trace points in which robots set out, 1 s, which is no answer to people; and pass whom they meet, 6 s."""
 
-YIELDS = 0.1
-"""m/s: a smaller change of velocity is no yielding."""
+ENCOUNTER, YIELDS = 3.0, 0.1
+"""Seconds to a collision below which a robot and a person meet; m/s by which who yields changes at least."""
 
 LEGEND: Mapping[str, str] = {
     "success": "share of robots that reach all goals in time, and touch nothing that ends the episode",

@@ -2,7 +2,7 @@
 
 import os
 import sys
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -47,23 +47,8 @@ FLAGS = {
 
 Observation = dict[str, NDArray[Any]]
 
-
-class Step(NamedTuple):
-    """What came of a decision, or of a reset; all (B, R, ...).
-
-    Attributes:
-        observation: See `Observations`.
-        reward: Of the robots; 0 after a reset.
-        terminated: They arrived, or touched something that ends their episode.
-        truncated: Their time is up, or an action was no number.
-        info: `FLAGS`, and what `Totals` adds up.
-    """
-
-    observation: Observation
-    reward: NDArray[np.float64]
-    terminated: NDArray[np.bool_]
-    truncated: NDArray[np.bool_]
-    info: dict[str, NDArray[Any]]
+Step = tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, NDArray[Any]]]
+"""Observations (B, R, ...), rewards, 0 after a reset, both kinds of ends, and info: `FLAGS` and `Totals`."""
 
 
 class Observations:
@@ -267,9 +252,9 @@ class Batched:
             self._window.figure.canvas.flush_events()
         robots: Any = seen["robots"]
         reward = robots.get("reward", torch.zeros_like(robots["done"], dtype=torch.double))
-        ends = (robots[name][..., 0].cpu().numpy().copy() for name in ("terminated", "truncated"))
+        ends = [robots[name][..., 0].cpu().numpy().copy() for name in ("terminated", "truncated")]
         observation, reward = self.observations(robots["observation"]), reward[..., 0].double().cpu().numpy()
-        return Step(observation, reward, *ends, self._totals.info(seen))
+        return observation, reward, ends[0], ends[1], self._totals.info(seen)
 
     def pictures(self) -> list[NDArray[np.uint8]] | None:
         """Return a picture (H, W, 3) of every scene; None where they are shown in a window, or not at all."""

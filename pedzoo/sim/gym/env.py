@@ -96,9 +96,10 @@ class RobotGymEnv(OneScene, gymnasium.Env[Any, Any]):
 
 def robot_of(step: Step, robot: int = 0) -> tuple[Observation, float, bool, bool, Infos]:
     """Return what came of a decision for one robot of the first scene."""
-    observation, info = ({name: value[0, robot] for name, value in part.items()} for part in step[::4])
+    observation, *_, info = step
+    seen = {name: value[0, robot] for name, value in observation.items()}
     reward, terminated, truncated = (part[0, robot].item() for part in step[1:4])
-    return observation, reward, terminated, truncated, {name: value.item() for name, value in info.items()}
+    return seen, reward, terminated, truncated, {name: value[0, robot].item() for name, value in info.items()}
 
 
 class RobotVectorEnv(VectorEnv[Observation, ArrayLike, NDArray[Any]]):
@@ -216,17 +217,15 @@ class RobotVectorEnv(VectorEnv[Observation, ArrayLike, NDArray[Any]]):
     def _take(self, step: Step, where: NDArray[np.bool_] | None = None, old: Infos | None = None) -> Infos:
         """Keep observations of scenes ``where`` (B,) bool, or all; return infos, those of others ``old``."""
         where = np.ones(self.num_envs, dtype=bool) if where is None else where
-        infos: Infos = {name: value[:, 0] for name, value in step.info.items()}
+
+        def merged(new: Infos, before: Infos) -> Infos:
+            rows = {name: where.reshape(-1, *[1] * (value.ndim - 1)) for name, value in new.items()}
+            return {name: np.where(rows[name], value, before.get(name, value)) for name, value in new.items()}
+
+        infos = {name: value[:, 0] for name, value in step[-1].items()}
         infos |= {f"_{name}": np.ones(self.num_envs, dtype=bool) for name in infos}
-        seen = {name: value[:, 0] for name, value in step.observation.items()}
-        self._seen, infos = (
-            {
-                name: np.where(where.reshape(-1, *[1] * (value.ndim - 1)), value, before.get(name, value))
-                for name, value in new.items()
-            }
-            for new, before in ((seen, self._seen), (infos, old or {}))
-        )
-        return infos
+        self._seen = merged({name: value[:, 0] for name, value in step[0].items()}, self._seen)
+        return merged(infos, old or {})
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Return a picture (H, W, 3) of every scene in the mode ``rgb_array``."""
