@@ -18,8 +18,6 @@ from pedzoo.core.paths import cache_home, write_atomically
 from pedzoo.maps.constants import ON_LINE
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 
-_DIAGONAL = 2**0.5
-
 _AT_ONCE = 250_000
 """Lines of sight that are followed together: bounds the memory that it takes."""
 
@@ -49,24 +47,20 @@ class Sight:
     between centres, every point of a line keeps the clearance that the open cells have.
 
     Attributes:
-        leap: How many columns on are certain to be clear in every direction, at every square and then at
-            every cell, int16; 0 where the line is blocked.
+        leap: How far free squares reach from every square, int16, 0 where it is not free: the side of the
+            largest block of them that begins there. First of blocks towards growing columns and rows, then
+            towards growing columns and falling rows, then of blocks of open cells as the first. A line that
+            enters a block leaves it one column before its end at the earliest.
     """
 
     def __init__(self, is_open: NDArray[np.bool_]) -> None:
         """Take which cells are open (H, W)."""
         square = np.zeros_like(is_open)
         square[:-1, :-1] = is_open[:-1, :-1] & is_open[1:, :-1] & is_open[:-1, 1:] & is_open[1:, 1:]
-        # of squares and cells the distance to the nearest one that is not free, outside the map included
-        room, free = (
-            np.asarray(distance_transform_edt(np.pad(part, 1)))[1:-1, 1:-1] for part in (square, is_open)
-        )
-        # Squares are entered anywhere and left diagonally; along an axis only cells' centres matter.
-        squares = np.maximum((room - _DIAGONAL) / _DIAGONAL, 1) * square
-        cells = np.maximum(np.ceil(free) - 1, 1) * is_open
+        tables = _largest_squares(square), _largest_squares(square[::-1])[::-1], _largest_squares(is_open)
         self._width = is_open.shape[1]
         self._cells = is_open.size
-        self.leap = np.concatenate((squares.ravel(), cells.ravel())).astype(np.int16)
+        self.leap = np.concatenate([table.ravel() for table in tables])
 
     def clear(self, origin: NDArray[np.int32], target: NDArray[np.int32]) -> NDArray[np.bool_]:
         """Return which lines (M,) are clear, from and to columns and rows of open cells (M, 2)."""
@@ -81,26 +75,43 @@ class Sight:
 
     def _clear_in_numpy(self, origin: NDArray[np.int64], target: NDArray[np.int64]) -> NDArray[np.bool_]:
         """See `clear_lines`: all lines at once, a leap of each after the other."""
-        reach = target - origin
-        steep = np.abs(reach[:, 1]) > np.abs(reach[:, 0])
-        along, across = np.where(steep[:, None], reach[:, ::-1], reach).T
-        steps = np.abs(along)
+        swapped = (target[:, :1] < origin[:, :1]) | (
+            (target[:, :1] == origin[:, :1]) & (target[:, 1:] < origin[:, 1:])
+        )
+        origin, target = np.where(swapped, target, origin), np.where(swapped, origin, target)
+        right, up = np.abs(target - origin).T
+        falls = target[:, 1] < origin[:, 1]
+        vertical = np.where(falls, -self._width, self._width)
+        steps, across = np.maximum(right, up), np.minimum(right, up)
+        forward, sideways = np.where(up > right, (vertical, 1 + 0 * up), (1 + 0 * up, vertical))
+        base = origin[:, 1] * self._width + origin[:, 0]
+        base += np.where(across == 0, 2 * self._cells, np.where(falls, self._cells - self._width, 0))
         slope = across / np.maximum(steps, 1)
-        forward, sideways = np.where(steep, self._width, 1), np.where(steep, 1, self._width)
-        base = origin[:, 1] * self._width + origin[:, 0] + np.where(across == 0, self._cells, 0)
-        base -= np.where(along < 0, forward, 0)
-        forward = np.where(along < 0, -forward, forward)
         column = np.zeros_like(steps)
         left = steps.nonzero()[0]
         while len(left):
-            ends = slope[left] * column[left], slope[left] * (column[left] + 1)
-            low = np.floor(np.minimum(*ends) + ON_LINE).astype(np.int64)
-            high = np.maximum(np.ceil(np.maximum(*ends) - ON_LINE).astype(np.int64) - 1, low)
+            begin = slope[left] * column[left]
+            low = np.floor(begin + ON_LINE).astype(np.int64)
+            high = np.maximum(np.floor(begin + slope[left] - ON_LINE).astype(np.int64), low)
             at, side = base[left] + column[left] * forward[left], sideways[left]
-            room = np.minimum(self.leap[at + low * side], self.leap[at + high * side])
-            column[left] += room
-            left = left[(room > 0) & (column[left] < steps[left])]
-        return column >= steps
+            room = self.leap[at + low * side].astype(np.int64)
+            room += (room == 1) & (self.leap[at + high * side] > 0)
+            column[left] += room - 1
+            left = left[(room > 1) & (column[left] < steps[left])]
+        return column >= np.maximum(steps, 0)
+
+
+def _largest_squares(free: NDArray[np.bool_]) -> NDArray[np.int16]:
+    """Return the side of the largest free square that begins at each place (H, W), towards larger indices."""
+    height, width = free.shape
+    sides = np.zeros((height + 1, width + 1), dtype=np.int16)
+    place = np.arange(width + 1)
+    for row in reversed(range(height)):
+        # one more than the least of the three neighbours; along the row all at once
+        least = np.zeros(width + 1, dtype=np.int64)
+        least[:-1] = (1 + np.minimum(sides[row + 1, :-1], sides[row + 1, 1:])) * free[row]
+        sides[row] = np.minimum.accumulate((least + place)[::-1])[::-1] - place
+    return sides[:-1, :-1]
 
 
 class OpenGraph:

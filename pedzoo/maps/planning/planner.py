@@ -61,7 +61,7 @@ class Ways(NamedTuple):
     place: Any
     """Columns and rows of open cells (2, N) int32."""
     leap: Any
-    """Tables of all maps' `Sight`, int16: map r's begins at twice its first cell."""
+    """Tables of all maps' `Sight`, int16: map r's begins at thrice its first cell."""
     corner: Any
     """Open cells that are corners (K + 1,); the last one is none."""
     bend_x: Any
@@ -122,26 +122,30 @@ class Ways(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """What compiled loops remember: answers that are asked for again, and lengths that bound others."""
+    """What compiled loops remember: corners in sight of cells, and ways that bound others on large plans."""
 
-    key: NDArray[np.int64]
-    """Numbers of a goal and an open cell (M,)."""
-    corner: NDArray[np.int32]
-    """The first corner on the way from there (M,)."""
-    tile: NDArray[np.int64]
-    """Numbers of a goal and a square of 16 cells (T,)."""
+    start: NDArray[np.int32]
+    """Where in ``seen`` an open cell's corners begin (N,), 0 for none yet."""
+    seen: NDArray[np.int32]
+    """The last place in use; for each cell where its corners end, and these. Begun anew when it is full."""
+    square: NDArray[np.int64]
+    """Numbers of a goal and a square of 16 cells (M,)."""
     cell: NDArray[np.int64]
-    """The open cell there that was asked for last (T,)."""
+    """The open cell there that was asked for last (M,)."""
     length: NDArray[np.float64]
-    """Metres of the way from it (T,)."""
+    """Metres of the way from it (M,)."""
     bend: NDArray[np.int64]
-    """The first corner on that (T,)."""
+    """The first corner on that (M,)."""
 
     @classmethod
-    def empty(cls) -> Memory:
+    def empty(cls, ways: Ways) -> Memory:
         """Return the memory of a planner that was not asked yet."""
-        key, tile = np.full(1 << 16, -1), np.full(1 << 14, -1)
-        return cls(key, np.zeros(len(key), np.int32), tile, tile.copy(), np.zeros(len(tile)), tile.copy())
+        cells, square = len(ways.x), np.full(1 << 14, -1)
+        # pages of zeros take no memory until they are written
+        seen = np.zeros(min(64 * cells, 1 << 22) + len(ways.corner) + 1, np.int32)
+        return cls(
+            np.zeros(cells, np.int32), seen, square, square.copy(), np.zeros(len(square)), square.copy()
+        )
 
 
 class Planner:
@@ -191,7 +195,7 @@ class Planner:
         self._goals: list[Goal] = []
         self._searched: list[tuple[NDArray[np.float64], NDArray[np.int32]]] = []
         self._ways: Ways | None = None
-        self._memory = Memory.empty()
+        self._memory = None if self._maps is None else Memory.empty(self._maps)
         # for each device the arrays and their copy there
         self._copies: dict[torch.device, tuple[Ways, Ways]] = {}
 
@@ -246,7 +250,8 @@ class Planner:
         rows = {goal.row for goal in self._goals} - {-1}
         if self._maps is None or not rows <= self._rows:
             self._rows = self._rows | rows
-            self._maps, self._memory = self._of_maps(), Memory.empty()
+            self._maps = self._of_maps()
+            self._memory = Memory.empty(self._maps)
         fresh = self._goals[len(self._searched) :]
         if len(fresh) >= _MANY:  # a bar has a semaphore, which workers that are killed leave behind
             from tqdm import tqdm
@@ -282,7 +287,7 @@ class Planner:
     def _of_maps(self) -> Ways:
         """Return what look-ups read of the maps that have goals; others are like no map, a single cell."""
         nowhere, cells, opens, count = (np.zeros(9), (1, 0, 0, 1, 0, 0), 1.0), 1, 1, 0
-        sizes = (((1,), "i4"), ((1, 2), "f8"), ((1, 2), "i4"), ((2,), "i2"), ((0,), "i8"), ((0, 2), "?"))
+        sizes = (((1,), "i4"), ((1, 2), "f8"), ((1, 2), "i4"), ((3,), "i2"), ((0,), "i8"), ((0, 2), "?"))
         columns, arrays = [nowhere], [tuple(np.zeros(size, kind) for size, kind in sizes)]
         for row in range(len(self.bank.grids)):
             if row not in self._rows:

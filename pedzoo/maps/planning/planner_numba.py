@@ -8,32 +8,41 @@ from pedzoo.core.compiled import compiled, jit
 from pedzoo.maps.constants import EPSILON, ON_LINE, SPACING
 from pedzoo.maps.walls_numba import in_half_cells, quarter_at
 
+_MARGIN = int(ON_LINE * 2**40)
+
+ASKED = 2
+"""The question from a cell at which all corners in sight of it are found, which answer later ones."""
+
 
 @jit
 def _is_clear(leap, width, cells, x, y, to_x, to_y):
     """Return whether the line between two open cells is clear: see `Sight`, which has the table."""
-    x_way, y_way = to_x - x, to_y - y
-    steep = abs(y_way) > abs(x_way)
-    along, across = (y_way, x_way) if steep else (x_way, y_way)
-    steps = abs(along)
-    slope = across / max(steps, 1)
+    if to_x < x or (to_x == x and to_y < y):
+        x, y, to_x, to_y = to_x, to_y, x, y  # a line is as clear as its reverse
+    right, up = to_x - x, abs(to_y - y)
+    vertical = width if to_y >= y else -width
+    steps, across = max(right, up), min(right, up)
     # flat index = base + column * forward + floor(height) * sideways, columns counted along the line
-    forward, sideways = (width, 1) if steep else (1, width)
-    base = y * width + x + (cells if across == 0 else 0)
-    if along < 0:
-        base -= forward  # squares are named by their smallest corner
-        forward = -forward
+    forward, sideways = (vertical, 1) if up > right else (1, vertical)
+    base = y * width + x
+    if across == 0:
+        base += 2 * cells
+    elif vertical < 0:
+        base += cells - width  # squares are named by their smallest corner
+    # heights are whole numbers of 2 ** -40 cells: several times faster than rounding
+    slope = (across << 40) // max(steps, 1)
     column = 0
     while column < steps:
         begin = slope * column
-        end = begin + slope
-        low = math.floor(min(begin, end) + ON_LINE)
-        high = max(math.ceil(max(begin, end) - ON_LINE) - 1, low)
+        low = (begin + _MARGIN) >> 40
         at = base + column * forward
-        room = min(leap[at + low * sideways], leap[at + high * sideways])
-        if room == 0:
+        room = leap[at + low * sideways]
+        if room == 1:
+            high = max((begin + slope - _MARGIN) >> 40, low)
+            room += min(leap[at + high * sideways], 1)
+        if room < 2:
             return False
-        column += room
+        column += room - 1
     return True
 
 
@@ -45,15 +54,39 @@ def clear_lines(leap, width, cells, origin, target, seen):
 
 
 @jit
-def _slot(key, slots):
-    # bits that all of the key's have a part in: those of the goal are its highest
-    return ((key * -7046029254386353131) >> 32) & (slots - 1)
+def _bends(falls, rises, dx, dy):
+    """Return whether a path that comes by ``dx, dy`` cells may bend at a corner: see `CornerGraph`."""
+    slope = dx * dy
+    return (dx != 0 or dy != 0) and ((falls and slope <= 0) or (rises and slope >= 0))
 
 
 @jit
-def _square(goal, x, y, right, up):
-    """Return the number of a goal and of the square of 16 cells at, or beside, a column and row."""
-    return (goal << 26) + (((y >> 4) + up + 1) << 13) + (x >> 4) + right + 1
+def _look_around(ways, memory, cell, number):
+    """Remember at which corners paths from an open cell may bend first: they are the same for all goals."""
+    width, first_cell, _, cells, begin, count = ways.begin[:, number]
+    bend_x, bend_y, bends, leap, seen = ways.bend_x, ways.bend_y, ways.bends, ways.leap, memory.seen
+    leap = leap[3 * first_cell :]
+    if seen[0] + count + 2 > len(seen):
+        memory.start[:] = 0
+        seen[0] = 0
+    at = seen[0] + 1
+    end = at + 1
+    x, y = ways.place[0, cell], ways.place[1, cell]
+    for k in range(begin, begin + count):
+        if _bends(bends[0, k], bends[1, k], bend_x[k] - x, bend_y[k] - y) and _is_clear(
+            leap, width, cells, x, y, int(bend_x[k]), int(bend_y[k])
+        ):
+            seen[end] = k
+            end += 1
+    seen[0], seen[at], memory.start[cell] = end - 1, end, at
+
+
+@jit
+def _near(slots, goal, x, y):
+    """Return in which of the memory's slots the square of 16 cells at a column and row is, and its number."""
+    square = (goal << 26) + (((y >> 4) + 1) << 13) + (x >> 4) + 1  # beside the plan, too, it is not negative
+    # bits that all of the number's have a part in: those of the goal are its highest
+    return ((square * -7046029254386353131) >> 32) & (slots - 1), square
 
 
 @jit
@@ -67,53 +100,62 @@ def _first_corner(ways, memory, cell, goal, on_map):
         return -1
     if number != on_map:
         return -2
-    key = goal * len(ways.x) + cell
-    slot = _slot(key, len(memory.key))
-    if memory.key[slot] == key:
-        return memory.corner[slot]
     x, y, to_x, to_y = ways.place[0, cell], ways.place[1, cell], ways.place[0, at], ways.place[1, at]
     _, first_cell, _, cells, begin, count = ways.begin[:, number]
     width, metre, offset = ways.begin[0, number], ways.metre[number], ways.goal[2, goal + 1]
-    leap = ways.leap[2 * first_cell :]
-    found, least, length, guess = -2, 0.0, math.inf, -1
+    # names: looking an array up in the tuple costs more than a corner does
+    bend_x, bend_y, bends, far, seen = ways.bend_x, ways.bend_y, ways.bends, ways.far, memory.seen
+    leap = ways.leap[3 * first_cell :]
     if _is_clear(leap, width, cells, x, y, to_x, to_y):
-        found, length, count = -1, metre * math.hypot(float(to_x - x), float(to_y - y)), 0
+        return -1
+    found, length = -2, math.inf
+    first = memory.start[cell]
+    if first > 0:
+        for i in range(first + 1, seen[first]):
+            k = seen[i]
+            dx, dy = bend_x[k] - x, bend_y[k] - y
+            total = math.sqrt(dx * dx + dy * dy) * metre + far[offset + k]
+            if total < length:
+                found, length = k, total
+        return found
+    least, guess = 0.0, -1
     # what is known of a place nearby bounds the length, by the triangle inequality
-    for right, up in ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1)):
-        if count == 0:
-            break
-        square = _square(goal, x, y, right, up)
-        tile = _slot(square, len(memory.tile))
-        if memory.tile[tile] != square:
+    for aside, up in ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1)):
+        slot, square = _near(len(memory.square), goal, x + 16 * aside, y + 16 * up)
+        if memory.square[slot] != square:
             continue
-        near_x, near_y = ways.place[0, memory.cell[tile]], ways.place[1, memory.cell[tile]]
+        if memory.cell[slot] == cell:
+            return memory.bend[slot]
+        near_x, near_y = ways.place[0, memory.cell[slot]], ways.place[1, memory.cell[slot]]
         if _is_clear(leap, width, cells, x, y, near_x, near_y):
             # goals lie up to 0.71 cells beside the centre of theirs
             away = metre * (math.hypot(float(near_x - x), float(near_y - y)) + 1.5)
-            least, length = memory.length[tile] - away, memory.length[tile] + away
-            guess = memory.bend[tile]
+            least, length = memory.length[slot] - away, memory.length[slot] + away
+            guess = memory.bend[slot]
             break
+    memory.start[cell] -= 1
+    if memory.start[cell] == -ASKED:
+        _look_around(ways, memory, cell, number)
     for i in range(-1, count):
         # the first corner of that place comes first
         k = begin + i if i >= 0 else guess
         if k < 0:
             continue
-        dx, dy = ways.bend_x[k] - x, ways.bend_y[k] - y
-        total = math.sqrt(dx * dx + dy * dy) * metre + ways.far[offset + k]
+        # roots are taken of few
+        dx, dy, rest = bend_x[k] - x, bend_y[k] - y, length - far[offset + k] + EPSILON
+        if not rest > 0 or (dx * dx + dy * dy) * metre * metre > rest * rest:
+            continue
+        total = math.sqrt(dx * dx + dy * dy) * metre + far[offset + k]
         if total < least or not total <= length or total == math.inf or (total == length and k >= found):
             continue
-        slope = dx * dy
-        falls, rises = ways.bends[0, k] and slope <= 0, ways.bends[1, k] and slope >= 0
-        if (dx == 0 and dy == 0) or not (falls or rises):
-            continue
-        if _is_clear(leap, width, cells, x, y, int(ways.bend_x[k]), int(ways.bend_y[k])):
+        if _bends(bends[0, k], bends[1, k], dx, dy) and _is_clear(
+            leap, width, cells, x, y, int(bend_x[k]), int(bend_y[k])
+        ):
             found, length = k, total
-    memory.key[slot], memory.corner[slot] = key, found
-    if found > -2:
-        square = _square(goal, x, y, 0, 0)
-        tile = _slot(square, len(memory.tile))
-        memory.tile[tile], memory.cell[tile] = square, cell
-        memory.length[tile], memory.bend[tile] = length, found
+    if found >= 0:
+        slot, square = _near(len(memory.square), goal, x, y)
+        memory.square[slot], memory.cell[slot] = square, cell
+        memory.length[slot], memory.bend[slot] = length, found
     return found
 
 
