@@ -57,28 +57,26 @@ def test_every_id_passes_the_checks_of_gymnasium_and_torchrl(name: str) -> None:
 
 def test_a_vector_environment_has_the_scenes_of_single_ones() -> None:
     """Over several episodes: observations, rewards, ends and infos, and the last ones before a reset."""
-    scenes, chance = 3, np.random.default_rng(0)
+    scenes, chance, ends = 3, np.random.default_rng(0), 0
     many = vectors(CROSSING, num_envs=scenes, vectorization_mode="vector_entry_point", **QUICK)
-    assert many.metadata["autoreset_mode"] is gymnasium.vector.AutoresetMode.SAME_STEP
+    assert many.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
     singles = [made(CROSSING, first_episode=i, stride=scenes, **QUICK) for i in range(scenes)]
-    seen, infos = many.reset(seed=7)
-    for scene, single in enumerate(singles):
-        observation, info = single.reset(seed=7)
-        assert same(observation, row(seen, scene)) and same(info, row(infos, scene))
-    ends = 0
+    (seen, infos), now = many.reset(seed=7), [single.reset(seed=7) for single in singles]
     for _ in range(12):
+        for scene, (observation, info) in enumerate(now):
+            assert same(observation, row(seen, scene)) and same(info, row(infos, scene))
         actions = chance.uniform(-1, 1, (scenes, 2)).astype(np.float32)
-        seen, rewards, terminated, truncated, infos = many.step(actions)
+        (seen, rewards, *all_over, infos), now = many.step(actions), []
         for scene, single in enumerate(singles):
             observation, reward, *over, info = single.step(actions[scene])
             assert reward == pytest.approx(rewards[scene], abs=1e-3)
-            assert over == [terminated[scene], truncated[scene]]
+            assert over == [flags[scene] for flags in all_over]
             if any(over):
                 ends += 1
                 assert same(observation, infos["final_obs"][scene])
                 assert same(info, row(infos["final_info"], scene))
                 observation, info = single.reset()
-            assert same(observation, row(seen, scene)) and same(info, row(infos, scene))
+            now.append((observation, info))
     assert ends >= 2 * scenes
 
 
@@ -107,14 +105,12 @@ def test_scenes_begin_anew_as_those_of_gymnasium_do(mode: AutoresetMode | str) -
         over = results[1] | results[2]
         ends += int(over.sum())
     assert ends >= 3
-    kept = own.reset(seed=[1, None, 3])[0]
-    mask = np.array([False, False, True])
-    for seed, row_of in (([5, 6, 1], [None, None, 0]), (3, [None, None, 2])):
-        seen, _ = own.reset(seed=seed, options={"reset_mask": mask})
-        first = vectors(CROSSING, num_envs=3, **QUICK).reset(seed=1 if seed == [5, 6, 1] else 3)[0]
-        assert all(same(row(seen, i), row(kept, i)) for i in (0, 1)) and same(
-            row(seen, 2), row(first, row_of[2])
-        )
+    kept, mask = own.reset(seed=[1, None, 3])[0], np.array([False, False, True])
+    for seeds, seed, scene in (([5, 6, 1], 1, 0), (3, 3, 2)):
+        seen, _ = own.reset(seed=seeds, options={"reset_mask": mask})
+        first = vectors(CROSSING, num_envs=3, **QUICK).reset(seed=seed)[0]
+        assert all(same(row(seen, i), row(kept, i)) for i in (0, 1))
+        assert same(row(seen, 2), row(first, scene))
 
 
 def test_gymnasiums_vector_wrappers_take_it() -> None:
@@ -205,10 +201,9 @@ def test_a_person_who_is_met_is_a_collision() -> None:
     settings = {"scenario": "circle:radius=3,people=5", "robot": "disc:radius=0.6", "people": "go_to_goal"}
     env = made(CROSSING, **settings)
     env.reset(seed=0)
-    for _ in range(40):
+    terminated = truncated = False
+    while not (terminated or truncated):
         *_, terminated, truncated, info = env.step(np.array([1.0, 0.0]))
-        if terminated or truncated:
-            break
     assert terminated and info["COLLISION"] and info["COLLISION_HUMAN"] and not info["COLLISION_WALL"]
     assert info["MINIMUM_DISTANCE_TO_HUMAN"] <= 0 and 0 < info["PERSONAL_SPACE_COMPLIANCE"] < 1
     assert info["SPL"] == info["STL"] == 0

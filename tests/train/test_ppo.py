@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -50,12 +51,10 @@ def small(**more: Any) -> SGAN:
 
 
 def acting(model: SGAN, std: float = 0.2) -> ProbabilisticActor:
-    """Return TorchRL's actor of a model."""
     return actor(Mean(Walker(model), nn.Parameter(torch.tensor(std).log())), "agents", "action")
 
 
 def gatherer(model: SGAN, scenario: str = "hallway", scenes: int = 3, steps: int = 5) -> Gatherer:
-    """Return scenes in which a model gathers experience."""
     return Gatherer(make_env(scenario, scenes), acting(model), steps)
 
 
@@ -77,28 +76,20 @@ def lived() -> TensorDict:
     return result
 
 
-def no_value(batch: TensorDict) -> TensorDict:
-    """Stand for a critic that expects nothing."""
-    batch["agents", "value"] = torch.zeros(*batch["agents", "mask"].shape, 1)
-    return batch
-
-
 def info_of(**info: Any) -> TensorDict:
     """Return one scene of two people who stand 0.5 m apart, as the environment tells of it."""
     trace = torch.tensor([[0.0, 0.0], [0.5, 0.0]]).view(1, 2, 1, 2).expand(1, 2, 4, 2)
-    nothing = torch.zeros(1, 2, 4, dtype=torch.bool)
-    seen = {"trace": trace, "agent_contact": nothing, "wall_contact": nothing} | info
     people = {
-        "info": TensorDict(seen, (1, 2)),
+        "info": TensorDict({"trace": trace} | dict.fromkeys(CONTACTS, NONE) | info, (1, 2)),
         "reward": torch.tensor([[[0.4], [-0.6]]]),
         "velocity": torch.tensor([[[0.6, 0.8], [0.0, 2.0]]]),
         "pref_speed": torch.tensor([[[1.2], [1.5]]]),
-        "mask": torch.ones(1, 2, dtype=torch.bool),
-        "controlled": torch.ones(1, 2, dtype=torch.bool),
+        **dict.fromkeys(("mask", "controlled"), torch.ones(1, 2, dtype=torch.bool)),
     }
-    return TensorDict(
-        {"agents": TensorDict(people, (1, 2)), "failed": torch.zeros(1, 1, dtype=torch.bool)}, (1,)
-    )
+    return TensorDict({"agents": TensorDict(people, (1, 2)), "failed": torch.zeros(1, 1).bool()}, (1,))
+
+
+CONTACTS, NONE = ("agent_contact", "wall_contact"), torch.zeros(1, 2, 4, dtype=torch.bool)
 
 
 @pytest.mark.parametrize(
@@ -120,12 +111,10 @@ def info_of(**info: Any) -> TensorDict:
 def test_reward_adds_weighted_terms_to_that_of_the_environment(
     weights: dict[str, Any], more: tuple[float, float]
 ) -> None:
-    before, touching = info_of(), torch.zeros(1, 2, 4, dtype=torch.bool)
+    before = info_of()
     before["agents", "velocity"] = torch.tensor([[[1.0, 0.0], [1.0, 0.0]]])
-    after = info_of(
-        agent_contact=touching.index_fill(1, torch.tensor([0]), True),
-        wall_contact=touching.index_fill(1, torch.tensor([1]), True),
-    )
+    touches = (NONE.index_fill(1, torch.tensor([person]), True) for person in (0, 1))
+    after = info_of(**dict(zip(CONTACTS, touches, strict=True)))
     after["agents", "controlled"] = torch.tensor([[True, False]])
     expected = torch.tensor([[0.4, -0.6]]) + torch.tensor([more])
     torch.testing.assert_close(Reward(**weights)(before, after), expected)
@@ -137,12 +126,9 @@ def test_untrained_critic_expects_what_a_person_alone_earns(lived: TensorDict) -
     way, speed = torch.tensor([[3 * 0.52]]), torch.tensor([[1.3]])
     assert critic.alone(way, speed).item() == pytest.approx(0.52 * (1 + 0.9 + 0.81), rel=1e-5)
     assert Critic(1.0).alone(way, speed).item() == pytest.approx(3 * 0.52)
-    env = make_env("door:people=2", 2)
-    now = env.reset()
-    value = critic(now)["agents", "value"]
-    people = now["agents"]
+    people = critic(make_env("door:people=2", 2).reset())["agents"]
     expected = critic.alone(people["info", "remaining_path"].unsqueeze(-1), people["pref_speed"])
-    torch.testing.assert_close(value, expected)
+    torch.testing.assert_close(people["value"], expected)
 
 
 def trained_critic() -> Critic:
@@ -154,32 +140,31 @@ def trained_critic() -> Critic:
 
 
 def test_critic_does_not_notice_turns_shifts_order_and_padding() -> None:
-    critic, env = trained_critic(), make_env("circle:people=4", 2)
-    now = cast("TensorDict", env.reset())
-    value = critic(now.clone())["agents", "value"]
-    assert value.std() > 0.01
+    critic, now = trained_critic(), cast("TensorDict", make_env("circle:people=4", 2).reset())
 
-    angle = torch.tensor(0.7)
+    def value(**changes: Tensor) -> Tensor:
+        other = now.clone()
+        for name, new in changes.items():
+            other["agents", name] = new
+        return critic(other)["agents", "value"]
+
+    expected = value()
+    assert expected.std() > 0.01
+    angle, agents = torch.tensor(0.7), agents_of(now)
     direction = torch.stack((angle.cos(), angle.sin()))
-    turned = now.clone()
-    for key in ("history", "goal", "velocity", "desired_velocity"):
-        shift = 3.0 if key in ("history", "goal") else 0.0
-        turned["agents", key] = rotate(now["agents", key], direction) + shift
-    torch.testing.assert_close(critic(turned)["agents", "value"], value, rtol=1e-3, atol=1e-4)
+    shifts = {"history": 3.0, "goal": 3.0, "velocity": 0.0, "desired_velocity": 0.0}
+    turned = value(**{key: rotate(agents[key], direction) + shift for key, shift in shifts.items()})
+    torch.testing.assert_close(turned, expected, rtol=1e-3, atol=1e-4)
 
-    order = torch.tensor([2, 0, 3, 1])
-    shuffled = now.clone()
-    shuffled["agents"] = now["agents"][:, order]
-    torch.testing.assert_close(critic(shuffled)["agents", "value"], value[:, order])
-
-    padded = now.clone()
-    mask = torch.tensor([[True, True, True, False]] * 2)
-    padded["agents", "mask"] = mask
-    three = now.clone()
-    three["agents"] = now["agents"][:, :3]
-    result = critic(padded)["agents", "value"]
-    torch.testing.assert_close(result[:, :3], critic(three)["agents", "value"])
-    assert (result[:, 3] == 0).all()
+    order, parts = torch.tensor([2, 0, 3, 1]), {}
+    for name, chosen in (("shuffled", order), ("three", torch.arange(3))):
+        other = now.clone()
+        other["agents"] = agents[:, chosen]
+        parts[name] = critic(other)["agents", "value"]
+    torch.testing.assert_close(parts["shuffled"], expected[:, order])
+    padded = value(mask=torch.tensor([[True, True, True, False]] * 2))
+    torch.testing.assert_close(padded[:, :3], parts["three"])
+    assert (padded[:, 3] == 0).all()
 
 
 def test_likelihoods_of_updates_are_those_of_collecting() -> None:
@@ -214,45 +199,33 @@ def test_experience_depends_on_seed_and_weights_alone() -> None:
         torch.manual_seed(0)
         return where.gather(seed)
 
-    one, two = gathered(first, 5), gathered(first, 6)
-    again = gathered(second, 5)
+    one, two, again = gathered(first, 5), gathered(first, 6), gathered(second, 5)
     assert (one == again).all() and not torch.equal(one["agents", "history"], two["agents", "history"])
     assert (gathered(first, 5) == again).all()
     with torch.no_grad():
         model.decoder.output.weight += 0.05
-    moved = gathered(second, 6)
-    assert torch.equal(moved["scene_key"][:, 0], two["scene_key"][:, 0])
-    moved = gathered(second, 5)
-    assert torch.equal(moved["scene_key"][:, 0], one["scene_key"][:, 0])
-    assert not torch.equal(moved["agents", "action"], one["agents", "action"])
+    for seed, before in ((6, two), (5, one)):
+        moved = gathered(second, seed)
+        assert torch.equal(moved["scene_key"][:, 0], before["scene_key"][:, 0])
+        assert not torch.equal(moved["agents", "action"], before["agents", "action"])
 
 
 def test_advantages_are_those_of_each_agents_own_episode(lived: TensorDict) -> None:
     """An oracle with loops: rewards end when a person leaves or when a new episode begins."""
-    gamma, lam = 0.9, 0.8
-    critic = trained_critic()
-    result = rated(lived.clone(), critic, gamma, lam)
-    people, after = agents_of(result), cast("TensorDict", lived["next", "agents"])
-    scored = people["scored"]
+    gamma, lam, critic = 0.9, 0.8, trained_critic()
+    people = agents_of(rated(lived.clone(), critic, gamma, lam))
+    after, scored = cast("TensorDict", lived["next", "agents"]), people["scored"]
     assert torch.equal(scored, lived["agents", "controlled"]) and not scored.all()
     last = critic(lived["next"].clone().flatten(0, 1))["agents", "value"].detach().view(4, 24, 2)
-    expected = torch.zeros(4, 24, 2)
-    for b in range(4):
-        for a in range(2):
-            ahead = 0.0
-            for t in reversed(range(24)):
-                if not scored[b, t, a]:
-                    ahead = 0.0
-                    continue
-                left = not bool(after["controlled"][b, t, a])
-                over = left or bool(lived["next", "done"][b, t, 0])
-                terminal = left or bool(lived["next", "terminated"][b, t, 0])
-                follows = 0.0 if terminal else float(last[b, t, a])
-                surprise = (
-                    float(after["reward"][b, t, a, 0]) + gamma * follows - float(people["value"][b, t, a, 0])
-                )
-                ahead = surprise + (0.0 if over else gamma * lam * ahead)
-                expected[b, t, a] = ahead
+    left, expected = ~after["controlled"], torch.zeros(4, 24, 2)
+    over, terminal = (left | lived["next", name] for name in ("done", "terminated"))
+    surprise = after["reward"][..., 0] + gamma * last.where(~terminal, 0.0) - people["value"][..., 0]
+    for b, a in itertools.product(range(4), range(2)):
+        ahead = 0.0
+        for t in reversed(range(24)):
+            ahead = float(surprise[b, t, a]) + (0.0 if over[b, t, a] else gamma * lam * ahead)
+            ahead = ahead if scored[b, t, a] else 0.0
+            expected[b, t, a] = ahead
     target, value = (people[key][..., 0][scored] for key in ("value_target", "value"))
     torch.testing.assert_close(target, expected[scored] + value, rtol=1e-4, atol=1e-4)
     known = expected[scored]
@@ -260,8 +233,8 @@ def test_advantages_are_those_of_each_agents_own_episode(lived: TensorDict) -> N
     torch.testing.assert_close(people["advantage"][..., 0], normal, rtol=1e-3, atol=1e-3)
 
 
-def test_another_person_in_the_slot_ends_an_episode(lived: TensorDict) -> None:
-    """What the next one earns is not the previous one's."""
+def two_decisions(lived: TensorDict) -> Any:
+    """Return two decisions of a scene of two people who stay."""
     data: Any = lived[:1, :2].clone()
     for where in (data, data["next"]):
         where["agents", "controlled"][:] = True
@@ -269,14 +242,25 @@ def test_another_person_in_the_slot_ends_an_episode(lived: TensorDict) -> None:
     for name in ("done", "terminated"):
         data["next", name][:] = False
     data["next", "agents", "reward"][:] = torch.tensor([1.0, 10.0]).view(1, 2, 1, 1)
+    return data
+
+
+def no_value(batch: TensorDict) -> TensorDict:
+    """Stand for a critic that expects nothing."""
+    batch["agents", "value"] = torch.zeros(*batch["agents", "mask"].shape, 1)
+    return batch
+
+
+def test_another_person_in_the_slot_ends_an_episode(lived: TensorDict) -> None:
+    """What the next one earns is not the previous one's."""
+    data = two_decisions(lived)
     data["next", "agents", "id"][0, 0, 0] = 7
     target = rated(data, no_value, 1.0, 1.0)["agents", "value_target"][0, 0, :, 0]
     assert target.tolist() == [1.0, 11.0]
 
 
 def test_a_failed_scene_counts_nowhere(lived: TensorDict) -> None:
-    data: Any = lived[:1, :2].clone()
-    data["agents", "controlled"][:] = True
+    data = two_decisions(lived)
     data["next", "failed"][0, 1] = True
     data["next", "agents", "reward"][0, 1] = torch.nan
     result = rated(data, no_value, 0.9, 0.9)
@@ -333,25 +317,26 @@ def broken(before: TensorDict, after: TensorDict) -> Tensor:
     return Reward()(before, after) * torch.nan
 
 
-def trained(module: PPOModule, iterations: int, **settings: Any) -> dict[str, float]:
+def module_of(
+    reward: Any, envs: int, steps: int, how: Optimisation, std: float = 0.15, **more: Any
+) -> PPOModule:
+    return PPOModule(small(), ["hallway"], reward, Collection(envs=envs, steps=steps, std=std), how, **more)
+
+
+def data() -> TrajectoryDataModule:
+    return TrajectoryDataModule("embedded", goal="window_end", loading=Loading(batch_size=8))
+
+
+def trained(module: PPOModule, iterations: int) -> dict[str, float]:
     """Train without a validation, and return what was logged last."""
-    data = TrajectoryDataModule("embedded", goal="window_end", loading=Loading(batch_size=8))
-    trainer = quiet_trainer(max_epochs=1, limit_train_batches=iterations, limit_val_batches=0, **settings)
-    trainer.fit(module, data)
+    trainer = quiet_trainer(max_epochs=1, limit_train_batches=iterations, limit_val_batches=0)
+    trainer.fit(module, data())
     return {key: float(value) for key, value in trainer.callback_metrics.items()}
 
 
 def test_learns_from_a_reward_without_a_gradient() -> None:
-    module = PPOModule(
-        small(),
-        ["hallway"],
-        cast("Any", slow),
-        Collection(envs=16, steps=8, std=0.3),
-        Optimisation(gamma=0.5),
-        lr=1e-2,
-        warmup=1,
-        final_lr=1.0,
-    )
+    rates = {"lr": 1e-2, "warmup": 1, "final_lr": 1.0}
+    module = module_of(slow, 16, 8, Optimisation(gamma=0.5), std=0.3, **rates)
     first = trained(module, 1)["train/reward"]
     trained(module, 14)
     last = trained(module, 1)["train/reward"]
@@ -359,13 +344,7 @@ def test_learns_from_a_reward_without_a_gradient() -> None:
 
 
 def test_updates_that_are_no_numbers_are_skipped_and_counted() -> None:
-    module = PPOModule(
-        small(),
-        ["hallway"],
-        cast("Any", broken),
-        Collection(envs=2, steps=4),
-        Optimisation(passes=2, minibatches=3),
-    )
+    module = module_of(broken, 2, 4, Optimisation(passes=2, minibatches=3))
     before = {key: value.clone() for key, value in module.generator.state_dict().items()}
     result = trained(module, 2)
     assert int(module.skipped) == 2 * 2 * 3 and result["train/skipped"] > 0
@@ -374,12 +353,11 @@ def test_updates_that_are_no_numbers_are_skipped_and_counted() -> None:
 
 def test_recorded_scenes_are_learnt_beside_the_decisions() -> None:
     """The generator's own loss of the batch that the data give, per scene and weighed."""
-    data, weights = TrajectoryDataModule("embedded", goal="window_end", loading=Loading(batch_size=8)), []
-    data.setup("fit")
-    batch = next(iter(data.train_dataloader()))
+    recorded, weights = data(), []
+    recorded.setup("fit")
+    batch = next(iter(recorded.train_dataloader()))
     for weight in (0.0, 20.0):
-        optimisation = Optimisation(passes=1, minibatches=1, recorded=weight)
-        module = PPOModule(small(), ["hallway"], Reward(), Collection(envs=2, steps=2), optimisation)
+        module = module_of(Reward(), 2, 2, Optimisation(passes=1, minibatches=1, recorded=weight))
         random = module.random()
         torch.randperm(4, generator=random)
         expected = weight * module.generator.loss(batch, random).item() / 8
@@ -389,19 +367,11 @@ def test_recorded_scenes_are_learnt_beside_the_decisions() -> None:
     assert not torch.equal(*weights)
 
 
-FIT = [
-    "fit",
-    "--data.fold",
-    "embedded",
-    "--trainer.enable_progress_bar",
-    "false",
-    "--data.loading.batch_size=8",
-]
-FIT += ["--trainer.limit_train_batches=2", "--trainer.limit_val_batches=1", "--rollout.episodes=2"]
-FIT += ["--model.collection.envs=2", "--model.collection.steps=3", "--model.samples=2"]
-FIT += ["--model.optimisation.passes=2", "--model.optimisation.minibatches=2"]
-FIT += ["--model.scenarios", "[hallway,circle:people=3]", "--monitor=val/ade", "--monitor_mode=min"]
-FIT += ["--rollout.scenarios", "hallway", "--trainer.check_val_every_n_epoch=1"]
+FIT = """fit --data.fold embedded --trainer.enable_progress_bar false --data.loading.batch_size=8
+--trainer.limit_train_batches=2 --trainer.limit_val_batches=1 --trainer.check_val_every_n_epoch=1
+--model.collection.envs=2 --model.collection.steps=3 --model.samples=2 --model.final_lr=1
+--model.optimisation.passes=2 --model.optimisation.minibatches=2 --model.scenarios [hallway,circle:people=3]
+--monitor=val/ade --monitor_mode=min --rollout.scenarios hallway --rollout.episodes=2""".split()
 CONFIG = str(Path(__file__).parents[2] / "configs" / "ppo" / "sgan_goal.yaml")
 
 
@@ -409,8 +379,8 @@ def test_command_line_fine_tunes_and_resumes(tmp_path: Path, monkeypatch: pytest
     """A resumed run ends with the very weights of an uninterrupted one; both walk by their name."""
     monkeypatch.chdir(tmp_path)
     start = [*FIT, "--config", CONFIG, "--weights", "sgan_goal.eth_ucy"]
-    assert main([*start, "--trainer.max_epochs=2", "--model.final_lr=1", "--runs=whole"]) == 0
-    assert main([*start, "--trainer.max_epochs=1", "--model.final_lr=1", "--runs=parts"]) == 0
+    for runs, epochs in (("whole", 2), ("parts", 1)):
+        assert main([*start, f"--trainer.max_epochs={epochs}", f"--runs={runs}"]) == 0
     (whole,), (parts,) = (list(Path(name).glob("*/*")) for name in ("whole", "parts"))
     assert main(["fit", "--resume", str(parts), "--trainer.max_epochs=2"]) == 0
     state = assert_same_end(last(whole), last(parts))["state_dict"]
