@@ -159,8 +159,8 @@ def _read(path: Path) -> dict[str, Any]:
     except ValueError as error:
         raise UserError(f"{str(path)!r} is no JSON: {wanted}") from error
     rows = report.get("rows") if isinstance(report, dict) else None
-    right = isinstance(rows, list) and all(isinstance(row, dict) for row in rows)
-    if not right or not all({"name", "metrics"} <= row.keys() for row in rows):
+    keys = [set(row if isinstance(row, dict) else ()) for row in rows] if isinstance(rows, list) else [set()]
+    if not all({"name", "metrics"} <= one for one in keys):
         raise UserError(f"{str(path)!r} has no rows with name and metrics: {wanted}")
     return report
 

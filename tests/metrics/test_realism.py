@@ -395,7 +395,7 @@ class Swaying(GoToGoal):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Walk."""
-        wanted = self.share * tensordict["agents", "desired_velocity"]
+        wanted = self.share * cast("torch.Tensor", tensordict["agents", "desired_velocity"])
         angle = self.angle * torch.sin(5 * cast("torch.Tensor", tensordict["time"]))
         direction = torch.cat((angle.cos(), angle.sin()), dim=1).unsqueeze(1).expand_as(wanted)
         tensordict["agents", "action"] = rotate(wanted, direction)

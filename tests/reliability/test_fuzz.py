@@ -59,14 +59,12 @@ class Reader(NamedTuple):
 
     file: str
     read: Callable[[Path], object]
-    examples: Callable[[], list[bytes]]
-    inside: Callable[[], Inside] | None = None
+    examples: list[bytes]
+    inside: Inside | None = None
 
 
-@cache
-def _pictures() -> list[bytes]:
-    pixels = np.where(np.arange(256).reshape(16, 16) % 16 < 12, 255, 0).astype(np.uint8)
-    return [cv2.imencode(kind, pixels)[1].tobytes() for kind in (".png", ".pgm", ".jpg", ".bmp")]
+_pixels = np.where(np.arange(256).reshape(16, 16) % 16 < 12, 255, 0).astype(np.uint8)
+PICTURES = [cv2.imencode(kind, _pixels)[1].tobytes() for kind in (".png", ".pgm", ".jpg", ".bmp")]
 
 
 def _png(content: bytes) -> bytes:
@@ -77,81 +75,63 @@ def _png(content: bytes) -> bytes:
     return b"\x89PNG\r\n\x1a\n" + b"".join(part + check for part, check in zip(made, sums, strict=True))
 
 
-def _pixels() -> Inside:
-    rows = b"".join(b"\0" + bytes(255 if column % 16 < 12 else 0 for column in range(16)) for _ in range(16))
-    return Inside(struct.pack(">IIBBBBB", 16, 16, 8, 0, 0, 0, 0) + rows, _png)
+_ROWS = b"".join(b"\0" + row.tobytes() for row in _pixels)
+PIXELS = Inside(struct.pack(">IIBBBBB", 16, 16, 8, 0, 0, 0, 0) + _ROWS, _png)
+
+_WALKS = [(frame, agent, 0.4 * frame + agent, 1.5 * agent) for frame in range(12) for agent in range(3)]
+TRACKS = [
+    "".join(f"{frame}\t{agent}\t{x:.3f}\t{y:.3f}\n" for frame, agent, x, y in _WALKS).encode(),
+    b"x,y,frame,agent\n" + "".join(f"{x},{y},{frame},{agent}\n" for frame, agent, x, y in _WALKS).encode(),
+]
+
+_SGAN = SGAN.of(encoder_dim=4, decoder_dim=6, noise_dim=2, mlp_dim=4, embedding_dim=4)
+WEIGHTS = save(_SGAN.state_dict(), {"config": json.dumps(config_of(_SGAN))})
+_END = 8 + int.from_bytes(WEIGHTS[:8], "little")
+HEADER = Inside(WEIGHTS[8:_END], lambda header: struct.pack("<Q", len(header)) + header + WEIGHTS[_END:])
+
+_STATE = {f"generator.{key}": value for key, value in _SGAN.state_dict().items()}
+torch.save({"pedzoo": config_of(_SGAN), "state_dict": _STATE}, CHECKPOINT := io.BytesIO())
+with zipfile.ZipFile(CHECKPOINT) as _archive:
+    ENTRIES = {entry: _archive.read(entry) for entry in _archive.namelist()}
+PICKLE = next(entry for entry in ENTRIES if entry.endswith("data.pkl"))
 
 
-@cache
-def _tracks() -> list[bytes]:
-    rows = [(frame, agent, 0.4 * frame + agent, 1.5 * agent) for frame in range(12) for agent in range(3)]
-    plain = "".join(f"{frame}\t{agent}\t{x:.3f}\t{y:.3f}\n" for frame, agent, x, y in rows)
-    table = "".join(f"{x:.3f},{y:.3f},{frame},{agent}\n" for frame, agent, x, y in rows)
-    return [plain.encode(), b"x,y,frame,agent\n" + table.encode()]
+def _archive_of(content: bytes) -> bytes:
+    """Return a checkpoint with another pickle."""
+    with zipfile.ZipFile(target := io.BytesIO(), "w") as archive:
+        for entry, other in ENTRIES.items():
+            archive.writestr(entry, content if entry == PICKLE else other)
+    return target.getvalue()
 
 
-_ROS = b"image: plan.png\nresolution: 0.05\norigin: [0, 0, 0]\noccupied_thresh: 0.65\nfree_thresh: 0.2\n"
-_ROS += b"negate: 0\n"
-
-
-def _ros(path: Path) -> object:
-    path.with_name("plan.png").write_bytes(_pictures()[0])
-    return read_ros(path)
-
-
-@cache
-def _sgan() -> SGAN:
-    return SGAN.of(encoder_dim=4, decoder_dim=6, noise_dim=2, mlp_dim=4, embedding_dim=4)
-
-
-@cache
-def _weights() -> list[bytes]:
-    return [save(_sgan().state_dict(), {"config": json.dumps(config_of(_sgan()))})]
-
-
-@cache
-def _header() -> Inside:
-    content = _weights()[0]
-    end = 8 + int.from_bytes(content[:8], "little")
-    return Inside(content[8:end], lambda header: struct.pack("<Q", len(header)) + header + content[end:])
-
-
-@cache
-def _checkpoint() -> list[bytes]:
-    state = {f"generator.{key}": value for key, value in _sgan().state_dict().items()}
-    torch.save({"pedzoo": config_of(_sgan()), "state_dict": state}, target := io.BytesIO())
-    return [target.getvalue()]
-
-
-@cache
-def _pickle() -> Inside:
-    with zipfile.ZipFile(io.BytesIO(_checkpoint()[0])) as archive:
-        entries = {entry: archive.read(entry) for entry in archive.namelist()}
-    name = next(entry for entry in entries if entry.endswith("data.pkl"))
-
-    def archive_of(content: bytes) -> bytes:
-        with zipfile.ZipFile(target := io.BytesIO(), "w") as archive:
-            for entry, other in entries.items():
-                archive.writestr(entry, content if entry == name else other)
-        return target.getvalue()
-
-    return Inside(entries[name], archive_of)
-
-
-@cache
 def _files(folder: str, pattern: str) -> list[bytes]:
     return [path.read_bytes() for path in sorted(shipped(folder).glob(pattern))[:3]]
 
 
-_JOURNAL = b"".join(b'{"unit": "%d", "rows": [{"n": %d}]}\n' % (one, one) for one in range(4))
-_PEOPLE = b"""map: flat
+ROS = b"image: plan.png\nresolution: 0.05\norigin: [0, 0, 0]\noccupied_thresh: 0.65\nfree_thresh: 0.2\n"
+ROS += b"negate: 0\n"
+JOURNAL = b"".join(b'{"unit": "%d", "rows": [{"n": %d}]}\n' % (one, one) for one in range(4))
+PEOPLE = b"""map: flat
 speed: 1.2
 people:
 - {from: [-3, 0], to: [3, 0], speed: 1.1}
 - {from: [3, 0.5], to: [-3, 0]}
 """
-_POLICIES = [b"orca:radius=0.2,dt=0.4", b"orca:share=0.3+social_force:tau=0.5", b"go_to_goal:safety=true"]
-_SCENARIOS = [b"door:width=0.9,people=4", b"circle:people=6", b"goals:map=flat,people=5", b"queue"]
+POLICIES = [b"orca:radius=0.2,dt=0.4", b"orca:share=0.3+social_force:tau=0.5", b"go_to_goal:safety=true"]
+SCENES = [b"door:width=0.9,people=4", b"circle:people=6", b"goals:map=flat,people=5", b"queue"]
+
+
+def _ros(path: Path) -> object:
+    path.with_name("plan.png").write_bytes(PICTURES[0])
+    return read_ros(path)
+
+
+def _text(path: Path) -> str:
+    return path.read_bytes().decode("utf-8", errors="replace")
+
+
+def _own(path: Path) -> object:
+    return OwnFiles(["people.csv"], 0.4, homography=str(path))
 
 
 def _people(path: Path) -> object:
@@ -159,28 +139,23 @@ def _people(path: Path) -> object:
 
 
 READERS = {
-    "tracks": Reader("people.csv", lambda path: Tracks.read(path).resampled(0.4), _tracks),
-    "homography": Reader(
-        "H.txt",
-        lambda path: OwnFiles(["people.csv"], 0.4, homography=str(path)),
-        lambda: [b"1 0 2\n0 1 3\n0 0.001 1\n"],
+    "tracks": Reader("people.csv", lambda path: Tracks.read(path).resampled(0.4), TRACKS),
+    "homography": Reader("H.txt", _own, [b"1 0 2\n0 1 3\n0 0.001 1\n"]),
+    "ros": Reader("map.yaml", _ros, [ROS]),
+    "image": Reader("plan.png", lambda path: read_image(path, 0.05), PICTURES, PIXELS),
+    "igibson": Reader("floor_trav_0.png", read_igibson, PICTURES[:1], PIXELS),
+    "card": Reader("card.yaml", read_card, _files("checkpoints", "sgan*.zara1/card.yaml")),
+    "safetensors": Reader("sgan.safetensors", lambda path: load(str(path)), [WEIGHTS], HEADER),
+    "checkpoint": Reader(
+        *("sgan.ckpt", lambda path: load(str(path)), [CHECKPOINT.getvalue()]),
+        Inside(ENTRIES[PICKLE], _archive_of),
     ),
-    "ros": Reader("map.yaml", _ros, lambda: [_ROS]),
-    "image": Reader("plan.png", lambda path: read_image(path, 0.05), _pictures, _pixels),
-    "igibson": Reader("floor_trav_0.png", read_igibson, lambda: _pictures()[:1], _pixels),
-    "card": Reader("card.yaml", read_card, lambda: _files("checkpoints", "sgan*.zara1/card.yaml")),
-    "safetensors": Reader("sgan.safetensors", lambda path: load(str(path)), _weights, _header),
-    "checkpoint": Reader("sgan.ckpt", lambda path: load(str(path)), _checkpoint, _pickle),
-    "config": Reader("own.yaml", load_config, lambda: _files("configs", "*.yaml")),
-    "journal": Reader("parts", Journal, lambda: [_JOURNAL]),
-    "policy": Reader("policy", lambda path: load_policy(_text(path)), lambda: _POLICIES),
-    "people": Reader("mine.yaml", _people, lambda: [_PEOPLE]),
-    "scenario": Reader("scenario", lambda path: build(SCENARIOS, _text(path), Scenario), lambda: _SCENARIOS),
+    "config": Reader("own.yaml", load_config, _files("configs", "*.yaml")),
+    "journal": Reader("parts", Journal, [JOURNAL]),
+    "policy": Reader("policy", lambda path: load_policy(_text(path)), POLICIES),
+    "people": Reader("mine.yaml", _people, [PEOPLE]),
+    "scenario": Reader("scenario", lambda path: build(SCENARIOS, _text(path), Scenario), SCENES),
 }
-
-
-def _text(path: Path) -> str:
-    return path.read_bytes().decode("utf-8", errors="replace")
 
 
 _BYTES = (b"", b"\0", b"\xff\xfe", b"\n", b"\x1b[2J", b"\xf0\x9f\x9a\xb6", b"'", b'"', b",", b":", b"+", b"=")
@@ -209,11 +184,11 @@ class Hangs(BaseException):
 def warm(reader: Reader, folder: Path) -> None:
     """Read the sound examples in an empty folder, with all the imports that this takes."""
     path = folder / reader.file
-    for content in reader.examples():
+    for content in reader.examples:
         path.write_bytes(content)
         reader.read(path)
     if reader.inside:
-        path.write_bytes(reader.inside().whole(reader.inside().content))
+        path.write_bytes(reader.inside.whole(reader.inside.content))
         reader.read(path)
     for file in folder.iterdir():
         file.unlink()
@@ -222,9 +197,8 @@ def warm(reader: Reader, folder: Path) -> None:
 def content_of(reader: Reader, draw: np.random.Generator) -> bytes:
     """Return a sound example with mistakes; half of the containers have theirs inside."""
     if reader.inside and draw.random() < 0.5:
-        return reader.inside().whole(mistaken(reader.inside().content, draw))
-    examples = reader.examples()
-    return mistaken(examples[draw.integers(len(examples))], draw)
+        return reader.inside.whole(mistaken(reader.inside.content, draw))
+    return mistaken(reader.examples[draw.integers(len(reader.examples))], draw)
 
 
 def mistaken(content: bytes, draw: np.random.Generator) -> bytes:
@@ -370,5 +344,5 @@ def test_what_a_reader_may_not_do_is_noticed(
 ) -> None:
     folder = tmp_path / "folder"
     folder.mkdir()
-    found = wrong_of(Reader("file", read, list), b"", folder)
+    found = wrong_of(Reader("file", read, []), b"", folder)
     assert (found and found.partition(":")[0]) == wrong

@@ -157,7 +157,8 @@ def legend(episodes: int) -> list[Line2D]:
         "walls in other episodes": {"color": "0.25", "linewidth": 0.6, "linestyle": (0, (1.5, 1.5))},
         f"{episodes - 1} more episodes": {"alpha": 0.25, "linewidth": 2},
     }
-    lines = [Line2D([], [], label=label, **({"color": "tab:blue"} | look)) for label, look in marks.items()]
+    usual: dict[str, Any] = {"color": "tab:blue"}
+    lines = [Line2D([], [], label=label, **(usual | look)) for label, look in marks.items()]
     return lines if episodes > 1 else lines[:-2]
 
 

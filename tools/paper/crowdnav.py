@@ -53,13 +53,11 @@ _VISIBLE = ("crowdnav_orca", _SPACE, "sampling", *LEARNED)
 _PP = (ORCA_PP, "crowdnav_social_force", "straight", "sampling", *LEARNED)
 _COLUMNS = ("success", "collision", "timeout", "time_s", "path_m")
 _NEAR, _INTRUDES = (*_COLUMNS, "discomfort", "return"), (*_COLUMNS, "intrusion_ratio", "intrusion_distance_m")
+_UNSEEN, _FEW, _MANY = "people who do not see the robot", "CrowdNav: 5", "CrowdNav++: 20"
 TABLES = {
-    name: Table(f"{title} the robot", *rest)
-    for name, title, *rest in (
-        ("crowdnav", "CrowdNav: 5 people who do not see", CROWDNAV, rules.TEST, (*_RULES, *LEARNED), _NEAR),
-        ("crowdnav_visible", "CrowdNav: 5 people who see", _SEEN, rules.TEST, _VISIBLE, _NEAR),
-        ("crowdnav_pp", "CrowdNav++: 20 people who do not see", CROWDNAV_PP, _FIRST, _PP, _INTRUDES),
-    )
+    "crowdnav": Table(f"{_FEW} {_UNSEEN}", CROWDNAV, rules.TEST, (*_RULES, *LEARNED), _NEAR),
+    "crowdnav_visible": Table(f"{_FEW} people who see the robot", _SEEN, rules.TEST, _VISIBLE, _NEAR),
+    "crowdnav_pp": Table(f"{_MANY} {_UNSEEN}", CROWDNAV_PP, _FIRST, _PP, _INTRUDES),
 }
 
 

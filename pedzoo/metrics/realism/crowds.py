@@ -77,21 +77,21 @@ def crowd(
     people, underway = len(start), rollout.underway
     place = around.close.clamp(max=MOST_CLOSE) + (MOST_CLOSE + 1) * steps.person[steps.scored]
     speed = steps.velocity[steps.scored].norm(dim=1)
-    at_density = [
+    speeds, counts = (
         sums(place, value, people * (MOST_CLOSE + 1)).view(people, -1)
         for value in (speed, torch.ones_like(speed))
-    ]
+    )
 
     def points(when: Tensor) -> Tensor:
         return torch.bincount(rollout.person[when], minlength=people).double()
 
-    contacts = [
+    agents, walls = (
         torch.stack((points(when & underway) * MINUTES, points(begins(when & underway))))
         for when in (rollout.agent_contact, rollout.wall_contact)
-    ]
+    )
     rounds = (steps.scored.nonzero()[:, 0] + first) // scenes
     samples = features(steps, around, start, goal)
-    return CrowdSums(samples, points(underway) * MINUTES, *contacts, rounds, *at_density)
+    return CrowdSums(samples, points(underway) * MINUTES, agents, walls, rounds, speeds, counts)
 
 
 def together(crowds: Sequence[CrowdSums]) -> CrowdSums:

@@ -116,7 +116,8 @@ def padded(xy: Tensor, walk: Tensor, walks: int) -> tuple[Tensor, Tensor]:
     length = torch.bincount(walk, minlength=walks)
     if not walks:
         return xy.new_zeros(0, 0, *xy.shape[1:]), length
-    return pad_sequence(xy[walk.argsort(stable=True)].split(length.tolist()), batch_first=True), length
+    parts = [*xy[walk.argsort(stable=True)].split(length.tolist())]
+    return pad_sequence(parts, batch_first=True), length
 
 
 def dtw(

@@ -67,7 +67,8 @@ def tracks_of(parts: Sequence[Rollout], people: int) -> RecordedWalks:
         seconds = torch.where(result.isnan(), seconds, result)
         scored.append((steps.xy[steps.scored], steps.person[steps.scored]))
         before += len(part.failed)
-    return RecordedWalks(scene, seconds, *padded(*map(torch.cat, zip(*scored, strict=True)), people))
+    xy, person = (torch.cat(values) for values in zip(*scored, strict=True))
+    return RecordedWalks(scene, seconds, *padded(xy, person, people))
 
 
 def walks_of(
