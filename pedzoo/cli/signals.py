@@ -15,11 +15,7 @@ _PATIENCE = 5.0
 
 
 class EndedBySignal(KeyboardInterrupt):
-    """A signal asked this process to end.
-
-    Attributes:
-        number: Which one.
-    """
+    """A signal, ``number``, asked this process to end."""
 
     def __init__(self, number: int) -> None:
         """Take the number of the signal."""
@@ -55,10 +51,9 @@ _handlers: dict[int, _Handler] = {}
 
 @contextmanager
 def handle_signals() -> Iterator[None]:
-    """Let signals end a block with `EndedBySignal`. Those that are ignored stay so, as ``nohup`` wants it.
+    """Let signals end a block of the main thread. Those that are ignored stay so, as ``nohup`` wants it.
 
-    SIGUSR1 is among them in a job of Slurm, which sends it before the time is up. Other threads than the main
-    one handle none.
+    SIGUSR1 is among them in a job of Slurm, which sends it before the time is up.
     """
     mine: list[int] = []
     if threading.current_thread() is threading.main_thread():

@@ -5,7 +5,6 @@ import re
 from argparse import ArgumentParser
 from collections.abc import Callable, Set
 from pathlib import Path
-from traceback import extract_tb
 from typing import Any, Literal, NamedTuple
 
 import yaml
@@ -106,11 +105,7 @@ def names_typed(argv: list[str]) -> set[str]:
 
 
 def _without_code(options: list[str], argv: list[str], weights: str) -> list[str]:
-    """Return what weights say, as options, without what was typed instead of a file of code.
-
-    Raises:
-        UserError: They name a file of code.
-    """
+    """Return what weights say, as options, without what was typed instead of a file of code; others raise."""
     left = [one for one in options if not (names_code(one) and given(argv, one.partition("=")[0]))]
     refuse_code(left, f"--weights {weights}", "name it yourself, as in --data.fold file.py:Class:fold")
     return left
@@ -126,7 +121,7 @@ class ConfigParser(LightningArgumentParser):
     start: ExpandedCommand = ExpandedCommand([])
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
-        """Make a parser, also one of a class within: these have no settings of `PARSER_SETTINGS`."""
+        """Make a parser with `PARSER_SETTINGS`, also one of a class within."""
         super().__init__(*args, **PARSER_SETTINGS | kwargs)
 
     def format_help(self) -> str:
@@ -135,7 +130,7 @@ class ConfigParser(LightningArgumentParser):
         return text if given(self.start.argv, "--config") else _TRAINER.sub(_TRAINER_IN_SHORT, text)
 
     def parse_path(self, path: str | os.PathLike, *args: Any, **kwargs: Any) -> Namespace:
-        """Parse a config file; arguments as of jsonargparse's."""
+        """Parse a config file."""
         settings = load_config(os.fspath(path))
         beside, typed = self.start.beside, self.start.typed
         if beside and Path(path).resolve() == beside.resolve():
@@ -158,12 +153,6 @@ def with_classes(settings: Any, change: Callable[[str], str]) -> Any:
     if isinstance(path := result.get("class_path"), str):
         result["class_path"] = change(path)
     return result
-
-
-def restores_checkpoint(error: Exception) -> bool:
-    """Return whether an error was raised while Lightning took a checkpoint's state."""
-    frames = extract_tb(error.__traceback__)
-    return any("checkpoint_connector" in frame.filename and "restore" in frame.name for frame in frames)
 
 
 def how_to_go_on(run: RunFolder | None) -> str:
@@ -189,10 +178,10 @@ class ProgressBar(RichProgressBar):
 class Signals(Callback):
     """Reinstalls our signal handlers: Lightning's talks to other processes in the midst of a step."""
 
-    def on_sanity_check_start(self, *_: Any) -> None:
-        """Do so before the first validation."""
-        reinstall_handlers()
-
     def on_train_start(self, *_: Any) -> None:
         """Do so before the first step."""
+        reinstall_handlers()
+
+    def on_sanity_check_start(self, *_: Any) -> None:
+        """Do so before the first validation."""
         reinstall_handlers()

@@ -174,11 +174,7 @@ def in_company(group: Tensor, here: Tensor) -> Tensor:
 
 
 def goals_of(batch: TensorDictBase, who: str) -> tuple[Tensor, Tensor]:
-    """Return goal and desired velocity (B, A, 2) of a batch; messages say that ``who`` needs them.
-
-    Raises:
-        UserError: The batch has none.
-    """
+    """Return goal and desired velocity (B, A, 2). Raises UserError: ``who`` needs them, there are none."""
     agents = agents_of(batch)
     if "goal" not in agents.keys():
         raise UserError(
@@ -206,8 +202,7 @@ def is_walking(batch: TensorDictBase) -> Tensor:
 def actions_of(batch: TensorDictBase, group: str = "agents") -> Tensor:
     """Return the actions (B, A, 2) that a policy has written for a group of agents, in single precision.
 
-    Raises:
-        UserError: They have another shape: torch would stretch them silently.
+    Raises UserError: they have another shape, and torch would stretch them silently.
     """
     action, expected = cast("Tensor", batch[group, "action"]), (*cast("Any", batch[group]).batch_size, 2)
     if tuple(action.shape) != expected:
@@ -221,9 +216,7 @@ def maps_of(batch: TensorDictBase) -> MapBank:
     """Return the floor plans that the ``map_id`` of a batch speaks of, on the device of the batch.
 
     Batches that were stacked, joined or collected by TorchRL have many entries: equal ones count as one.
-
-    Raises:
-        UserError: The batch has no floor plans, or its scenes are of different banks.
+    Raises UserError: it has none, or its scenes are of different banks.
     """
     banks: list[MapBank] = []
     for bank in _banks(batch.get("maps", None)):

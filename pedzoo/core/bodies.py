@@ -79,17 +79,10 @@ class RobotBody:
 
 
 class Fleet(NamedTuple):
-    """The bodies of R robots as tensors (R,), or of those of B scenes (B, R).
+    """The bodies of R robots as tensors (R,), or of those of B scenes (B, R); units as of `RobotBody`.
 
-    Attributes:
-        drive: `HOLONOMIC`, `UNICYCLE` or `DIFF_DRIVE` (R,) long.
-        radius: Metres (R,).
-        top_speed: m/s (R,).
-        top_turn: rad/s (R,).
-        acceleration: m/s^2 (R,).
-        turn_acceleration: rad/s^2 (R,).
-        track: Metres (R,).
-        slowest: The least speed, 0 for robots that do not drive backwards (R,), m/s.
+    ``drive`` is `HOLONOMIC`, `UNICYCLE` or `DIFF_DRIVE`, long. ``slowest`` is the least speed, m/s: 0 for
+    robots that do not drive backwards.
     """
 
     drive: Tensor
@@ -125,7 +118,8 @@ class Fleet(NamedTuple):
             action: In the robots' frames, see `RobotBody`.
             heading: Of the robots (B, R), radians.
         """
-        free = rotate(_limited(action, self.top_speed), direction_of(heading))
+        shortened = torch.where(action.isfinite(), limit_speed(action, self.top_speed), action)
+        free = rotate(shortened, direction_of(heading))
         speed, turn = self.speed_of(action)
         driven = self.from_speed(
             speed.clamp(self.slowest, self.top_speed), turn.clamp(-self.top_turn, self.top_turn)
@@ -148,8 +142,3 @@ def speed_and_turn(command: Iterable[Tensor], drive: Tensor, track: Tensor) -> t
     first, second = command
     pair, turn = drive == DIFF_DRIVE, (second - first) / track
     return torch.where(pair, 0.5 * (first + second), first), torch.where(pair, turn, second)
-
-
-def _limited(velocity: Tensor, top_speed: Tensor) -> Tensor:
-    """Return velocities (..., 2) of at most ``top_speed`` (...); what is not finite stays so."""
-    return torch.where(velocity.isfinite(), limit_speed(velocity, top_speed), velocity)

@@ -37,10 +37,7 @@ def compiled(signature: str | None = None) -> Callable[[Any], Any]:
 
 @cache
 def _cache_folder() -> str:
-    """Return a folder named by all files with compiled functions and by the files that these import.
-
-    numba's own cache compares one file alone: it misses changed constants and functions of other files.
-    """
+    """Return a folder named by all files with compiled functions and what they import; numba compares one."""
     root = Path(__file__).parents[1]
     imports = re.compile(rb"^from pedzoo\.([\w.]+) import", re.MULTILINE)
     loops = [

@@ -9,8 +9,8 @@ from pedzoo.core.paths import find_config
 from pedzoo.core.size_limits import check_yaml, read_mapping
 from pedzoo.core.spec import with_settings
 
-_OF_COURSE = ("scenario", "scenes", "share")
-"""A course's own keys. Its other keys are settings of its scenario."""
+_OF_COURSE = ("scenes", "share")
+"""A course's own keys beside ``scenario``; its other keys are settings of that."""
 
 
 def load_config(name: str | Path) -> dict[str, Any]:
@@ -41,22 +41,16 @@ def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any
     return result
 
 
-def read_config(path: Path) -> dict[Any, Any]:
-    """Return the mapping in a config file as it stands there; errors as of `read_mapping`."""
-    result = read_mapping(path, "config", "a mapping such as 'model: ...'")
-    try:
-        check_yaml(result)
-    except UserError as error:
-        raise UserError(f"config {str(path)!r}: a text in it {error}") from error
-    return result
-
-
 def _loaded(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
     chain = (*above, path.resolve())
     if chain[-1] in above:
         circle = " -> ".join(file.stem for file in chain[above.index(chain[-1]) :])
         raise UserError(f"config {str(path)!r} is its own base: {circle}; remove one of these bases")
-    settings = read_config(path)
+    settings = read_mapping(path, "config", "a mapping such as 'model: ...'")
+    try:
+        check_yaml(settings)
+    except UserError as error:
+        raise UserError(f"config {str(path)!r}: a text in it {error}") from error
     for key in (one for one in _keys(settings) if not isinstance(one, str)):
         raise UserError(f"config {str(path)!r}: {key!r:.60} stands in the place of an option's name")
     if (base := settings.pop("base", None)) is None:
@@ -86,22 +80,19 @@ def _with_scenarios(settings: Any) -> Any:
     if not isinstance(settings, dict):
         return settings
     result = {key: _with_scenarios(value) for key, value in settings.items()}
-    for key, rewrite in (("courses", _course), ("scenarios", _scenario)):
+    for key in ("courses", "scenarios"):
         if isinstance(items := result.get(key), list):
-            result[key] = [rewrite(item) if isinstance(item, dict) else item for item in items]
+            result[key] = [
+                _as_text(item, key == "courses") if isinstance(item, dict) else item for item in items
+            ]
     return result
 
 
-def _course(item: Mapping[str, Any]) -> dict[str, Any]:
-    """Return ``{scenario: door, width: 0.9, scenes: 6}`` as ``{scenario: "door:width=0.9", scenes: 6}``."""
-    own = {key: value for key, value in item.items() if key in _OF_COURSE}
-    return own | {"scenario": _scenario({key: item[key] for key in item if key not in _OF_COURSE[1:]})}
-
-
-def _scenario(item: Mapping[str, Any]) -> str:
-    """Return ``{scenario: door, width: 0.9}`` as ``door:width=0.9``."""
-    settings = dict(item)
-    name = settings.pop("scenario", None)
+def _as_text(item: Mapping[str, Any], is_course: bool) -> Any:
+    """Return ``{scenario: door, width: 0.9}`` as ``door:width=0.9``; in a course, beside its own keys."""
+    own = {key: item[key] for key in _OF_COURSE if is_course and key in item}
+    name = item.get("scenario")
     if not isinstance(name, str):
         raise UserError(f"scenario {item!r:.80}: expected its name, as in {{scenario: door, width: 0.9}}")
-    return with_settings(name, settings)
+    text = with_settings(name, {key: item[key] for key in item if key != "scenario" and key not in own})
+    return own | {"scenario": text} if is_course else text

@@ -72,8 +72,7 @@ def known_arguments(*further: Callable[..., Any]) -> Callable[[Function], Functi
 def as_integer(what: str, number: object) -> int:
     """Return a whole number as Python's own: one of NumPy or torch overflows where this does not.
 
-    Raises:
-        UserError: It is none; the message begins with ``what``.
+    Raises UserError: it is none; the message begins with ``what``.
     """
     try:
         return index(cast("Any", number))
@@ -82,26 +81,14 @@ def as_integer(what: str, number: object) -> int:
 
 
 def at_least_one(what: str, number: object) -> int:
-    """Return a whole number above 0 as `as_integer` does.
-
-    Raises:
-        UserError: It is none; the message begins with ``what``.
-    """
+    """Return a whole number above 0, and raise for others, as `as_integer` does."""
     if (result := as_integer(what, number)) < 1:
         raise UserError(f"{what} {result}: expected at least 1")
     return result
 
 
 def at_least_zero(place: str, **numbers: float) -> None:
-    """Raise for numbers that are negative, infinite or NaN.
-
-    Args:
-        place: What stands before the names in the message, such as ``--model.``.
-        numbers: By name.
-
-    Raises:
-        UserError: One is.
-    """
+    """Raise UserError for numbers that are negative, infinite or NaN; ``place`` stands before a name."""
     for name, number in numbers.items():
         if not 0 <= number < math.inf:
             raise UserError(f"{place}{name} {number}: expected at least 0")
@@ -116,19 +103,16 @@ def check_range(
     most: float = math.inf,
     above: bool = False,
 ) -> None:
-    """Raise for settings of an object that are out of their range, or no finite numbers; None fits.
+    """Raise UserError for settings that are out of their range, or no finite numbers; None fits.
 
     Args:
-        settings: The object.
+        settings: The object that has them.
         kind: What stands before the names in the message.
         names: Those of its attributes, apart by spaces.
         expected: What they are to be, in words.
-        least: The least value ...
-        most: ... and the greatest.
+        least: The least value.
+        most: The greatest value.
         above: Whether the least value itself is too little.
-
-    Raises:
-        UserError: One is.
     """
     for name in names.split():
         value = getattr(settings, name)
@@ -165,15 +149,7 @@ def install_command(extra: str) -> str:
 
 
 def need(extra: str, what: str) -> None:
-    """Refuse to go on without the packages of an extra.
-
-    Args:
-        extra: One of `EXTRAS`.
-        what: What needs them, in the singular, as it stands in the message.
-
-    Raises:
-        UserError: One is not installed; the message has the command that installs it.
-    """
+    """Raise UserError where a package of an extra is absent: ``what`` needs it, and how it is installed."""
     if absent := [module for module in EXTRAS[extra] if find_spec(module) is None]:
         raise UserError(f"{what} needs {' and '.join(absent)}, not installed here: {install_command(extra)}")
 

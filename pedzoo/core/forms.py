@@ -17,15 +17,10 @@ _WORDS = {str: "a text", bool: "true or false", int: "a whole number", float: "a
 
 
 def check(value: Any, form: Any, where: str = "") -> None:
-    """Check that a value is of a type, as msgspec converts it.
+    """Raise UserError for a value that msgspec does not convert to a type; ``where`` names it in the message.
 
-    Args:
-        value: The value.
-        form: The type: a plain one, ``Literal``, a union, a container, a `TypedDict` or a `msgspec.Struct`.
-        where: What the value is, for the message.
-
-    Raises:
-        UserError: It is of another type, or a key is unknown or missing.
+    The type may be plain, a ``Literal``, a union, a container, a `TypedDict` or a `msgspec.Struct`. Its keys
+    are checked, too.
     """
     try:
         msgspec.convert(value, form)
@@ -53,11 +48,9 @@ def _in_words(form: Any) -> str:
 
 
 def check_plain(value: Any) -> None:
-    """Check that a value is made of texts, finite numbers of 64 bits, lists and mappings, as JSON is.
+    """Raise UserError for all but texts, finite numbers of 64 bits, lists and mappings, as JSON has them.
 
-    Raises:
-        UserError: It holds something else, such as YAML's dates and sets, or control characters, which are
-            orders to a terminal.
+    YAML has dates and sets, too. Control characters are refused: they are orders to a terminal.
     """
     for one in _all_in(value):
         if isinstance(one, str) and _CONTROL.search(one):
@@ -72,7 +65,7 @@ def check_plain(value: Any) -> None:
 
 
 def refuse_code(value: Any, what: str, remedy: str, typed: Set[str] = frozenset()) -> None:
-    """Check that nothing in a value, key or value at any depth, names a file of code.
+    """Raise UserError where a value names a file of code, as a key or value at any depth.
 
     Only a person names code: in a command, or in a config of their own.
 
@@ -80,10 +73,7 @@ def refuse_code(value: Any, what: str, remedy: str, typed: Set[str] = frozenset(
         value: What was read from a file.
         what: What it is, for the message.
         remedy: What a person can do who wants that code to run.
-        typed: What that person has named, as of `absolute_name`.
-
-    Raises:
-        UserError: It names another one.
+        typed: What that person has named, as of `absolute_name`: it passes.
     """
     for one in _all_in(value):
         if isinstance(one, str) and names_code(one) and absolute_name(one) not in typed:

@@ -37,11 +37,7 @@ def versions() -> dict[str, str]:
 
 
 def usable(device: torch.device | str) -> torch.device:
-    """Return the device.
-
-    Raises:
-        UserError: There is no such device here.
-    """
+    """Return the device. Raises UserError: there is no such device here."""
     import torch
 
     try:

@@ -48,11 +48,7 @@ def config_names() -> list[str]:
 
 
 def find_config(name: str) -> Path:
-    """Return the file of a shipped config's name or of a path.
-
-    Raises:
-        UserError: Neither exists.
-    """
+    """Return the file of a shipped config's name or of a path. Raises UserError: neither exists."""
     for path in (Path(name), shipped("configs") / f"{name}.yaml"):
         if path.is_file():
             return path
@@ -128,15 +124,6 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
 
 def check_ending(what: str, path: str | Path, endings: Iterable[str]) -> None:
-    """Refuse a name with another ending, in capitals or not.
-
-    Args:
-        what: The option or the kind of file, and the name: how the message begins.
-        path: The name.
-        endings: Those that it may have.
-
-    Raises:
-        UserError: It has another one, or none.
-    """
+    """Raise UserError for a path with another ending, in capitals or not; ``what`` begins the message."""
     if Path(path).suffix.lower() not in (allowed := tuple(endings)):
         raise UserError(f"{what}: expected a file that ends in {' or '.join(allowed)}")

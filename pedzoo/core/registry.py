@@ -79,15 +79,16 @@ class Registry:
             node = ast.parse(path.read_text()) if path else None
         else:
             node, wanted = self._node(name), name.replace("_", "")
-        body = node.body if node else []
-        inside = [
-            one.body for one in body if isinstance(one, ast.ClassDef) and one.name.lower() == wanted.lower()
-        ]
-        for one in [statement for part in (body, *inside) for statement in part]:
-            targets = getattr(one, "targets", None) or [getattr(one, "target", None)]
-            if isinstance(one, ast.Assign | ast.AnnAssign) and variable in map(ast.unparse, targets):
+        body = [*(node.body if node else ())]
+        for one in [one for one in body if isinstance(one, ast.ClassDef)]:
+            body += one.body if one.name.lower() == wanted.lower() else []
+        for one in body:
+            if isinstance(one, ast.Assign | ast.AnnAssign) and one.value:
+                targets = one.targets if isinstance(one, ast.Assign) else [one.target]
+                if variable not in map(ast.unparse, targets):
+                    continue
                 try:
-                    return ast.literal_eval(one.value or "None")
+                    return ast.literal_eval(one.value)
                 except ValueError as error:
                     raise UserError(f"{self.kind} {name}: {variable} is no literal: write it out") from error
         return None
@@ -160,20 +161,17 @@ class FunctionRegistry(Registry):
 
     def declared(self, name: str) -> list[Any]:
         """Return the literals that the decorator of a function is given; none of plugins."""
-        call = self._functions().get(name, (None, None, None))[2]
+        call = _decorated(self.package, self.kind).get(name, (None, None, None))[2]
         return [ast.literal_eval(one) for one in call.args] if call else []
 
     def _find(self, inside: dict[str, Any], name: str) -> Any:
         return inside[name]
 
-    def _functions(self) -> dict[str, tuple[str, ast.FunctionDef, ast.Call]]:
-        return _decorated(self.package, self.kind)
-
     def _homes(self) -> dict[str, str]:
-        return {name: home for name, (home, *_) in self._functions().items()}
+        return {name: home for name, (home, *_) in _decorated(self.package, self.kind).items()}
 
     def _node(self, name: str) -> ast.FunctionDef | None:
-        return self._functions().get(name, (None, None))[1]
+        return _decorated(self.package, self.kind).get(name, (None, None))[1]
 
 
 def name_of_class(name: str) -> str:

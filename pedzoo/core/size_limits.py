@@ -50,11 +50,7 @@ _NO_YAML = (yaml.YAMLError, ValueError, LookupError, AttributeError, ArithmeticE
 
 
 def check_limit(value: float, limit: float, what: str, unit: str, remedy: str) -> None:
-    """Check that a value does not exceed a limit.
-
-    Raises:
-        UserError: It does: the message says ``what`` has how many of a ``unit``, the limit, and the remedy.
-    """
+    """Raise UserError where a value exceeds a limit: ``what`` has how many of a ``unit``, and the remedy."""
     if not value <= limit:
         raise UserError(f"{what} has {value:,.15g} {unit}, at most {limit:,.15g} are read: {remedy}")
 
@@ -74,14 +70,11 @@ def read_text(path: Path, limit: int = LARGEST_YAML) -> str:
 
 
 def load_yaml(text: bytes | str, references: bool = False) -> Any:
-    """Return the values of untrusted YAML; texts that would expand without end are refused.
-
-    Args:
-        text: The YAML.
-        references: Whether a value may stand for another one (``*``), as people write it for themselves.
+    """Return the values of untrusted YAML; ``references`` (``*``) are for what people write for themselves.
 
     Raises:
-        UserError: It is no YAML, has values that are not of the kind they say, references or many levels.
+        UserError: It is no YAML, has values that are not of the kind they say, too many values or levels, or
+            references.
     """
     try:
         loader = _counted(text, references)
@@ -95,13 +88,8 @@ def load_yaml(text: bytes | str, references: bool = False) -> Any:
 def read_mapping(path: Path, what: str, expected: str) -> dict[Any, Any]:
     """Return the mapping in a YAML file of one's own, in which references may stand.
 
-    Args:
-        path: The file.
-        what: The word for it in errors: ``config``.
-        expected: What a mapping there looks like, for the same.
-
     Raises:
-        UserError: It cannot be read, is no YAML, or no mapping.
+        UserError: It cannot be read, is no YAML, or no mapping: ``what`` it is, and what was ``expected``.
     """
     try:
         settings = load_yaml(read_text(path), references=True)
@@ -168,10 +156,7 @@ def _counted(text: bytes | str, references: bool) -> Any:
 
 
 def _values_in(node: Any, known: dict[int, int]) -> int:
-    """Return the number of values with all references written out; ``known`` has those of earlier ones.
-
-    That many pairs are merged at most. It is counted before anything is built: a merge builds all of them.
-    """
+    """Return the number of values with references written out: a merge would build as many pairs at most."""
     if not isinstance(node, yaml.CollectionNode):
         return 1
     if id(node) not in known:

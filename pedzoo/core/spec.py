@@ -2,9 +2,8 @@
 
 A value with commas is written in quotes: ``goals:map='/a,b/plan.yaml'``.
 
-A class may take settings in groups. A group is an argument whose default is a frozen dataclass: that default
-has the defaults of the class's settings. Texts and weights
-name settings without their groups, configs with them.
+A class may take settings in groups. A group is an argument whose default is a frozen dataclass, which has the
+defaults of the class's settings. Texts and weights name settings without their groups, configs with them.
 """
 
 import inspect
@@ -77,12 +76,8 @@ def parse(text: str) -> SpecText:
 def with_settings(text: str, settings: Mapping[str, Any]) -> str:
     """Return a name, or a text with settings, with further settings behind it: `parse` reads it again.
 
-    Args:
-        text: ``door`` or ``door:people=4``.
-        settings: Numbers, texts, true and false, none, or lists of these.
-
     Raises:
-        UserError: A value is a mapping or something else that cannot be written behind a colon.
+        UserError: A value is no number, text, truth, None or list of these.
     """
     parts = [f"{key}={_as_text(f'{text}:{key}', plain(value))}" for key, value in settings.items()]
     if not parts:
@@ -116,7 +111,7 @@ def build(registry: Registry, what: str | Spec | SpecText, base: type, **given: 
         registry: Where the name is looked up.
         what: A text as `parse` takes it, or a name with values.
         base: The class that it must be a subclass of.
-        given: Further arguments; the settings of ``what`` override them.
+        given: Further arguments, which the settings override.
 
     Raises:
         UserError: An unknown name or setting, or a value of the wrong type.
@@ -271,9 +266,9 @@ def build_ungrouped(cls: type, given: Mapping[str, Any]) -> Any:
 
 
 def _changed(default: Any, values: Mapping[str, Any]) -> Any:
-    """Return a group with new values beside those in which the class's default differs from the group's.
+    """Return a group with new values, and those in which the class's default differs from the group's.
 
-    Not `dataclasses.replace`: a group may choose values of its own by others, such as those of a preset.
+    Not `dataclasses.replace`: a group may choose values by others, such as a preset.
     """
     usual = type(default)()
     own = {field.name: getattr(default, field.name) for field in fields(default)}

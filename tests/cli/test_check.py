@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -33,6 +34,7 @@ NAMES = [
     ("rollout orca+sgan_goal_map.indor", "did you mean 'sgan_goal_map.indoor'?"),
     ("rollout orca --scenario dor", "unknown scenario 'dor': did you mean 'door'?"),
     ("rollout orca --episode 3", "unknown option --episode: did you mean --episodes?"),
+    ("plans office --cuont 3", "unknown option --cuont: did you mean --count?"),
     ("evaluate none.ckpt", "no checkpoint at 'none.ckpt'"),
     ("forecast sgan_goal.zara7", "unknown model 'sgan_goal.zara7': did you mean"),
     ("fit --config sgan_goall", "unknown config 'sgan_goall': did you mean 'sgan_goal'?"),
@@ -60,10 +62,7 @@ NAMES = [
 VALUES = [
     ("rollout orca:radus=3", "unknown setting of policy orca 'radus': did you mean 'radius'?"),
     ("rollout sgan_goal.zara1:saftey=no", "did you mean 'safety'?"),
-    (
-        "rollout orca --scenario door:widht=1",
-        "unknown setting of scenario door 'widht': did you mean 'width'?",
-    ),
+    ("rollout orca --scenario door:widht=1", "setting of scenario door 'widht': did you mean 'width'?"),
     ("rollout orca --physics bulet", "unknown physics 'bulet': did you mean 'bullet'?"),
     ("evaluate orca --suite door,gols", "unknown suite 'gols': did you mean 'goals'?"),
     ("fit --config sgan_goal --data.fold zara9", "unknown fold 'zara9': did you mean 'zara"),
@@ -124,37 +123,38 @@ def test_mistakes_in_values_are_one_line(line: str, message: str, capsys: pytest
     assert message in error and error.count("\n") == 1 and "Base" not in error
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        "rollout orca:radius=0.3 file.py:Mine --scenario door:width=0.9,people=4 --video-view top",
-        "rollout go_to_goal --scenario file.py:Mine:anything=1 --metrics spl,file.py:f",
-        "evaluate sgan_goal_map.indoor:safety=false,noise=step orca:share=0.5+go_to_goal --suite encounters",
-        "evaluate robot_ppo.circle stop --suite robots --people orca,replay:fold=zara1",
-        "forecast hf://OWNER/REPO bent_line --data.keep_people present",
-        "fit --config sgan_goal --data.files file.py --model.generator.noise_dim 4 --trainer.max_epochs=2",
-        "fit --config robot/ppo --model.scenarios circle",
-        "fit --model file.py --model.anything 3 --data.loading.max-pairs 9",
-        "fit --model.lr 3",
-        "score sgan_goal_map.indoor walks.TSV --against zara1",
-        "view goals:map=[apartment.1,office.2] orca+go_to_goal",
-        "rollout --episodes 3 orca",
-        "rollout orca --scenario mine.yaml:speed=1",
-        "evaluate orca --people replay,replay:fold=zara1,here.py:Imported --robot here.py:Other:x=1",
-        "fit --print_config",
-        "validate --ckpt_path here.py",
-    ],
-)
-def test_doubtful_names_pass(line: str) -> None:
-    command, *words = line.split()
-    check_names(command, words)
+DOUBTFUL = [
+    "rollout orca:radius=0.3 file.py:Mine --scenario door:width=0.9,people=4 --video-view top",
+    "rollout go_to_goal --scenario file.py:Mine:anything=1 --metrics spl,file.py:f",
+    "evaluate sgan_goal_map.indoor:safety=false,noise=step orca:share=0.5+go_to_goal --suite encounters",
+    "evaluate robot_ppo.circle stop --suite robots --people orca,replay:fold=zara1",
+    "forecast hf://OWNER/REPO bent_line --data.keep_people present",
+    "fit --config sgan_goal --data.files file.py --model.generator.noise_dim 4 --trainer.max_epochs=2",
+    "fit --config robot/ppo --model.scenarios circle",
+    "fit --model file.py --model.anything 3 --data.loading.max-pairs 9",
+    "fit --model.lr 3",
+    "score sgan_goal_map.indoor walks.TSV --against zara1",
+    "view goals:map=[apartment.1,office.2] orca+go_to_goal",
+    "rollout --episodes 3 orca",
+    "rollout orca --scenario mine.yaml:speed=1",
+    "evaluate orca --people replay,replay:fold=zara1,here.py:Imported --robot here.py:Other:x=1",
+    "fit --print_config",
+    "validate --ckpt_path here.py",
+]
+"""What may be right, and is left to the command."""
 
 
-@pytest.mark.parametrize("line", ["fit --config NAME", "fit --resume NAME", "report NAME"])
-def test_too_long_names_are_one_line(line: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(line.replace("NAME", "a" * 300).split()) == 2
-    error = capsys.readouterr().err
-    assert "no file has so long a name" in error and error.count("\n") == 1
+def test_doubtful_names_pass() -> None:
+    for line in DOUBTFUL:
+        command, *words = line.split()
+        check_names(command, words)
+
+
+def test_too_long_names_are_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    for line in ("fit --config", "fit --resume", "report"):
+        assert main([*line.split(), "a" * 300]) == 2
+        error = capsys.readouterr().err
+        assert "no file has so long a name" in error and error.count("\n") == 1
 
 
 def test_odd_values_of_a_config_are_refused(elsewhere: Path) -> None:
@@ -182,26 +182,29 @@ def test_head_ends_a_command_without_a_traceback() -> None:
     assert done.stdout.count("\n") == 1 and "Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        ("pedzoo ro", "rollout"),
-        ("pedzoo rollout orca --scenario doo", "door"),
-        ("pedzoo fit --data.fo", "--data.fold"),
-    ],
-)
-def test_bash_completes_commands_options_and_names(
-    words: str, expected: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_shells_complete_commands_options_and_names(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["completion", "bash"]) == 0
-    last = len(words.split()) - 1
-    asks = f"COMP_WORDS=({words}); COMP_CWORD={last}; _shtab_pedzoo; echo ${{COMPREPLY[@]}}"
-    script = f"{capsys.readouterr().out}\n{asks}"
+    script = capsys.readouterr().out
+    expected = {"ro": "rollout", "rollout orca --scenario doo": "door", "fit --data.fo": "--data.fold"}
+    for words in expected:
+        asks = f"COMP_WORDS=(pedzoo {words}); COMP_CWORD={len(words.split())}; _shtab_pedzoo"
+        script += f"\n{asks}; echo ${{COMPREPLY[@]}}"
     done = subprocess.run(["bash"], input=script, capture_output=True, text=True, check=True)
-    assert expected in done.stdout.split(), done.stderr
-
-
-def test_zsh_has_a_completion(capsys: pytest.CaptureFixture[str]) -> None:
+    for line, wanted in zip(done.stdout.splitlines(), expected.values(), strict=True):
+        assert wanted in line.split(), done.stderr
     assert main(["completion", "zsh"]) == 0
     assert capsys.readouterr().out.startswith("#compdef pedzoo")
     assert main(["completion", "fish"]) == 2
+
+
+def test_a_plugin_of_an_installed_package_is_a_command(elsewhere: Path) -> None:
+    info = elsewhere / "mine-1.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1\n")
+    (info / "entry_points.txt").write_text("[pedzoo.plugins]\ncommand.greet = greeting:greet\n")
+    Path("greeting.py").write_text("def greet(argv):\n    print('hello', *argv)\n    return 0\n")
+    command = [sys.executable, "-m", "pedzoo"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(elsewhere), str(ROOT)])}
+    for words, said in ((["greet", "you"], "hello you"), (["--help"], "  greet       plugin")):
+        done = subprocess.run([*command, *words], capture_output=True, text=True, env=environment)
+        assert done.returncode == 0 and said in done.stdout, done.stderr

@@ -23,7 +23,6 @@ from pedzoo.cli.parsing import PARSER_SETTINGS, parse
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import config_names
 from pedzoo.core.registry import COMMANDS
-from pedzoo.models.zoo.card import read_config
 
 ROOT = Path(pedzoo.__file__).parents[1]
 FIT = ["fit", "--config", "sgan_goal", "--data.fold", "embedded"]
@@ -78,13 +77,12 @@ def test_every_command_has_help_with_an_example(command, capsys):
 @pytest.mark.parametrize(
     ("given", "expected"),
     [
-        ("--lr 1e-3", "did you mean --model.lr?"),
+        ("--lr 1e-3", "did you mean --model.lr?"),  # others in tests/cli/test_check.py
         ("--model.generator.noise_dm 4", "did you mean --model.generator.architecture.noise_dim?"),
         ("--model.discriminator.knd local", "did you mean --model.discriminator.kind?"),
         ("--data.bach_size 4", "--data.bach_size: did you mean --data.loading.batch_size?"),
         ("--trainer.max_epoch 4", "did you mean --trainer.max_epochs?"),
         ("--model.lr fast", "--model.lr: expected float, not 'fast'"),
-        ("--model.lr -1", "--model.lr -1.0: expected at least 0"),
         ("--model.clip -2", "--model.clip -2.0: expected at least 0"),
         ("--trainer.check_val_every_n_epoch 0", "--trainer.check_val_every_n_epoch 0: expected at least 1"),
         ("--trainer.accelerator foo", "invalid accelerator name: `accelerator='foo'`"),
@@ -94,7 +92,6 @@ def test_every_command_has_help_with_an_example(command, capsys):
         ("--model GANModul", "--model: no class 'GANModul'"),
         ("stray", "unexpected argument 'stray'"),
         ("--ckpt_path none.ckpt", "no checkpoint 'none.ckpt'"),
-        ("--model.generator.losses.best 3", "did you mean --model.generator.losses.best_k?"),
         ("--data.loading.seed 3", "seed_everything"),
     ],
 )
@@ -104,7 +101,6 @@ def test_misspelt_options_and_wrong_types_are_refused(given, expected, capsys, e
 
 
 def parsed(typed: str, **types):
-    """Parse options of these types, each None by default."""
     parser = ArgumentParser(**PARSER_SETTINGS)
     for name, kind in types.items():
         parser.add_argument(f"--{name}", type=kind)
@@ -120,11 +116,7 @@ def parsed(typed: str, **types):
         ("--one x.y", str, "x.y"),
         ("--one a.csv,b.csv", list[str] | None, ["a.csv", "b.csv"]),
         ("--one=door", list[str] | None, ["door"]),
-        (
-            "--one d:w=[0.7,0.9],p=4,circle,f.py:M:a=1",
-            list[str],
-            ["d:w=[0.7,0.9],p=4", "circle", "f.py:M:a=1"],
-        ),
+        ("--one d:w=[0.7,0.9],p=4,c,f.py:M:a=1", list[str], ["d:w=[0.7,0.9],p=4", "c", "f.py:M:a=1"]),
         ("--one [a,b]", list[str] | None, ["a", "b"]),
         ("--one null", list[str] | None, None),
         ("--one 2", list[int] | int | str, 2),
@@ -136,9 +128,6 @@ def parsed(typed: str, **types):
 )
 def test_values_are_read_as_people_type_them(typed, kind, wanted):
     assert parsed(typed, one=kind).one == wanted
-
-
-def test_dashes_stand_for_underscores():
     assert parsed("--video-view top --quick", video_view=str, quick=bool).video_view == "top"
 
 
@@ -205,16 +194,11 @@ def fails(monkeypatch, error: BaseException) -> None:
     monkeypatch.setattr("pedzoo.cli.commands.lists.models", run)
 
 
-@pytest.mark.parametrize(
-    "error", [ZeroDivisionError(), RuntimeError("shapes"), FileNotFoundError(2, "no", "x")]
-)
-def test_our_own_mistakes_keep_their_traceback(error, monkeypatch):
-    fails(monkeypatch, error)
-    with pytest.raises(type(error)):
-        main(["models"])
-
-
-def test_an_interrupt_has_its_exit_code(monkeypatch):
+def test_our_own_mistakes_keep_their_traceback(monkeypatch):
+    for error in (ZeroDivisionError(), RuntimeError("shapes"), FileNotFoundError(2, "no", "x")):
+        fails(monkeypatch, error)
+        with pytest.raises(type(error)):
+            main(["models"])
     fails(monkeypatch, KeyboardInterrupt())
     assert main(["models"]) == 130
 
@@ -238,7 +222,7 @@ def test_what_the_machine_lacks_is_one_line(error, said, monkeypatch, capsys):
     assert said in refused(capsys, "models")
 
 
-def test_real_lacks_of_memory_and_room_are_told(monkeypatch, capsys, tmp_path):
+def test_a_real_lack_of_memory_or_room_is_told(monkeypatch, capsys, tmp_path):
     for make in (torch.zeros, np.zeros, bytearray):
         monkeypatch.setattr("pedzoo.cli.commands.lists.models", lambda argv, make=make: make(2**58))
         assert refused(capsys, "models").startswith("pedzoo: not enough memory (")
@@ -257,7 +241,7 @@ def test_fit_resume_test_and_forecast(capsys, elsewhere):
     run = Path("runs/sgan_goal/embedded-seed0")
     best = run / "checkpoints" / "best.ckpt"
     printed = capsys.readouterr().out
-    assert re.search(r"\nval/ade \d\.\d{3} \(epoch 0\), door success \d\.\d\d, \d+ s\nnext: ", printed)
+    assert re.search(r"\nval/ade \d\.\d{3} \(epoch 0\), door success \d\.\d\d, \d+ (s|min)\nnext: ", printed)
     assert f"next: pedzoo forecast {best} --data.fold embedded --data.goal window_end" in printed
     assert f"pedzoo rollout {best} --scenario door" in printed
     assert [path.name for path in elsewhere.iterdir()] == ["runs"]
@@ -322,12 +306,6 @@ def test_robots_lists_bodies_sensors_rewards_and_policies(capsys, elsewhere):
     assert "turtlebot4" in names["robots"] and "jackal" not in names["robots"]
     assert "goal" in names["sensors"] and "stop" in names["policies"]
     assert "goal" in (said := capsys.readouterr().out) and "straight" not in said
-
-
-def test_metadata_of_a_damaged_file_is_refused(elsewhere):
-    (elsewhere / "cut.safetensors").write_bytes(b"\xff" * 20)
-    with pytest.raises(UserError, match=r"cut\.safetensors"):
-        read_config(elsewhere / "cut.safetensors")
 
 
 @pytest.mark.skipif(not (ROOT / "pyproject.toml").is_file(), reason="needs a checkout")

@@ -84,15 +84,15 @@ def test_a_hub_folder_loads_and_is_written_the_same_again(model: str, tmp_path: 
     before = {path.name: path.read_bytes() for path in hub.iterdir()}
     write_hub(str(hub), hub)
     assert {path.name: path.read_bytes() for path in hub.iterdir()} == before
-
-
-def test_weights_of_a_hub_folder_are_its_own(model: str, tmp_path: Path) -> None:
-    """Wherever a card says that its weights can be downloaded, in the folder they lie beside it."""
+    with pytest.raises(UserError, match=r"holds sgan\.mall already: .* a folder of its own"):
+        write_hub("sgan_goal.zara1", hub)
+    assert len(os.listdir(hub)) == 4
+    # wherever a card says that its weights can be downloaded, in the folder they lie beside it
     path = Path(model) / "card.yaml"
     card = read_card(path)
     write_card(replace(card, url="https://example.org/sgan.safetensors"), path)
-    write_hub(model, tmp_path / "hub")
-    assert read_card(tmp_path / "hub" / "card.yaml") == card
+    write_hub(model, tmp_path / "other")
+    assert read_card(tmp_path / "other" / "card.yaml") == card
 
 
 def test_the_front_matter_is_what_the_hub_reads() -> None:
@@ -104,10 +104,8 @@ def test_the_front_matter_is_what_the_hub_reads() -> None:
     (index,) = said["model-index"]
     forecast, door = index["results"]
     assert forecast["task"] == {"type": "trajectory-forecasting"}
-    assert forecast["dataset"] == {
-        "type": "zara1-test-goal-window-end",
-        "name": "zara1 test, goal window_end",
-    }
+    where = {"type": "zara1-test-goal-window-end", "name": "zara1 test, goal window_end"}
+    assert forecast["dataset"] == where
     assert forecast["metrics"] == [{"type": "ade_m", "value": 0.0571}, {"type": "fde_m", "value": 0.0086}]
     assert door["task"] == {"type": "closed-loop-simulation"} and door["dataset"]["name"] == "door bullet"
     assert page(card) in text and 'pedzoo.load("hf://OWNER/REPOSITORY")' in text
@@ -158,13 +156,6 @@ def test_mistakes_are_told_and_nothing_is_written(
     assert main(["export", *arguments]) == 2
     assert message in capsys.readouterr().err
     assert not any(tmp_path.iterdir())
-
-
-def test_a_hub_folder_has_one_model(model: str, tmp_path: Path) -> None:
-    write_hub(model, tmp_path / "hub")
-    with pytest.raises(UserError, match=r"holds sgan\.mall already: .* a folder of its own"):
-        write_hub("sgan_goal.zara1", tmp_path / "hub")
-    assert len(os.listdir(tmp_path / "hub")) == 4
 
 
 def test_shipped_weights_have_the_licence_of_their_data(tmp_path: Path) -> None:

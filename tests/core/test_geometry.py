@@ -12,22 +12,17 @@ from pedzoo.core import geometry
 QUARTER = math.pi / 2
 
 
-def test_rotate_turns_counter_clockwise() -> None:
+def test_a_pose_mirrors_then_turns_then_shifts() -> None:
+    """(2, 1) mirrored is (2, -1), a quarter turn to the left makes it (1, 2), the shift (11, 22)."""
     north = torch.tensor([0.0, 1.0])
     assert torch.allclose(geometry.rotate(torch.tensor([2.0, 1.0]), north), torch.tensor([-1.0, 2.0]))
     assert torch.allclose(geometry.unrotate(torch.tensor([-1.0, 2.0]), north), torch.tensor([2.0, 1.0]))
-
-
-def test_a_pose_mirrors_then_turns_then_shifts() -> None:
-    """(2, 1) mirrored is (2, -1), a quarter turn makes it (1, 2), the shift (11, 22)."""
     pose = torch.tensor([[QUARTER, -1.0, 10.0, 20.0]])
     point = torch.tensor([[2.0, 1.0]])
     assert torch.allclose(geometry.turn_to_scene(point, pose), torch.tensor([[1.0, 2.0]]), atol=1e-6)
     assert torch.allclose(geometry.move_to_scene(point, pose), torch.tensor([[11.0, 22.0]]), atol=1e-5)
     assert torch.allclose(geometry.move_to_map(torch.tensor([[11.0, 22.0]]), pose), point, atol=1e-5)
-
-
-def test_each_scene_of_a_batch_has_its_own_pose() -> None:
+    # each scene of a batch has its own
     pose = torch.tensor([[0.0, 1.0, 0.0, 0.0], [0.0, -1.0, 1.0, 0.0]])
     points = torch.tensor([[3.0, 4.0]]).expand(2, 5, 2)  # two scenes of five people
     moved = geometry.move_to_scene(points, pose)
