@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 import yaml
 from jsonargparse import Namespace
-from lightning import LightningDataModule, Trainer, seed_everything
+from lightning import LightningDataModule, Trainer, __version__, seed_everything
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.callbacks import Callback
 
@@ -133,6 +133,7 @@ class Training:
             prog=f"pedzoo {self.command}",
             usage=f"pedzoo {self.command} {usage} [...]\nexample: {COMMANDS.declared(self.command)[0]}",
             description=COMMANDS.describe(self.command),
+            dump_header=[f"lightning.pytorch=={__version__}"],
         )
         parser.start = self.start
         add, add_class = parser.add_argument, parser.add_lightning_class_args

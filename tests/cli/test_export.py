@@ -40,9 +40,7 @@ def model(tmp_path: Path) -> str:
     return str(tmp_path / "zoo" / "sgan.mall")
 
 
-def test_a_run_becomes_weights_and_a_card_with_its_numbers(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_becomes_weights_and_a_card_with_its_numbers(tmp_path, monkeypatch, capsys):
     asked: list[Any] = []
 
     def measure(model: str, name: str, root: str | None, progress: Any) -> list[dict[str, Any]]:
@@ -60,14 +58,10 @@ def test_a_run_becomes_weights_and_a_card_with_its_numbers(
     assert card.evaluations == make_card().evaluations and card.training["value"] == 0.2
     loaded = f'pedzoo.load("{folder}/sgan_goal.zara1")'
     assert loaded in capsys.readouterr().out
-    assert torch.equal(
-        pedzoo.load(f"{folder}/sgan_goal.zara1").mode(batch := make_batch((3,)), 8),
-        load(checkpoint).mode(batch, 8),
-    )
+    assert torch.equal(answers(pedzoo.load(f"{folder}/sgan_goal.zara1")), answers(load(checkpoint)))
     said = json.loads((tmp_path / "said.json").read_text())
-    assert said["command"] == "export" and said["files"] == [
-        f"{folder}/sgan_goal.zara1/{file}" for file in ("weights.safetensors", "card.yaml")
-    ]
+    files = [f"{folder}/sgan_goal.zara1/{file}" for file in ("weights.safetensors", "card.yaml")]
+    assert said["command"] == "export" and said["files"] == files
 
 
 def test_numbers_are_left_out_where_no_person_wants_them(tmp_path: Path) -> None:
@@ -111,20 +105,12 @@ def test_the_front_matter_is_what_the_hub_reads() -> None:
     assert page(card) in text and 'pedzoo.load("hf://OWNER/REPOSITORY")' in text
 
 
-@pytest.mark.parametrize(
-    ("licence", "said"),
-    [
-        ("CC-BY-4.0", {"license": "cc-by-4.0"}),
-        (
-            "Ours, for research",
-            {"license": "other", "license_name": "ours-for-research", "license_link": "LICENSE.md"},
-        ),
-    ],
-)
-def test_licences_have_the_names_of_the_hub(licence: str, said: dict[str, str]) -> None:
-    front = yaml.safe_load(readme(make_card(licence=licence, evaluations=[])).split("---\n")[1])
-    assert {key: value for key, value in front.items() if "license" in key} == said
-    assert "model-index" not in front
+def test_licences_have_the_names_of_the_hub() -> None:
+    own = {"license": "other", "license_name": "ours-for-research", "license_link": "LICENSE.md"}
+    for terms, said in {"CC-BY-4.0": {"license": "cc-by-4.0"}, "Ours, for research": own}.items():
+        front = yaml.safe_load(readme(make_card(licence=terms, evaluations=[])).split("---\n")[1])
+        assert {key: value for key, value in front.items() if "license" in key} == said
+        assert "model-index" not in front
 
 
 @pytest.mark.parametrize(
@@ -143,13 +129,7 @@ def test_licences_have_the_names_of_the_hub(licence: str, said: dict[str, str]) 
         (["sgan_goal.zara1", "--onnx", "x.onnx", "--plan", "flat"], "sees no floor plan: leave out 'flat'"),
     ],
 )
-def test_mistakes_are_told_and_nothing_is_written(
-    arguments: list[str],
-    message: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_mistakes_are_told_and_nothing_is_written(arguments, message, tmp_path, monkeypatch, capsys):
     if "--plan" in arguments:
         pytest.importorskip("onnxruntime", reason="needs pedzoo[onnx]")
     monkeypatch.chdir(tmp_path)

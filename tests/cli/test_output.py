@@ -70,9 +70,7 @@ def test_bars_show_text_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
         (["models", "sgan_goal.zara1"], "lists.print_tables"),
     ],
 )
-def test_results_are_written_before_they_are_printed(
-    words: list[str], printer: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_results_are_written_before_they_are_printed(words, printer, tmp_path, monkeypatch):
     def dies(*_: Any) -> None:
         raise BufferError
 

@@ -189,9 +189,7 @@ def test_offline_nothing_is_asked(site: Site, place: Path, monkeypatch: pytest.M
     assert not fetching.offline()
 
 
-def test_a_cache_that_cannot_be_written_is_named(
-    site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_cache_that_cannot_be_written_is_named(site, tmp_path, monkeypatch):
     (tmp_path / "file").write_bytes(b"")
     monkeypatch.setenv("PEDZOO_HOME", str(tmp_path / "file"))
     with pytest.raises(UserError, match=r"cannot write .*file\.bin: "):
@@ -238,9 +236,7 @@ def test_an_interrupted_download_is_continued_by_the_next(site: Site, place: Pat
     assert site.ranges_asked() == [None, f"bytes={stored}-"]
 
 
-def test_servers_get_nothing_of_the_users(
-    site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_servers_get_nothing_of_the_users(site, tmp_path, monkeypatch):
     """Not at the first address, not where it leads to, and with a token of another host neither."""
     netrc = tmp_path / "netrc"
     netrc.write_text("".join(f"machine {host} login me password p\n" for host in ("127.0.0.1", "localhost")))

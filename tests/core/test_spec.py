@@ -129,24 +129,18 @@ class Box:
         self.name, self.size = name, size
 
 
-def test_settings_have_names_with_and_without_their_group() -> None:
+def test_settings_of_groups_have_names_and_defaults_of_the_class() -> None:
     assert setting_types(Box) == {"name": str, "width": float, "height": float}
     assert grouped(Box, {"width": 4.0, "name": "a"}) == {"name": "a", "size": {"width": 4.0}}
     # a name without its group wins
     assert grouped(Box, {"width": 4.0, "size": {"width": 5.0, "height": 6.0}}) == {
         "size": {"width": 4.0, "height": 6.0}
     }
-
-
-def test_defaults_are_those_of_the_class() -> None:
     assert build_ungrouped(Box, {}).size == Size(1.0, 3.0)
     assert build_ungrouped(Box, {"width": 4.0}).size == Size(4.0, 3.0)
     assert build_ungrouped(Box, {"size": {"height": 1.0}}).size == Size(1.0, 1.0)
     circle: Any = build(SCENARIOS, "circle:jitter=0", Scenario)
     assert (circle.people, circle.aside, circle.jitter) == (4, 1.0, 0.0)
-
-
-def test_a_model_says_its_settings_without_groups() -> None:
     model = SGAN.of(noise_dim=4, best_k=3, safety=True)
     assert model.config == SGAN().config | {"noise_dim": 4, "best_k": 3, "safety": True}
     assert flattened(Size(1.0)) == {"width": 1.0, "height": 2.0}
