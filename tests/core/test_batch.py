@@ -73,7 +73,7 @@ def test_all_sources_of_batches_have_the_same_keys() -> None:
             tensordict["agents", "action"] = tensordict["agents", "desired_velocity"]
             return tensordict
 
-    Controller(Watch()).step({"anna": (0.0, 0.0)}, {"anna": (3.0, 0.0)})
+    Controller(cast("Any", Watch())).step({"anna": (0.0, 0.0)}, {"anna": (3.0, 0.0)})
     own = {"done", "terminated", "truncated", "failed"}
     assert set(simulated.keys()) - own == set(seen[0].keys()) == set(recorded.keys()) | {"scene_key", "time"}
     theirs = set(agents_of(seen[0]).keys()) - {"action"}
