@@ -12,16 +12,12 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from torch import Tensor
-from torch.nn.functional import pad
 
 from pedzoo.core.geometry import identity_pose
 from pedzoo.core.types import GOAL_RADIUS, OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO
 from pedzoo.data.tracks import Tracks
 from pedzoo.maps.planning.planner import Planner
 from pedzoo.sim.state import SLOWEST
-
-USUAL = 1.3
-"""m/s: what people like where no person is seen to walk freely."""
 
 LONGEST = 2
 """A person is removed after so many times their recorded duration."""
@@ -45,58 +41,8 @@ STANDS, LEAST = 0.1, 5
 
 SpeedOf = Literal["observed", "estimated", "track"]
 
-_FREE = 1.0
-"""Metres: people without others so near walk as fast as they like."""
-
-_PRIOR = 3
-"""Steps for which the speed of others counts beside one's own free steps."""
-
-
-class Stops(NamedTuple):
-    """Up to K stops of each of P people, in order: goals with a pause for those who replay them.
-
-    Attributes:
-        place: Where they are (P, K, 2), metres.
-        pause: For how long (P, K), seconds; 0 for no stop.
-        goal_id: The planner's numbers of the places (P, K) long, -1 for none.
-    """
-
-    place: Tensor
-    pause: Tensor
-    goal_id: Tensor
-
-    @classmethod
-    def none(cls, people: int, device: torch.device | str = "cpu") -> Stops:
-        """Return those of people who never stop."""
-        nothing = torch.zeros(people, 0, device=device)
-        return cls(nothing.unsqueeze(2).expand(-1, -1, 2), nothing, nothing.long())
-
-    @classmethod
-    def joined(cls, parts: list[Stops]) -> Stops:
-        """Return the stops of several recordings, one after the other."""
-        most = max(part.pause.shape[1] for part in parts)
-        columns = []
-        for column, missing in zip(zip(*parts, strict=True), (0.0, 0.0, -1), strict=True):
-            sides = [(*(0, 0) * (one.dim() - 2), 0, most - one.shape[1]) for one in column]
-            columns.append(torch.cat([pad(*pair, value=missing) for pair in zip(column, sides, strict=True)]))
-        return cls(*columns)
-
-    def only(self, which: Tensor) -> Stops:
-        """Return the stops for which ``which`` (P, K) bool, those of each person in order from the first."""
-        order = (~which).long().argsort(dim=1, stable=True)
-        left = which.gather(1, order)
-        width = int(left.sum(1).max()) if which.numel() else 0
-        order, left = order[:, :width], left[:, :width]
-        return Stops(
-            self.place.gather(1, order.unsqueeze(2).expand(-1, -1, 2)) * left.unsqueeze(2),
-            self.pause.gather(1, order) * left,
-            self.goal_id.gather(1, order).where(left, -1),
-        )
-
-    def goals(self, exit: Tensor) -> Tensor:
-        """Return all goals in turn (P, K + 2) long, -1 after the last, for the numbers of exits (P,)."""
-        count = (self.pause > 0).sum(1, keepdim=True)
-        return pad(self.goal_id, (0, 2), value=-1).scatter(1, count, exit.unsqueeze(1))
+USUAL, _FREE, _PRIOR = 1.3, 1.0, 3
+"""Of estimated speeds: m/s where no person walks freely, metres without others, steps that others count."""
 
 
 class RecordedPeople(NamedTuple):
@@ -118,7 +64,8 @@ class RecordedPeople(NamedTuple):
         pref_speed: The speed that they like (P,), m/s.
         group: Number of the company that they walk in (P,) long, -1 for alone; see `companies`.
         grouped: Frame that shows it (P,) long: nothing later is needed to know it.
-        stops: Where they pause on their way, which is nowhere where that was not asked for.
+        stops: The planner's numbers of up to K goals before the exit (P, K) long, -1 after the last.
+        pauses: How long they stand at each (P, K), seconds; 0 for no stop.
     """
 
     recording: Tensor
@@ -134,12 +81,12 @@ class RecordedPeople(NamedTuple):
     pref_speed: Tensor
     group: Tensor
     grouped: Tensor
-    stops: Stops
+    stops: Tensor
+    pauses: Tensor
 
     def to(self, device: torch.device | str) -> RecordedPeople:
         """Return the people on a device."""
-        stops = Stops(*(value.to(device) for value in self.stops))
-        return RecordedPeople(*(value.to(device) for value in self[:-1]), stops=stops)
+        return RecordedPeople(*(value.to(device) for value in self))
 
     @property
     def controlled(self) -> Tensor:
@@ -158,6 +105,13 @@ class RecordedPeople(NamedTuple):
         return torch.where(self.controlled, longest, self.last)
 
     @property
+    def goals(self) -> Tensor:
+        """All goals in turn (P, K + 2) long, -1 after the last, which is the exit."""
+        count = (self.pauses > 0).sum(1, keepdim=True)
+        ahead = torch.nn.functional.pad(self.stops, (0, 2), value=-1)
+        return ahead.scatter(1, count, self.goal_id.unsqueeze(1))
+
+    @property
     def counts(self) -> dict[str, int]:
         """How many people there are of each kind, those that do not occur left out."""
         number = Counter(self.what.tolist())
@@ -174,20 +128,21 @@ def top_speed_of(pref_speed: Tensor) -> Tensor:
 
 
 def people_of(
-    recordings: Sequence[Tracks], rows: Sequence[int], planner: Planner, **options: Any
+    recordings: Sequence[Tracks], rows: Sequence[int], planner: Planner, stops: bool = False, **options: Any
 ) -> tuple[RecordedPeople, Tensor]:
-    """Return the people of `without_goals`, whose exits and stops are goals of the planner where possible.
+    """Return the people of `without_goals`, whose exits are goals of the planner where possible.
 
-    ``rows`` are those of the recordings' floor plans in the planner's bank, -1 for none.
+    ``rows`` are those of the recordings' floor plans in the planner's bank, -1 for none. With ``stops`` the
+    places where people stopped are goals, too; see `stops_of`.
     """
     people, xy = without_goals(recordings, **options)
     for number, row in enumerate(rows):
         people = _with_goals(people, people.recording == number, row, planner)
-    return _with_stops(people, rows, planner) if options.get("stops") else people, xy
+    return _with_stops(people, recordings, rows, planner) if stops else people, xy
 
 
 def without_goals(
-    recordings: Sequence[Tracks], share: float = 1.0, speed: SpeedOf = "observed", stops: bool = False
+    recordings: Sequence[Tracks], share: float = 1.0, speed: SpeedOf = "observed"
 ) -> tuple[RecordedPeople, Tensor]:
     """Return the people of recordings, and all rows of their tracks (N, 2), person after person.
 
@@ -198,16 +153,13 @@ def without_goals(
         share: People who could be taken over later than this share of a recording's time are played back.
         speed: ``observed`` for the mean speed of the first 8 rows, ``track`` for that of all, and
             ``estimated`` for what `_estimated` makes of the first 8.
-        stops: Whether people have the places where they stopped as goals, too; see `stops_of`.
     """
-    per_recording = [_of(number, tracks, share, speed, stops) for number, tracks in enumerate(recordings)]
-    *columns, stopped = zip(*per_recording, strict=True)
-    people = RecordedPeople(*map(torch.cat, columns), stops=Stops.joined([*stopped]))
-    return people, torch.cat([torch.from_numpy(tracks.xy) for tracks in recordings]).float()
+    people = [_of(number, tracks, share, speed) for number, tracks in enumerate(recordings)]
+    xy = torch.cat([torch.from_numpy(tracks.xy) for tracks in recordings]).float()
+    return RecordedPeople(*map(torch.cat, zip(*people, strict=True))), xy
 
 
-def _of(number: int, tracks: Tracks, share: float, speed: SpeedOf, stops: bool) -> RecordedPeople:
-    """Return the people of one recording without goals."""
+def _of(number: int, tracks: Tracks, share: float, speed: SpeedOf) -> RecordedPeople:
     agent, begin, count = np.unique(tracks.agent, return_index=True, return_counts=True)
     end = begin + count - 1
     taken = np.minimum(begin + OBS_LEN - 1, end)
@@ -218,37 +170,39 @@ def _of(number: int, tracks: Tracks, share: float, speed: SpeedOf, stops: bool) 
     if speed == "estimated":
         liked = np.maximum(liked, _estimated(tracks, begin, taken))
     what = np.where(tracks.frame[begin] > share * tracks.frame.max(), LATER, CONTROLLED)
+    group, grouped = companies(xy, torch.from_numpy(begin), first, last)
+    none = torch.zeros(len(agent), 0)
     return RecordedPeople(
-        torch.full((len(agent),), number),
-        torch.from_numpy(agent),
-        first,
-        last,
-        torch.from_numpy(np.where(count <= OBS_LEN, SHORT, what)),
-        xy[taken],
+        recording=torch.full((len(agent),), number),
+        agent=torch.from_numpy(agent),
+        first=first,
+        last=last,
+        what=torch.from_numpy(np.where(count <= OBS_LEN, SHORT, what)),
+        start=xy[taken],
         exit=xy[end],
         goal=xy[end],
         goal_id=torch.full((len(agent),), -1),
         path_length=torch.zeros(len(agent), dtype=torch.float64),
         pref_speed=torch.from_numpy(liked).clamp_min(SLOWEST).float(),
-        **dict(zip(("group", "grouped"), companies(xy, torch.from_numpy(begin), first, last), strict=True)),
-        stops=stops_of(tracks, begin, taken) if stops else Stops.none(len(agent)),
+        group=group,
+        grouped=grouped,
+        stops=none.long(),
+        pauses=none,
     )
 
 
 def _estimated(tracks: Tracks, begin: np.ndarray, taken: np.ndarray) -> np.ndarray:
-    """Return the speed that people would like (P,), m/s, from what is seen of them until they are taken over.
+    """Return the speed that people would like (P,), m/s, from their rows ``begin`` to ``taken`` (P,).
 
     Free steps are those at whose end no person is within 1 m: in a queue there are none. The estimate is the
     mean of a person's free steps and of 3 steps of the crowd's speed, which is the median of all people's.
-    ``begin`` and ``taken`` (P,) are people's first rows, and those in which they are taken over.
     """
     of_person = np.repeat(np.arange(len(begin)), np.diff(np.append(begin, len(tracks))))
     step = np.linalg.norm(np.diff(tracks.xy, axis=0, prepend=tracks.xy[:1]), axis=1) / STEP_SECONDS
     row = np.arange(len(tracks))
     seen = (row > begin[of_person]) & (row <= taken[of_person])
     moments = np.column_stack((tracks.frame * 1e4, tracks.xy))  # people of other moments are far away
-    nearest = KDTree(moments).query(moments, k=2)[0][:, 1]
-    free = seen & (nearest > _FREE)
+    free = seen & (KDTree(moments).query(moments, k=2)[0][:, 1] > _FREE)
     walks = free & (step > STANDS)
     usual = float(np.median(step[walks])) if walks.any() else USUAL
     count = np.bincount(of_person[free], minlength=len(begin))
@@ -290,32 +244,26 @@ def companies(xy: Tensor, begin: Tensor, first: Tensor, last: Tensor) -> tuple[T
     return torch.where(torch.bincount(label)[label] > 1, label, -1), seen
 
 
-def stops_of(tracks: Tracks, begin: np.ndarray, taken: np.ndarray) -> Stops:
-    """Return the stops of people after they are taken over, without numbers of goals.
+def stops_of(tracks: Tracks) -> tuple[Tensor, Tensor, Tensor]:
+    """Return who stops (S,) long, where (S, 2), metres, and for how long (S,), seconds, person after person.
 
-    A stop is a run of at least 5 steps in which the mean of three positions moves by less than 0.1 m/s.
-
-    ``begin`` and ``taken`` (P,) are people's first rows, and those in which they are taken over.
+    A stop is a run of at least 5 steps, after a person is taken over, in which the mean of three positions
+    moves by less than 0.1 m/s. People are numbered in the order of their rows.
     """
-    row, rows, xy = np.arange(len(tracks)), len(tracks), tracks.xy
-    person = np.repeat(np.arange(len(begin)), np.diff(np.append(begin, rows)))
-    first, last = begin[person], np.append(begin[1:], rows)[person] - 1
+    row, xy = np.arange(len(tracks)), tracks.xy
+    begin, count = np.unique(tracks.agent, return_index=True, return_counts=True)[1:]
+    person = np.repeat(np.arange(len(begin)), count)
+    first, last = begin[person], (begin + count)[person] - 1
     coarse = (xy[np.maximum(row - 1, first)] + xy + xy[np.minimum(row + 1, last)]) / 3
     step = np.linalg.norm(np.diff(coarse, axis=0, prepend=coarse[:1]), axis=1) / STEP_SECONDS
-    stands = (step < STANDS) & (row > taken[person])
+    stands = (step < STANDS) & (row > first + OBS_LEN - 1)
     goes_on = stands[1:] & stands[:-1] & (person[1:] == person[:-1])
     opens = np.flatnonzero(stands & ~np.append(False, goes_on))
-    closes = np.flatnonzero(stands & ~np.append(goes_on, False))
-    long = closes - opens + 1 >= LEAST
-    opens, closes = opens[long], closes[long]
-    sums, steps, of = np.append(np.zeros((1, 2)), xy.cumsum(0), axis=0), closes - opens + 1, person[opens]
-    number = np.arange(len(of)) - np.searchsorted(of, of)
-    place = np.zeros((len(begin), int(number.max(initial=-1)) + 1, 2))
-    pause = np.zeros(place.shape[:2])
-    place[of, number] = (sums[closes + 1] - sums[opens]) / steps[:, None]
-    pause[of, number] = steps * STEP_SECONDS
-    ids = torch.full(pause.shape, -1)
-    return Stops(torch.from_numpy(place).float(), torch.from_numpy(pause).float(), ids)
+    closes = np.flatnonzero(stands & ~np.append(goes_on, False)) + 1
+    opens, closes = opens[closes - opens >= LEAST], closes[closes - opens >= LEAST]
+    sums, steps = np.append(np.zeros((1, 2)), xy.cumsum(0), axis=0), torch.from_numpy(closes - opens)
+    place = torch.from_numpy(sums[closes] - sums[opens]) / steps.unsqueeze(1)
+    return torch.from_numpy(person[opens]), place.float(), steps.double().mul(STEP_SECONDS).float()
 
 
 def _with_goals(people: RecordedPeople, mine: Tensor, row: int, planner: Planner) -> RecordedPeople:
@@ -326,9 +274,8 @@ def _with_goals(people: RecordedPeople, mine: Tensor, row: int, planner: Planner
     mine = mine & (people.first < gone.max())  # others are never seen
     goal, goal_id, blocked = people.goal.clone(), people.goal_id.clone(), torch.zeros_like(mine)
     if row >= 0:
-        moved = torch.from_numpy(planner.graph(row).settle(goal[mine].numpy(), torch.inf, "exit")[1])
-        blocked[mine] = (moved - goal[mine]).norm(dim=1) > planner.snap
-        goal[mine] = torch.where(blocked[mine].unsqueeze(1), goal[mine], moved)
+        goal[mine], near = _settled(planner, goal[mine], row, "exit")
+        blocked[mine] = ~near
     with_goal = mine & ~blocked
     goal_id[with_goal] = planner.add_goals(row, goal[with_goal])
     path_length = people.path_length.float()
@@ -346,36 +293,48 @@ def _with_goals(people: RecordedPeople, mine: Tensor, row: int, planner: Planner
     )
 
 
-def _with_stops(people: RecordedPeople, rows: Sequence[int], planner: Planner) -> RecordedPeople:
+def _with_stops(
+    people: RecordedPeople, recordings: Sequence[Tracks], rows: Sequence[int], planner: Planner
+) -> RecordedPeople:
     """Return the people with stops as goals, and the lengths of their ways along all of them.
 
     Places near walls move as exits do; stops that are too near, or that no path leads to, are left out.
     """
-    place, pause, goal_id = people.stops
-    place, goal_id = place.clone(), goal_id.clone()
-    wanted = (pause > 0) & people.controlled.unsqueeze(1)
-    for number, row in enumerate(rows):
-        mine = wanted & (people.recording == number).unsqueeze(1)
-        if row >= 0 and mine.any():
-            moved = torch.from_numpy(planner.graph(row).settle(place[mine].numpy(), torch.inf, "stop")[1])
-            wanted[mine] = (moved - place[mine]).norm(dim=1) <= planner.snap
-            place[mine] = moved.to(place)
-        mine &= wanted
-        goal_id[mine] = planner.add_goals(row, place[mine])
+    start, length, found = people.start.float(), people.path_length.clone(), []
+    for number, (tracks, row) in enumerate(zip(recordings, rows, strict=True)):
+        person, place, pause = stops_of(tracks)
+        person = (people.recording == number).nonzero()[:, 0][person]
+        kept = people.controlled[person]
+        if row >= 0:
+            place[kept], near = _settled(planner, place[kept], row, "stop")
+            kept[kept.clone()] = near
+        person, place, pause = person[kept], place[kept], pause[kept]
+        goal = planner.add_goals(row, place)
+        kept = _ways(planner, start[person], goal, row).isfinite()
+        person, place, pause, goal = person[kept], place[kept], pause[kept], goal[kept]
+        begins = torch.ones_like(kept[kept])
+        begins[1:] = person[1:] != person[:-1]
+        after = torch.where(begins.roll(-1), people.goal_id[person], goal.roll(-1))
+        legs = torch.zeros(len(length)).index_add(0, person, _ways(planner, place, after, row))
+        legs[person[begins]] += _ways(planner, start[person[begins]], goal[begins], row)
+        length = torch.where(legs > 0, legs.to(length), length)
+        found.append((person, pause, goal))
+    person, pause, goal = map(torch.cat, zip(*found, strict=True))
+    slot = torch.arange(len(person)) - torch.searchsorted(person, person)
+    stops = people.stops.new_full((len(length), int(slot.max()) + 1 if len(slot) else 0), -1)
+    pauses = torch.zeros(stops.shape)
+    stops[person, slot], pauses[person, slot] = goal, pause
+    return people._replace(path_length=length, stops=stops, pauses=pauses)
 
-    def ways(begin: Tensor, goal: Tensor) -> Tensor:
-        length = torch.zeros(goal.shape)
-        for number, row in enumerate(rows):
-            mine = (goal >= 0) & (people.recording == number).unsqueeze(1)
-            length[mine] = _ways(planner, begin[mine], goal[mine], row)
-        return length
 
-    start = people.start.float().unsqueeze(1)
-    reached = ways(start.expand_as(place), goal_id).isfinite()
-    stops = Stops(place, pause, goal_id).only(wanted & reached)
-    legs = ways(torch.cat((start, stops.place), 1), stops.goals(people.goal_id)[:, :-1])
-    path_length = torch.where(people.controlled, legs.sum(1).to(people.path_length), people.path_length)
-    return people._replace(path_length=path_length, stops=stops)
+def _settled(planner: Planner, place: Tensor, row: int, name: str) -> tuple[Tensor, Tensor]:
+    """Return places (N, 2) moved to where ways may lead, and which of them are near enough (N,) bool.
+
+    Those that are too far stay as they were.
+    """
+    moved = torch.from_numpy(planner.graph(row).settle(place.numpy(), torch.inf, name)[1]).to(place)
+    near = (moved - place).norm(dim=1) <= planner.snap
+    return moved.where(near.unsqueeze(1), place), near
 
 
 def _ways(planner: Planner, begin: Tensor, goal: Tensor, row: int) -> Tensor:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections import Counter, defaultdict
 from functools import cached_property
 from heapq import heappop, heappush
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor
 
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
-from pedzoo.sim.recorded_people import SHORT, RecordedPeople, Stops, top_speed_of
+from pedzoo.sim.recorded_people import SHORT, RecordedPeople, top_speed_of
 from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
+
+Simulated = Literal["all", "one", "around"]
 
 
 class ScriptScenes(NamedTuple):
@@ -57,9 +60,7 @@ class Script:
         self.people, self.xy, self.occupants, self.scenes = people, xy, occupants, scenes
         rows = people.last - people.first + 1
         self._begin = torch.cumsum(rows, 0) - rows
-        self._pref_speed = people.pref_speed.float()
-        self.goals = people.stops.goals(people.goal_id)
-        self._pause = torch.nn.functional.pad(people.stops.pause, (0, 1))
+        self.goals, self._pause = people.goals, torch.nn.functional.pad(people.pauses, (0, 1))
 
     def to(self, device: torch.device | str) -> Script:
         """Return the script on a device: itself where it is there already."""
@@ -67,6 +68,37 @@ class Script:
             return self
         scenes = ScriptScenes(*(value.to(device) for value in self.scenes))
         return type(self)(self.people.to(device), self.xy.to(device), self.occupants.to(device), scenes)
+
+    @classmethod
+    def of_recordings(cls, people: RecordedPeople, xy: Tensor, simulated: Simulated = "all") -> Script:
+        """Return the script of whole recordings, cut where no person is left that can be simulated.
+
+        With ``one`` each person has a scene of their own, those who stay shortest first; with ``around`` the
+        policy takes over others there, too.
+        """
+        removal, pieces = people.removal, []
+        if simulated == "all":
+            apart = people.recording * (int(removal.max()) + 1)  # people of two recordings never meet
+            order = (people.first + apart).argsort(stable=True)
+            gone = (removal + apart)[order].cummax(0).values
+            cuts = ((people.first + apart)[order][1:] >= gone[:-1]).nonzero()[:, 0] + 1
+            pieces = [
+                (people.first[group].min() + OBS_LEN - 1, group, -1) for group in order.tensor_split(cuts)
+            ]
+        else:
+            leads = people.controlled.nonzero()[:, 0]
+            leads = leads[(people.last - people.first)[leads].argsort(stable=True)]
+            pieces = [(people.handover[lead], lead.view(1), int(lead)) for lead in leads]
+        scenes = []
+        for origin, group, lead in pieces:
+            if len(scored := group[people.controlled[group]]):
+                ends = removal[group], people.handover[scored], people.last[scored]
+                scenes.append((people.recording[group[0]], origin, *(end.max() for end in ends), lead))
+        columns = torch.tensor(scenes).unbind(1)
+        others = torch.full_like(columns[0], simulated != "one") > 0
+        ends = people.last if simulated == "one" else removal
+        occupants = occupants_of(people.recording, people.first, ends, more=int(simulated != "all"))
+        return cls(people, xy, occupants, ScriptScenes(*columns, others=others))
 
     @classmethod
     def of_windows(cls, here: Tensor, future: Tensor, there: Tensor, group: Tensor) -> Script:
@@ -94,7 +126,8 @@ class Script:
             goal_id=zeros,
             group=group.flatten(),
             grouped=zeros,
-            stops=Stops.none(len(number), there.device),
+            stops=zeros[:, None][:, :0],
+            pauses=place[:, :0],
         )
         xy = torch.cat((here.unsqueeze(2), future), 2).reshape(-1, 2)
         occupants = torch.where(there, number.view(scenes, agents, 1), -1)
@@ -217,6 +250,7 @@ class Script:
         here = self.places(scheduled, now)
         velocity = (self.places(scheduled, now + 1) - here) / STEP_SECONDS
         come, person = comes.unsqueeze(2), torch.where(mask, scheduled, -1)
+        pref_speed = self.people.pref_speed[scheduled]
         return after._replace(
             mask=torch.where(sharp, mask, after.mask),
             controlled=torch.where(sharp, (after.controlled & stays) | taken, after.controlled),
@@ -225,8 +259,8 @@ class Script:
             observed_points=observed_points.masked_fill(comes, 1),
             past=torch.where(come.unsqueeze(3), here.unsqueeze(2), after.past),
             velocity=torch.where(come, velocity, after.velocity),
-            pref_speed=torch.where(comes, self._pref_speed[scheduled], after.pref_speed),
-            top_speed=torch.where(comes, top_speed_of(self._pref_speed[scheduled]), after.top_speed),
+            pref_speed=torch.where(comes, pref_speed, after.pref_speed),
+            top_speed=torch.where(comes, top_speed_of(pref_speed), after.top_speed),
             goal_id=torch.where(comes, self.goals[scheduled, 0], after.goal_id),
             later_goals=torch.where(come, self.goals[scheduled, 1:], after.later_goals),
             goal_index=after.goal_index.masked_fill(comes, 0),
@@ -249,41 +283,27 @@ def _tick(clock: Tensor) -> Tensor:
     return (clock / TRACE_SECONDS).round().long()
 
 
-def slots(begin: Tensor, end: Tensor) -> Tensor:
-    """Return slots (P,) long for people present from ``begin`` to before ``end`` (P,) long.
+def occupants_of(group: Tensor, begin: Tensor, end: Tensor, more: int = 0) -> Tensor:
+    """Return the person in each of A slots in each frame of G groups (G, A, frames) long, -1 for none.
 
-    As few as possible: the next person gets the free slot with the smallest number. People who are never
-    present (``end`` not after ``begin``) get -1.
+    People (P,) of a ``group`` long are there from ``begin`` to before ``end`` long. Each gets the free slot
+    with the smallest number, so that there are as few as possible; A is ``more`` than that.
     """
-    result = torch.full_like(begin, -1)
-    free, leaving = list(range(len(begin))), list[tuple[int, int]]()
+    free, leaving = defaultdict[int, list[int]](list), defaultdict[int, list[tuple[int, int]]](list)
+    used, stays = Counter[int](), []
     for person in begin.argsort(stable=True).tolist():
-        comes, goes = int(begin[person]), int(end[person])
+        where, comes, goes = (int(values[person]) for values in (group, begin, end))
         if goes <= comes:
             continue
-        while leaving and leaving[0][0] <= comes:
-            heappush(free, heappop(leaving)[1])
-        result[person] = slot = heappop(free)
-        heappush(leaving, (goes, slot))
+        while leaving[where] and leaving[where][0][0] <= comes:
+            heappush(free[where], heappop(leaving[where])[1])
+        if not free[where]:
+            free[where].append(used[where])
+            used[where] += 1
+        slot = heappop(free[where])
+        heappush(leaving[where], (goes, slot))
+        stays.append((person, where, slot, slice(comes, goes)))
+    result = torch.full((int(group.max()) + 1, max(used.values()) + more, int(end.max()) + 1), -1)
+    for person, *place in stays:
+        result[tuple(place)] = person
     return result
-
-
-def table(slot: Tensor, begin: Tensor, end: Tensor, frames: int, most: int) -> Tensor:
-    """Return the person in ``most`` slots in ``frames`` frames (most, frames) long, -1 for none."""
-    occupant = torch.full((most, frames), -1)
-    stays = zip(slot.tolist(), begin.tolist(), end.tolist(), strict=True)
-    for person, (place, comes, goes) in enumerate(stays):
-        if place >= 0:
-            occupant[place, comes:goes] = person
-    return occupant
-
-
-def pieces(begin: Tensor, end: Tensor) -> list[Tensor]:
-    """Return groups of people (each (n,) long) such that people of two groups are never there together.
-
-    In order of time; within a group there are people from its first ``begin`` to its last ``end`` (P,).
-    """
-    order = begin.argsort(stable=True)
-    gone = end[order].cummax(0).values
-    cuts = (begin[order][1:] >= gone[:-1]).nonzero()[:, 0] + 1
-    return list(order.tensor_split(cuts))

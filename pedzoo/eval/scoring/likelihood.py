@@ -36,7 +36,7 @@ from pedzoo.policies.walker import has_noise
 from pedzoo.sim.recorded_people import CONTROLLED, SHORT, STAYED, RecordedPeople, without_goals
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.scenarios.replay import PreparedReplay
-from pedzoo.sim.script import Script, ScriptScenes, slots, table
+from pedzoo.sim.script import Script, ScriptScenes, occupants_of
 
 STEPS = 20
 """Simulated steps of a window: 8 s."""
@@ -181,19 +181,12 @@ def _with_roles(parts: RecordedPeople, people: RecordedPeople) -> RecordedPeople
 
 def _scenes(parts: RecordedPeople, windows: int) -> tuple[Tensor, ScriptScenes]:
     """Return who is in which slot, and the scenes of windows."""
-    end = OBS_LEN + STEPS
-    gone = parts.removal.clamp_max(end)
-    slot = torch.full_like(parts.first, -1)
-    for number in range(windows):
-        mine = (parts.recording == number).nonzero()[:, 0]
-        slot[mine] = slots(parts.first[mine], gone[mine])
-    here = [torch.where(parts.recording == number, slot, -1) for number in range(windows)]
-    tables = [table(one, parts.first, gone, end + 1, int(slot.max()) + 1) for one in here]
     number = torch.arange(windows)
     begin = torch.full_like(number, OBS_LEN - 1)
     no_lead, others = torch.full_like(number, -1), torch.ones_like(number, dtype=torch.bool)
     ends = begin + STEPS + 1, begin, begin + STEPS
-    return torch.stack(tables), ScriptScenes(number, begin, *ends, no_lead, others)
+    occupants = occupants_of(parts.recording, parts.first, parts.removal.clamp_max(OBS_LEN + STEPS))
+    return occupants, ScriptScenes(number, begin, *ends, no_lead, others)
 
 
 def bins(against: str) -> Ranges:

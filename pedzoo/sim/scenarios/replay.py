@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Literal, get_args
+from typing import ClassVar, get_args
 
 import numpy as np
 import torch
@@ -13,7 +13,7 @@ from torch import Tensor
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.geometry import passes_goal
 from pedzoo.core.randomness import Draws
-from pedzoo.core.types import GOAL_RADIUS, OBS_LEN, STEP_SECONDS
+from pedzoo.core.types import GOAL_RADIUS, STEP_SECONDS
 from pedzoo.data.own_files import OwnFiles
 from pedzoo.data.recordings import OpenFold, Scene, find_fold, open_fold
 from pedzoo.maps.bank import MapBank
@@ -24,16 +24,13 @@ from pedzoo.maps.plans import load_plan
 from pedzoo.sim import kernel
 from pedzoo.sim.dynamics import substeps
 from pedzoo.sim.episodes import Episodes
-from pedzoo.sim.physics._base import Physics
 from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.sim.recorded_people import RecordedPeople, SpeedOf, people_of, top_speed_of
 from pedzoo.sim.rollout import Rollout, joined, rollout_of
 from pedzoo.sim.rules import Rules, rules_of
 from pedzoo.sim.scenario import Layout, PreparedScenario, Scenario
-from pedzoo.sim.script import Script, ScriptScenes, pieces, slots, table
+from pedzoo.sim.script import Script, Simulated
 from pedzoo.sim.state import TRACE_PER_STEP, State
-
-Simulated = Literal["all", "one", "around"]
 
 CELL = 0.1
 """Metres: cells on which ways are planned."""
@@ -97,24 +94,22 @@ class Replay(Scenario):
                 stay there as long as they did. That uses the future, as exits do.
         """
         super().__init__(people=1)
-        if simulated not in get_args(Simulated):
-            raise unknown("simulated", simulated, get_args(Simulated))
-        if speed not in get_args(SpeedOf):
-            raise unknown("speed", speed, get_args(SpeedOf))
+        for name, given, known in (("simulated", simulated, Simulated), ("speed", speed, SpeedOf)):
+            if given not in get_args(known):
+                raise unknown(name, given, get_args(known))
         if not 0 < share <= 1:
             raise UserError(f"replay: share {share}: expected a part of the time, above 0 and at most 1")
         if not files and (dt or map or homography):
             raise UserError(f"replay: dt, map and homography are of files; the fold {fold!r} has its own")
-        known = find_fold(fold)
-        self.name = "files" if files else known.name if known else fold
+        named = find_fold(fold)
+        self.name = "files" if files else named.name if named else fold
         self.simulated: Simulated = simulated
-        self.share = share
-        self.speed_of: SpeedOf = speed
-        self.waits = self.stops = stops
+        self.waits = stops
+        self._options = {"share": share, "speed": speed, "stops": stops}
         self._source: OpenFold | OwnFiles = (
             OwnFiles(files, dt, "0,0,1", map, homography) if files else open_fold(fold, root, "true")
         )
-        self._data = (fold, root, files, dt, map, homography, share, speed, stops)
+        self._data = (fold, root, files, dt, map, homography, self._options)
 
     def plans(self) -> list[OccupancyGrid]:
         """Return the floor plans of the recordings."""
@@ -137,8 +132,7 @@ class Replay(Scenario):
         bank = MapBank([scene.grid for scene in recorded if scene.grid is not None], self.unknown)
         planner = Planner(bank, clearance, cell=CELL)
         map_id = torch.tensor([scene.grid.map_id if scene.grid else -1 for scene in recorded])
-        settings = {"share": self.share, "speed": self.speed_of, "stops": self.stops}
-        people, xy = people_of(tracks, bank.index(map_id).tolist(), planner, **settings)
+        people, xy = people_of(tracks, bank.index(map_id).tolist(), planner, **self._options)
         if not people.controlled.any():
             raise UserError(f"replay: no person in {self.name!r} can be simulated: {people.counts}")
         home = torch.from_numpy(np.stack([scene.home for scene in recorded]))
@@ -146,13 +140,9 @@ class Replay(Scenario):
 
     def adapted(self, other: PreparedScenario) -> PreparedScenario | None:
         """Return people and their ways of the same recordings, whether all are simulated there or one."""
-        theirs = other.scenario
-        if not (
-            isinstance(other, PreparedReplay) and isinstance(theirs, Replay) and theirs._data == self._data
-        ):
+        if not isinstance(other, PreparedReplay) or getattr(other.scenario, "_data", None) != self._data:
             return None
-        script = other._recorded
-        return self.with_slots(other.planner, other.tables, other.home, script.people, script.xy)
+        return self.with_slots(other.planner, other.tables, other.home, other.persons, other.script.xy)
 
     def with_slots(
         self,
@@ -168,16 +158,12 @@ class Replay(Scenario):
         ``map_id`` is the floor plan of each recording, -1 for none; ``home`` is as of `PreparedReplay`, and
         ``xy`` (N, 2) are the rows of people's tracks, person after person.
         """
-        if self.simulated == "all":
-            occupants, scenes = _all_simulated(people, len(map_id))
-        else:
-            occupants, scenes = _one_simulated(people, len(map_id), self.simulated == "around")
-        script = Script(people, xy, occupants, scenes)
+        script = Script.of_recordings(people, xy, self.simulated)
         result = PreparedReplay(scenario=self, planner=planner, tables=map_id, script=script, home=home)
         kinds = ", ".join(f"{count} {name}" for name, count in people.counts.items())
         print(
             f"replay {name or self.name}: {len(people.agent)} people in {result.scenes} scenes of at most "
-            f"{result.people}: {kinds}" + f"; {int((people.stops.pause > 0).sum())} stops" * self.stops
+            f"{result.people}: {kinds}" + f"; {int((people.pauses > 0).sum())} stops" * self.waits
         )
         return result
 
@@ -203,26 +189,23 @@ class PreparedReplay(PreparedScenario):
     """A replay with its people, and the recorded crowd itself.
 
     Attributes:
+        script: Plays them back.
         home: Where the origin of each recording's scenes is in the recording (R, 2), float64: not 0 for
             recordings that are far from their own; see `pedzoo.data.recordings.Scene`.
     """
 
+    script: Script
     home: Tensor
 
     @property
     def persons(self) -> RecordedPeople:
         """The recorded people: row p is ``person`` p of states and rollouts."""
-        return self._recorded.people
+        return self.script.people
 
     @property
     def scenes(self) -> int:
         """R, scenes of one round."""
-        return len(self._recorded.scenes.table)
-
-    @property
-    def _recorded(self) -> Script:
-        assert self.script is not None
-        return self.script
+        return len(self.script.scenes.table)
 
     def real(self) -> Rollout:
         """Return the recorded crowd as a rollout of one round, so that it is measured like everything else.
@@ -239,53 +222,55 @@ class PreparedReplay(PreparedScenario):
         """Yield `real` in parts of some scenes, each only as long as these take."""
         fine, physics = substeps(self.fastest_agent), Compiled(self.bank)
         episodes = Episodes(self, "recorded", physics, rules_of(self, TRACE_PER_STEP, fine))
-        rules = Rules(_still, TRACE_PER_STEP, fine, script=self._recorded.as_recorded())
+        script = self.script.as_recorded()
+        rules = Rules(_still, TRACE_PER_STEP, fine, script=script)
         for number in torch.arange(self.scenes).split(_AT_ONCE):
-            yield self._walked(physics, rules, episodes.begin(Draws.for_episodes(0, number)))
+            start = episodes.begin(Draws.for_episodes(0, number))
+            origin, still = script.scenes.origin[start.scene], torch.zeros_like(start.position)
+            scheduled = script.people_in_slots(start.scene, origin)
+            state = start._replace(
+                person=scheduled,
+                mask=scheduled >= 0,
+                controlled=torch.zeros_like(start.mask),
+                goal_id=torch.full_like(scheduled, -1),
+            )
+            persons, steps = [], []
+            for _ in range(int((script.scenes.last_exit[start.scene] - origin).max())):
+                persons.append(state.person)
+                state, _, events = kernel.step(state, still, physics, rules)
+                steps.append(events._asdict())
+            names = ("trace", "agent_contact", "wall_contact")
+            walked = {name: torch.cat([step[name] for step in steps], 2) for name in names}
+            walked |= self._arrivals(start.scene, torch.stack(persons, 2), walked["trace"])
+            nobody = torch.zeros_like(start.mask)
+            yield rollout_of(self.scenario, start, [walked], nobody, torch.zeros_like(start.failed))
 
-    def _walked(self, physics: Physics, rules: Rules, start: State) -> Rollout:
-        """Return the recorded continuation of scenes that begin so."""
-        assert rules.script is not None
-        script, scene = self._recorded, start.scene
-        people, goal_point = script.people, script.people.goal.float()
-        planned = (people.path_length.float() - GOAL_RADIUS).clamp_min(0)
-        origin = script.scenes.origin[scene]
-        scheduled = rules.script.people_in_slots(scene, origin)
-        state = start._replace(
-            person=scheduled,
-            mask=scheduled >= 0,
-            controlled=torch.zeros_like(start.mask),
-            goal_id=torch.full_like(scheduled, -1),
-        )
-        still, steps = torch.zeros_like(state.position), list[dict[str, Tensor]]()
-        before, done = start.person, torch.zeros_like(start.mask)
-        for frame in range(int((script.scenes.last_exit[scene] - origin).max())):
-            person, there = state.person, state.mask
-            at = (origin + frame).unsqueeze(1).expand_as(person)
-            begin = script.places(person, at)
-            state, _, events = kernel.step(state, still, physics, rules)
-            had = script.scored(scene, person) & there & (at >= people.handover[person])
-            done = done & (person == before)
-            points = torch.cat((begin.unsqueeze(2), events.trace), dim=2)
-            near = passes_goal(points[:, :, :-1], points[:, :, 1:], goal_point[person].unsqueeze(2))
-            reached = (near & had.unsqueeze(2)).cummax(2).values | done.unsqueeze(2)
-            reached[..., -1] |= had & (at + 1 == people.last[person])
-            walks = had.unsqueeze(2) & ~torch.cat((done.unsqueeze(2), reached[..., :-1]), dim=2)
-            before, done = person, reached[..., -1]
-            always = {
-                "goal": goal_point[person],
-                "present": there,
-                "person": torch.where(there, person, -1),
-                "planned": torch.where(had, planned[person], 0.0),
-            }
-            step = {
-                key: value.unsqueeze(2).expand(*value.shape[:2], TRACE_PER_STEP, *value.shape[2:])
-                for key, value in always.items()
-            }
-            step |= {key: getattr(events, key) for key in ("trace", "agent_contact", "wall_contact")}
-            steps.append(step | {"reached": reached.long(), "controlled": walks})
-        never = torch.zeros_like(start.mask), torch.zeros_like(start.failed)
-        return rollout_of(self.scenario, start, steps, *never)
+    def _arrivals(self, scene: Tensor, person: Tensor, trace: Tensor) -> dict[str, Tensor]:
+        """Return the other fields of a rollout over time, for the person in each slot and frame (B, A, F)."""
+        script, people, points = self.script, self.persons, TRACE_PER_STEP
+        frame = script.scenes.origin[scene].view(-1, 1, 1) + torch.arange(person.shape[2])
+        had = script.scored(scene, person.flatten(1)).view_as(person) & (frame >= people.handover[person])
+        leaves = had & (frame + 1 == people.last[person])
+        begin = script.places(person, frame.expand_as(person)).unsqueeze(3)
+        ways = torch.cat((begin, trace.unflatten(2, (-1, points))), 3)
+        goal = people.goal.float()[person]
+        came = had.unsqueeze(3) & passes_goal(ways[..., :-1, :], ways[..., 1:, :], goal.unsqueeze(3))
+        came[..., -1] |= leaves
+        person, had = (value.repeat_interleave(points, 2) for value in (person, had))
+        point = torch.arange(person.shape[2])
+        other = torch.ones_like(had)
+        other[..., 1:] = person[..., 1:] != person[..., :-1]
+        since = torch.where(other, point, 0).cummax(2).values
+        reached = torch.where(came.flatten(2), point, -1).cummax(2).values >= since
+        planned = (people.path_length.float() - GOAL_RADIUS).clamp_min(0)[person]
+        return {
+            "goal": goal.repeat_interleave(points, 2),
+            "present": person >= 0,
+            "person": person,
+            "planned": torch.where(had, planned, 0.0),
+            "reached": reached.long(),
+            "controlled": had & (other | ~reached.roll(1, 2)),
+        }
 
 
 def _still(state: State) -> Guidance:
@@ -293,44 +278,3 @@ def _still(state: State) -> Guidance:
     position = state.position
     still, remaining_path = torch.zeros_like(position), torch.zeros_like(state.remaining_path)
     return Guidance(position, still, position, state.goal_point, remaining_path)
-
-
-def _all_simulated(people: RecordedPeople, recordings: int) -> tuple[Tensor, ScriptScenes]:
-    """Return which person is in which slot, and the scenes, with all people simulated that can be."""
-    rows = []
-    for recording in range(recordings):
-        mine = (people.recording == recording).nonzero()[:, 0]
-        for piece in pieces(people.first[mine], people.removal[mine]):
-            group = mine[piece]
-            scored = group[people.controlled[group]]
-            if len(scored):
-                origin = int(people.first[group].min()) + OBS_LEN - 1
-                ends = people.removal[group], people.handover[scored], people.last[scored]
-                rows.append((recording, origin, *(int(end.max()) for end in ends), -1, 1))
-    columns = torch.tensor(rows).unbind(1)
-    return _occupants(people, people.removal, recordings, 1), ScriptScenes(
-        *columns[:-1], others=columns[-1].bool()
-    )
-
-
-def _one_simulated(people: RecordedPeople, recordings: int, around: bool) -> tuple[Tensor, ScriptScenes]:
-    """Return the same with a scene for each person, ordered by how long they stay."""
-    leads = people.controlled.nonzero()[:, 0]
-    leads = leads[(people.last - people.first)[leads].argsort(stable=True)]
-    columns = people.recording, people.handover, people.removal, people.handover, people.last
-    others = torch.full_like(leads, around) > 0
-    scenes = ScriptScenes(*(column[leads] for column in columns), lead=leads, others=others)
-    return _occupants(people, people.removal if around else people.last, recordings, 2), scenes
-
-
-def _occupants(people: RecordedPeople, end: Tensor, recordings: int, more: int) -> Tensor:
-    """Return the person in each slot in each frame (recordings, A, frames) long, -1 for none.
-
-    Slots of people are free from the frames ``end`` (P,) on; A is ``more`` than the largest number of one.
-    """
-    frames, slot = int(end.max()) + 1, torch.full_like(people.first, -1)
-    own = [people.recording == recording for recording in range(recordings)]
-    for mine in own:
-        slot[mine] = slots(people.first[mine], end[mine])
-    most = int(slot.max()) + more
-    return torch.stack([table(torch.where(m, slot, -1), people.first, end, frames, most) for m in own])
