@@ -25,13 +25,12 @@ from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim import kernel
 from pedzoo.sim.camera import check_size
 from pedzoo.sim.dynamics import substeps
-from pedzoo.sim.episodes import EpisodeQueue, Episodes, Scenes
+from pedzoo.sim.episodes import EpisodeQueue, Episodes, Scenes, WarmStart
 from pedzoo.sim.observation import done_spec, observation_spec, observed, real
 from pedzoo.sim.physics._base import Physics
 from pedzoo.sim.rules import rules_of
 from pedzoo.sim.scenario import WARM_SECONDS, PreparedScenario, Scenario
 from pedzoo.sim.state import TRACE_PER_STEP, Events, State
-from pedzoo.sim.warm_start import WarmStart
 
 
 class PedestrianEnv(EnvBase):

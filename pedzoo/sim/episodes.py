@@ -3,33 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import NamedTuple, get_args
+from dataclasses import replace
+from typing import Literal, NamedTuple, get_args
 
 import torch
 from torch import Tensor
 
+from pedzoo.core.batch import ROBOT
 from pedzoo.core.bodies import HOLONOMIC
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.geometry import TURNS_FROM, heading_of, identity_pose
 from pedzoo.core.randomness import Draws, signed
-from pedzoo.core.types import TRACE_SECONDS
+from pedzoo.core.types import OBS_LEN, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.maps.bank import WallSegments
 from pedzoo.maps.planning.guidance import Guidance
-from pedzoo.sim import warm_start as warm
+from pedzoo.policies.rule_based.orca import OrcaSettings, orca_velocity
+from pedzoo.sim import kernel
+from pedzoo.sim.observation import dense
 from pedzoo.sim.physics._base import Physics
 from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.sim.rules import Rules, deadline, planned
 from pedzoo.sim.scenario import MIN_INITIAL_PATH, Layout, PreparedScenario, filled
-from pedzoo.sim.state import PAST_LEN, State
+from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
+
+WarmStart = Literal["orca", "static", "recorded"]
+
+ORCA = OrcaSettings(radius=0.2, dt=STEP_SECONDS, max_obstacles=8)
+"""How people walk in the warm start: the same for every row of a table and every policy."""
 
 TRIES = 8
 """Most draws of a goal for a person who begins near one."""
 
 _MADE, _AGENTS_MADE, _DEEPEST = 512, 2560, 128
 """Limits of what is begun together when scenes end one by one: episodes, agents, and episodes of one row."""
-
-_SAME = ("radius", "kind", "drive", "top_speed", "acceleration", "turn_acceleration", "track")
-"""Fields of a layout that states have under the same name; what they leave out states have by default."""
 
 
 class Episodes:
@@ -38,7 +44,7 @@ class Episodes:
     def __init__(
         self,
         prepared: PreparedScenario,
-        warm_start: warm.WarmStart,
+        warm_start: WarmStart,
         physics: Physics,
         rules: Rules,
         device: torch.device | str = "cpu",
@@ -51,13 +57,13 @@ class Episodes:
         Raises:
             UserError: There is no such warm start.
         """
-        if warm_start not in get_args(warm.WarmStart):
-            raise unknown("warm_start", warm_start, get_args(warm.WarmStart))
+        if warm_start not in get_args(WarmStart):
+            raise unknown("warm_start", warm_start, get_args(WarmStart))
         self._prepared, self._warm_start = prepared, warm_start
         self._rules, self._device = rules, torch.device(device)
         # episodes begin alike in all backends
         self._physics = Compiled(prepared.bank, physics.body_radius)
-        self._walls = WallSegments(prepared.bank, most=warm.ORCA.max_obstacles)
+        self._walls = WallSegments(prepared.bank, most=ORCA.max_obstacles)
 
     @torch.no_grad()
     def begin(self, draws: Draws) -> State:
@@ -66,12 +72,15 @@ class Episodes:
         Raises:
             UserError: The layout is none, or an agent's goal cannot be reached.
         """
-        layout, scenario = self._prepared.layout(draws), self._prepared.scenario
+        layout, scenario, rules = self._prepared.layout(draws), self._prepared.scenario, self._rules
         self._check(layout)
-        begun = layout.person is not None
-        past = (
-            warm.recorded(layout) if begun or self._warm_start == "recorded" else warm.standing(layout.start)
-        )
+        begun, past = layout.person is not None, _stood(layout.start)
+        if begun or self._warm_start == "recorded":
+            if layout.history is None:
+                raise UserError(
+                    "warm_start recorded: this scenario has no recorded histories; use orca or static"
+                )
+            past = dense(layout.history)
         state = self._placed(draws.key, layout, past).to(self._device)
         velocity, until, heading = (
             None if value is None else value.to(self._device)
@@ -79,14 +88,20 @@ class Episodes:
         )
         taken = state.controlled
         if not begun and self._warm_start == "orca":
-            state = warm.rolled(state, self._physics, self._rules, self._walls)
-        guidance = self._rules.guidance(state)
-        if not begun:
-            state, guidance = self._apart(state, guidance)
+            state = self._rolled(state)
+        guidance = rules.guidance(state)
+        for _ in range(0 if begun else TRIES):  # goals that are too near are redrawn
+            walks = state.mask & (state.stands <= 0) & (state.goal_id >= 0) & (state.next_goal >= 0)
+            near = walks & (guidance.distance < MIN_INITIAL_PATH)
+            if not near.any():
+                break
+            goal = torch.where(near, state.next_goal, state.goal_id)
+            state = state._replace(goal_id=goal, goal_index=state.goal_index + near)
+            guidance = rules.guidance(state)
         remaining_path = guidance.distance
         if bool(remaining_path.isinf().any()):  # others have squeezed an agent into a corner
-            start = state._replace(past=warm.standing(layout.start).to(state.past))
-            remaining_path = remaining_path.minimum(self._rules.guidance(start).distance)
+            start = state._replace(past=_stood(layout.start).to(state.past))
+            remaining_path = remaining_path.minimum(rules.guidance(start).distance)
         cut_off = ((taken | (state.stands > 0)) & remaining_path.isinf()).nonzero()
         if len(cut_off):
             raise self._no_way(state, guidance, *cut_off[0].tolist())
@@ -96,11 +111,11 @@ class Episodes:
         waits = state._replace(clock=clock).holds
         stays = waits & state.stands.isinf() & (state.next_goal < 0)
         if until is None:
-            until = deadline(clock, remaining_path, state.pref_speed, self._rules.deadline)
-            if self._rules.deadline is None:
+            until = deadline(clock, remaining_path, state.pref_speed, rules.deadline)
+            if rules.deadline is None:
                 until = until.clamp_min(scenario.patience)
         # neither a recording nor the warm start says how they came
-        placed = self._rules.script is None if begun else self._warm_start == "static"
+        placed = rules.script is None if begun else self._warm_start == "static"
         position = state.position
         velocity = filled(velocity, (position - state.past[:, :, -2]) / TRACE_SECONDS)
         goes = filled(heading, heading_of(guidance.goal_point - position))
@@ -120,51 +135,25 @@ class Episodes:
             planned=torch.where(taken, planned(remaining_path), 0.0),
         )
 
-    def _apart(self, state: State, guidance: Guidance) -> tuple[State, Guidance]:
-        """Return the state and its guidance, with goals nearer than `MIN_INITIAL_PATH` redrawn."""
-        for _ in range(TRIES):
-            walks = state.mask & (state.stands <= 0) & (state.goal_id >= 0) & (state.next_goal >= 0)
-            near = walks & (guidance.distance < MIN_INITIAL_PATH)
-            if not near.any():
-                break
-            goal = torch.where(near, state.next_goal, state.goal_id)
-            state = state._replace(goal_id=goal, goal_index=state.goal_index + near)
-            guidance = self._rules.guidance(state)
-        return state, guidance
-
     def _placed(self, key: Tensor, layout: Layout, past: Tensor) -> State:
         """Return agents where they start, before anything has happened."""
-        mask, nothing = layout.mask, torch.zeros_like(layout.pref_speed)
         pose = identity_pose(len(key), key.device) if layout.pose is None else layout.pose
         row = self._prepared.planner.map_rows(layout.map_id)
         frame, place = self._prepared.bank.walls_of_scenes(row, pose)
-        velocity = (past[:, :, -1] - past[:, :, -2]) / TRACE_SECONDS
-        slot = torch.arange(mask.shape[1], device=mask.device)
-        same = {name: getattr(layout, name) for name in _SAME}
-        if layout.radius is None:
-            same["radius"] = torch.full_like(nothing, self._physics.body_radius)
+        stands = torch.zeros_like(layout.pref_speed) if layout.stand is None else layout.stand
+        given = {name: value for name, value in layout._asdict().items() if name in State._fields}
+        given |= {"key": key, "row": row, "wall_frame": frame, "wall_place": place, "pose": pose}
+        # where a layout says more, it says how all is after the warm start
+        given |= {"velocity": None, "deadline": None, "goal_id": layout.goal}
         return State.of(
             past,
-            mask,
-            layout.pref_speed,
-            **same,
-            key=key,
-            map_id=layout.map_id,
-            row=row,
-            wall_frame=frame,
-            wall_place=place,
-            pose=pose,
-            scene=filled(layout.scene, torch.zeros_like(layout.map_id)),
-            controlled=filled(layout.controlled, mask & (filled(layout.stand, nothing) <= 0)),
-            person=filled(layout.person, torch.where(mask, slot, -1)),
-            observed_points=filled(layout.observed_points, torch.full_like(layout.goal, PAST_LEN)),
-            velocity=velocity,
-            heading=filled(layout.heading, heading_of(velocity)),
-            group=layout.group,
-            goal_id=layout.goal,
-            later_goals=layout.later if layout.later is not None else self._later_goals(key, layout.goal),
-            goal_point=past[:, :, -1],
-            stands=filled(layout.stand, nothing).maximum(filled(layout.hold, nothing)),
+            **given
+            | {
+                "radius": filled(layout.radius, torch.full_like(stands, self._physics.body_radius)),
+                "controlled": filled(layout.controlled, layout.mask & (stands <= 0)),
+                "stands": stands if layout.hold is None else stands.maximum(layout.hold),
+                "later_goals": self._later_goals(key, layout.goal) if layout.later is None else layout.later,
+            },
         )
 
     def _later_goals(self, key: Tensor, first: Tensor) -> Tensor:
@@ -180,18 +169,50 @@ class Episodes:
             goals.append(goal.view(scenes, agents))
         return torch.where((first >= 0).unsqueeze(2), torch.stack(goals, 2), -1)
 
+    def _rolled(self, state: State) -> State:
+        """Return the state after 7 steps with ORCA of people who begin to walk; reached goals are renewed.
+
+        Robots, agents with wheels and agents that stand or wait where they start stay in place. The time
+        of standing starts afterwards.
+        """
+        rules = replace(
+            self._rules, ticks=TRACE_PER_STEP, leave=False, keep_goal=True, script=None, waits=None
+        )
+        agents, controlled, stands = state.mask.shape[1], state.controlled, state.stands
+        walks = controlled & (stands <= 0) & (state.drive == HOLONOMIC) & (state.kind != ROBOT)
+        state = state._replace(controlled=walks, stands=torch.zeros_like(stands))
+        map_id, poses = state.map_id.repeat_interleave(agents), state.pose.repeat_interleave(agents, 0)
+        guidance = rules.guidance(state)
+        # people are on their way already
+        velocity = torch.where(walks.unsqueeze(2), guidance.desired_velocity, 0.0)
+        state, top_speed = state._replace(velocity=velocity, goal_point=guidance.goal_point), state.top_speed
+        radius = ORCA.radii(state.radius, state.kind == ROBOT, state.controlled)
+        for _ in range(OBS_LEN - 1):
+            reach = ORCA.wall_reach(top_speed, radius).flatten()
+            near = self._walls.near(state.position.flatten(0, 1), map_id, poses, reach)
+            wanted = torch.where(walks.unsqueeze(2), guidance.desired_velocity, 0.0)
+            action = orca_velocity(
+                state.position, state.velocity, wanted, top_speed, state.mask, ORCA, near, None, radius
+            )
+            before = state.position
+            state, guidance, _ = kernel.step(state, action, self._physics, rules)
+            state = state._replace(velocity=(state.position - before) / STEP_SECONDS)
+        return state._replace(controlled=controlled, stands=stands)
+
     def _check(self, layout: Layout) -> None:
         """Check that floor plans and bodies are as the scenario says: sub-steps depend on these."""
-        scenario, bank = self._prepared.scenario, self._prepared.bank
+        prepared, scenario, bank = self._prepared, self._prepared.scenario, self._prepared.bank
         name = type(scenario).__name__
         if not isinstance(layout, Layout):
             raise UserError(
                 f"{name}.layout returned {type(layout).__name__}: expected a pedzoo.sim.scenario.Layout"
             )
-        mask, agent = layout.mask, f"of an agent in the layout of {name}"
+        mask = layout.mask
         for field in ("start", "pref_speed"):
             if not getattr(layout, field)[mask].isfinite().all():
-                raise UserError(f"{field} {agent} is not finite: expected a number")
+                raise UserError(
+                    f"{field} of an agent in the layout of {name} is not finite: expected a number"
+                )
         known = torch.tensor([-1, *(bank.id_of(plan) for plan in bank.names)], device=layout.map_id.device)
         if (foreign := ~torch.isin(layout.map_id, known)).any():
             plans = ", ".join(f"prepared.bank.id_of({plan!r})" for plan in bank.names[:3])
@@ -199,19 +220,18 @@ class Episodes:
                 f"map_id {int(layout.map_id[foreign][0])} in the layout of {name}: expected -1 for open floor"
                 + (f", or one of {name}.plans, {plans}" if plans else f": {name}.plans() returns no plans")
             )
-        smallest, fastest = (
-            scenario.smallest_radius or self._physics.body_radius,
-            self._prepared.fastest_agent,
-        )
-        if layout.radius is not None and (tiny := layout.radius[mask] < smallest - 1e-6).any():
+        radii, speeds = layout.radius, layout.top_speed
+        least = scenario.smallest_radius or self._physics.body_radius
+        if radii is not None and (tiny := mask & (radii < least - 1e-6)).any():
             raise UserError(
-                f"radius {float(layout.radius[mask][tiny].min()):.3g} m of an agent in {name}: expected at "
-                f"least {smallest:.3g}, or a smaller {name}.smallest_radius"
+                f"radius {float(radii[tiny].min()):.3g} m of an agent in {name}: expected at least {least:.3g}, "
+                f"or a smaller {name}.smallest_radius"
             )
-        if layout.top_speed is not None and (hasty := layout.top_speed[mask] > fastest + 1e-6).any():
+        most = prepared.fastest_agent
+        if speeds is not None and (hasty := mask & (speeds > most + 1e-6)).any():
             raise UserError(
-                f"top_speed {float(layout.top_speed[mask][hasty].max()):.3g} m/s of an agent in {name}: "
-                f"expected at most {fastest:.3g}, or a larger {name}.fastest_agent"
+                f"top_speed {float(speeds[hasty].max()):.3g} m/s of an agent in {name}: expected at most "
+                f"{most:.3g}, or a larger {name}.fastest_agent"
             )
         wheels = (layout.drive, layout.acceleration, layout.turn_acceleration)
         if not scenario.wheels and any(value is not None for value in wheels):
@@ -227,6 +247,11 @@ class Episodes:
             f"no way from {here} to the goal {there} keeps {clearance} m from walls: passages have to be "
             f"wider than {2 * clearance} m, or the clearance smaller (--clearance, make_env(clearance=))"
         )
+
+
+def _stood(start: Tensor) -> Tensor:
+    """Return the first positions (B, A, 29, 2) of people who have stood still at ``start`` (B, A, 2)."""
+    return start.unsqueeze(2).expand(-1, -1, PAST_LEN, -1).clone()
 
 
 class Scenes(NamedTuple):

@@ -17,7 +17,7 @@ from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim.dynamics import driven
 from pedzoo.sim.physics._base import Physics
-from pedzoo.sim.rules import Rules, deadline, planned, waiting_update
+from pedzoo.sim.rules import Rules, deadline, planned
 from pedzoo.sim.state import CLOCK_ROUNDING, CONTACT_COST, Decision, Events, Motion, State
 
 
@@ -112,7 +112,12 @@ def _arrived(state: State, motion: Motion, failed: Tensor, rules: Rules) -> tupl
     """
     clock, hits, moves_on = state.clock + rules.ticks * TRACE_SECONDS, motion.reached, None
     if rules.waits is not None:
-        hits, moves_on, stands = waiting_update(rules.waits(state), state, hits, clock)
+        pause, now = rules.waits(state), clock.unsqueeze(1)
+        stops, over = hits[..., -1] & (pause > 0), state.holds & (now + CLOCK_ROUNDING >= state.stands)
+        ahead = torch.nn.functional.pad(state.goal_index[:, :-1], (1, 0), value=-1)
+        moves_on = over | (state.controlled & pause.isinf() & (ahead > state.goal_index))
+        hits = hits & ~stops.unsqueeze(-1)
+        stands = torch.where(moves_on, 0.0, torch.where(stops, now + pause, state.stands))
     hit, later = hits[..., -1], state.next_goal
     takes = hit if moves_on is None else hit | moves_on
     renew = takes & (later >= 0) if rules.keep_goal else takes

@@ -60,31 +60,24 @@ def state_of(batch: TensorDict, destination: Tensor, controlled: Tensor, key: Te
         key: Keys of the scenes' draws (B,) long.
     """
     agents = agents_of(batch)
-    history, mask = agents["history"], agents["mask"]
-    none, scene = torch.zeros_like(agents["kind"]), torch.zeros_like(batch["map_id"][:, 0])
+    history, scene = agents["history"], torch.zeros_like(batch["map_id"][:, 0])
     frame, place = maps_of(batch).walls_of_scenes(scene - 1, batch["scene_pose"])
-    slots = torch.arange(mask.shape[1], device=mask.device).expand(mask.shape)
+    numbers = {name: agents[name][..., 0] for name in ("heading", "radius")}
     return State.of(
         dense(history),
-        mask,
+        agents["mask"],
         agents["pref_speed"][..., 0],
+        **numbers,
+        **{name: agents[name] for name in ("velocity", "kind", "group")},
         key=key,
         map_id=batch["map_id"][:, 0],
         row=scene - 1,
         wall_frame=frame,
         wall_place=place,
         pose=batch["scene_pose"],
-        scene=scene,
         controlled=controlled,
-        person=slots.where(mask, -1),
         observed_points=(agents["valid"].sum(2) - 1) * TRACE_PER_STEP + 1,
-        velocity=agents["velocity"],
-        heading=agents["heading"][..., 0],
-        radius=agents["radius"][..., 0],
-        kind=agents["kind"],
-        group=agents["group"],
-        goal_id=none,
-        later_goals=torch.full_like(none, -1).unsqueeze(2),
+        later_goals=torch.full_like(agents["kind"], -1).unsqueeze(2),
         goal_point=destination,
         remaining_path=(destination - history[:, :, -1]).norm(dim=-1),
     )

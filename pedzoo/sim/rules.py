@@ -1,7 +1,4 @@
-"""Constants of a simulation: goals, deadlines, sub-steps. How people yield is in `pedzoo.policies`.
-
-Goals are reached on the 0.1 s trace and not only at decisions.
-"""
+"""Constants of a simulation: goals, deadlines, sub-steps. How people yield is in `pedzoo.policies`."""
 
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ from pedzoo.core.types import AHEAD_SECONDS, GOAL_RADIUS, STEP_SECONDS
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim.scenario import PreparedScenario
 from pedzoo.sim.script import Script
-from pedzoo.sim.state import CLOCK_ROUNDING, MotionInput, State
+from pedzoo.sim.state import State
 
 TIME_RATIO, LEAST_TIME_LIMIT = 4.0, 20.0
 """Time limit of a goal, divided by the time of its path at the preferred speed; the least one, seconds."""
@@ -115,19 +112,6 @@ def _guidance(prepared: PreparedScenario, state: State) -> Guidance:
     )
 
 
-def arrived(path: Tensor, goal: Tensor, inputs: MotionInput) -> Tensor:
-    """Return which agents have come within 0.3 m of their goal until each trace point (B, A, S) bool.
-
-    Args:
-        path: Sub-steps (2, S * M, B, A), metres.
-        goal: Goals (B, A, 2).
-        inputs: Says which agents may.
-    """
-    x, y = path.detach() - goal.detach().movedim(-1, 0).unsqueeze(1)
-    near = (torch.addcmul(x * x, y, y) < GOAL_RADIUS**2) & inputs.wanted
-    return (near.unflatten(0, (-1, inputs.substeps)).any(1).cumsum(0) > 0).permute(1, 2, 0)
-
-
 def planned(way: Tensor) -> Tensor:
     """Return how far people with paths (B, A) of such lengths to their goals have to walk, metres."""
     return (way.detach() - GOAL_RADIUS).clamp_min(0)
@@ -151,23 +135,3 @@ def check_deadline(seconds: float | None) -> None:
     """
     if seconds is not None and not 0 < seconds < math.inf:
         raise UserError(f"deadline {seconds}: expected a number of seconds above 0")
-
-
-def waiting_update(pause: Tensor, state: State, near: Tensor, clock: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return which people reach goals (B, A, S) bool, which move on without (B, A) bool, and `State.stands`.
-
-    Args:
-        pause: How long people wait at their goals (B, A), seconds: see `Scenario.pauses`. Places to wait at
-            are never reached.
-        state: At the beginning of the decision.
-        near: Which agents have come near their goal until each trace point (B, A, S) bool.
-        clock: At its end (B,), seconds.
-    """
-    stops = near[..., -1] & (pause > 0)
-    now = clock.unsqueeze(1)
-    over = state.holds & (now + CLOCK_ROUNDING >= state.stands)
-    before = torch.nn.functional.pad(state.goal_index[:, :-1], (1, 0), value=-1)
-    called = state.controlled & pause.isinf() & (before > state.goal_index)
-    moves_on = over | called
-    stands = torch.where(moves_on, 0.0, torch.where(stops, now + pause, state.stands))
-    return near & ~stops.unsqueeze(-1), moves_on, stands

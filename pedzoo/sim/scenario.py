@@ -100,12 +100,6 @@ def filled(value: Tensor | None, usual: Tensor) -> Tensor:
     return usual if value is None else value
 
 
-def door_at_origin(width: Tensor) -> Tensor:
-    """Return doors (B, 5) of clear ``width`` (B,), metres, in walls along y: see `Scenario.gate`."""
-    centre, across = torch.zeros_like(width), torch.ones_like(width)
-    return torch.stack((centre, centre, across, centre, width), dim=-1)
-
-
 class Scenario(ABC):
     """A family of scenes: its settings, and how scenes begin. It stays as ``__init__`` made it.
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from pedzoo.core.geometry import heading_of, identity_pose
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
 
 TRACE_PER_STEP = round(STEP_SECONDS / TRACE_SECONDS)
@@ -109,7 +110,7 @@ class State(NamedTuple):
 
     @classmethod
     def of(cls, past: Tensor, mask: Tensor, pref_speed: Tensor, **given: Tensor | None) -> State:
-        """Return people at their start; missing values are those of a person, without limits.
+        """Return people at their start, without limits and in scenes that lie as their map.
 
         Args:
             past: As in the class, like all others.
@@ -119,12 +120,16 @@ class State(NamedTuple):
         """
         nothing, none = torch.zeros_like(pref_speed), torch.zeros_like(mask, dtype=torch.long)
         endless, begin = torch.full_like(nothing, torch.inf), nothing.new_zeros(len(mask))
+        velocity = (past[:, :, -1] - past[:, :, -2]) / TRACE_SECONDS
         usual = dict.fromkeys(("turn_rate", "remaining_path", "planned", "stands"), nothing)
-        usual |= dict.fromkeys(("kind", "drive", "goal_index", "reached"), none)
+        usual |= dict.fromkeys(("kind", "drive", "goal_index", "reached", "goal_id"), none)
         usual |= dict.fromkeys(("acceleration", "turn_acceleration", "deadline"), endless)
         usual |= {"group": none - 1, "goal_since": -endless, "track": torch.ones_like(nothing)}
         usual |= {"overdue": torch.zeros_like(mask), "failed": begin > 0, "clock": begin}
-        usual |= {"top_speed": TOP_SPEED_RATIO * pref_speed}
+        usual |= {"top_speed": TOP_SPEED_RATIO * pref_speed, "scene": begin.long(), "controlled": mask}
+        usual |= {"person": torch.where(mask, torch.arange(mask.shape[1], device=mask.device), -1)}
+        usual |= {"velocity": velocity, "heading": heading_of(velocity), "goal_point": past[:, :, -1]}
+        usual |= {"observed_points": none + PAST_LEN, "pose": identity_pose(len(mask), mask.device)}
         usual |= {name: value for name, value in given.items() if value is not None}
         return cls(past=past, mask=mask, pref_speed=pref_speed, **usual)
 

@@ -13,13 +13,13 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import move_to_scene
-from pedzoo.core.types import BODY_RADIUS
+from pedzoo.core.types import BODY_RADIUS, GOAL_RADIUS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.walls import LocalWalls
 from pedzoo.sim.camera import Camera, Lens, free_corners, person_color
 from pedzoo.sim.drawing import Canvas
 from pedzoo.sim.dynamics import SKIN, integrate
-from pedzoo.sim.rules import Rules, arrived
+from pedzoo.sim.rules import Rules
 from pedzoo.sim.state import Contacts, Decision, Distances, Motion, MotionInput, OwnedMotion, State
 
 REACH = 5.0
@@ -173,8 +173,11 @@ class Physics(ABC):
             given = inputs.played.flatten(2, 3).permute(3, 2, 0, 1).to(path.dtype)
             path = torch.where(state.mask & ~inputs.moving, given, path)
         steps = path.permute(2, 3, 1, 0).unflatten(2, (-1, inputs.substeps))
+        x, y = path.detach() - state.goal_point.detach().movedim(-1, 0).unsqueeze(1)
+        near = (torch.addcmul(x * x, y, y) < GOAL_RADIUS**2) & inputs.wanted
+        arrived = near.unflatten(0, (-1, inputs.substeps)).any(1).cumsum(0) > 0
         contacts = self._touched(state, steps.detach(), inputs)
-        return Motion(steps[:, :, :, -1], *contacts, arrived(path, state.goal_point, inputs))
+        return Motion(steps[:, :, :, -1], *contacts, arrived.permute(1, 2, 0))
 
     def _touched(self, state: State, path: Tensor, inputs: MotionInput) -> Contacts:
         """Return which agents touch something on their paths (B, A, S, M, 2); see `contacts`."""

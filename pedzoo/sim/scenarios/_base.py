@@ -13,7 +13,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.randomness import Draws
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.plans import Point, Rectangle, check_lengths, rectangles
-from pedzoo.sim.scenario import PreparedScenario, Scenario, door_at_origin
+from pedzoo.sim.scenario import PreparedScenario, Scenario
 
 CELL = 0.05
 """Side of the floor plans' cells, metres."""
@@ -183,4 +183,6 @@ class Varied(Scenario):
         """Return the door (B, 5), where all scenes have one."""
         if self.door is None or min(self.variants.values[self.door]) <= 0:
             return None
-        return door_at_origin(self.variants.value(self.door, draws))
+        width = self.variants.value(self.door, draws)
+        centre, across = torch.zeros_like(width), torch.ones_like(width)
+        return torch.stack((centre, centre, across, centre, width), dim=-1)
