@@ -224,8 +224,8 @@ class Episodes:
         least = scenario.smallest_radius or self._physics.body_radius
         if radii is not None and (tiny := mask & (radii < least - 1e-6)).any():
             raise UserError(
-                f"radius {float(radii[tiny].min()):.3g} m of an agent in {name}: expected at least {least:.3g}, "
-                f"or a smaller {name}.smallest_radius"
+                f"radius {float(radii[tiny].min()):.3g} m of an agent in {name}: expected at least "
+                f"{least:.3g}, or a smaller {name}.smallest_radius"
             )
         most = prepared.fastest_agent
         if speeds is not None and (hasty := mask & (speeds > most + 1e-6)).any():

@@ -25,8 +25,7 @@ from pedzoo.maps.boxes import boxes
 from pedzoo.sim.camera import as_array, moved, scene_to_grid
 from pedzoo.sim.drawing import headings_along
 from pedzoo.sim.env import PedestrianEnv
-from pedzoo.sim.physics._looks import BulletLooks, Figure
-from pedzoo.sim.physics._pybullet import disconnect
+from pedzoo.sim.physics._pybullet import BulletLooks, Figure, disconnect
 from pedzoo.viz.report import empty_content, page
 
 HOST, HERE = "127.0.0.1", re.compile(r"(127\.0\.0\.1|\[::1\]|localhost)(:\d+)?", re.IGNORECASE)

@@ -34,15 +34,12 @@ _LEAST_HEIGHT = 0.4
 _BOUNDS = 0.0025
 """Metres by which the bounds that pybullet tells of a wheel are wider than the wheel, about."""
 
-STEPS = 24
-"""Steps of every 0.1 s."""
+STEPS, _SETTLING = 24, 120
+"""Steps of every 0.1 s, and those in which a robot that is put down comes to rest."""
 
 _SECONDS = TRACE_SECONDS / STEPS
 _FORCE = 1000.0
 """N m that motors have at most: speeds are limited by the robot's acceleration."""
-
-_SETTLING = 120
-"""Steps in which a robot that is put down comes to rest."""
 
 
 def find_urdf(name: str) -> str:
@@ -64,19 +61,10 @@ def find_urdf(name: str) -> str:
 
 
 class Robots:
-    """One body of a URDF file for each agent that is a robot; it stands with its lowest point on the floor.
-
-    Attributes:
-        client: Where they are.
-        reach: Metres from a robot's origin to its farthest point, seen from above.
-    """
+    """A body of a URDF file for each agent that is a robot; it stands with its lowest point on the floor."""
 
     def __init__(self, file: str, fixed: bool) -> None:
-        """Connect and load the file; ``fixed`` bodies stay where they are put.
-
-        Raises:
-            UserError: pybullet cannot read the file, or it has no shape that can be collided with.
-        """
+        """Load a file, which needs a shape to collide with; ``fixed`` bodies stay where they are put."""
         self.client, self._file, self._fixed = connect(), file, fixed
         first = self._load()
         self._bodies: dict[int, int] = {-1: first}
@@ -85,6 +73,7 @@ class Robots:
         if not solid:
             raise UserError(f"urdf {file}: it has no collision shapes: expected at least one link with one")
         corners = [self.client.getAABB(first, link) for link in solid]
+        # metres from a robot's origin to its farthest point, seen from above
         self.reach = max(math.hypot(max(-low[0], high[0]), max(-low[1], high[1])) for low, high in corners)
         self._height = -min(low[2] for low, _ in corners)
         self._inertial = self.client.getDynamicsInfo(first, -1)[3:5]
@@ -141,8 +130,7 @@ class Crossing(NamedTuple):
 class RobotShapes(Robots):
     """A floor plan with its robots, and a capsule for each person, to ask what touches.
 
-    Bodies never move by themselves. Such bodies make no contact points, hence everything is asked with
-    closest-point queries.
+    Bodies that never move by themselves make no contact points, hence the queries for closest points.
     """
 
     def __init__(self, boxes: NDArray[np.float64], file: str, body_radius: float, margin: float) -> None:
@@ -200,11 +188,7 @@ class DrivenRobots(Robots):
     """One floor plan and its robots that drive by their wheels; people are not there, and push nothing."""
 
     def __init__(self, boxes: NDArray[np.float64], file: str) -> None:
-        """Build walls over rectangles (M, 4), and let a robot come to rest.
-
-        Raises:
-            UserError: The file cannot be read, or it has no wheels.
-        """
+        """Build walls over rectangles (M, 4), and let a robot come to rest; the file has to have wheels."""
         super().__init__(file, fixed=False)
         self.client.setGravity(0, 0, -9.81)
         self.client.setTimeStep(_SECONDS)
@@ -270,13 +254,11 @@ class DrivenRobots(Robots):
             for agent, (speed, turn), wide in zip(agents, speeds.tolist(), track.tolist(), strict=True):
                 self._turn(agent, speed, turn, wide)
             self.client.stepSimulation()
-            result[:, step] = [self._where(agent) for agent in agents]
+            for number, agent in enumerate(agents):
+                pose = self.client.getBasePositionAndOrientation(self.body(agent))
+                (x, y, _), turned = self.client.multiplyTransforms(*pose, *self._outertial)
+                result[number, step] = x, y, self.client.getEulerFromQuaternion(turned)[2]
         return result
-
-    def _where(self, agent: int) -> tuple[float, float, float]:
-        pose = self.client.getBasePositionAndOrientation(self.body(agent))
-        (x, y, _), turned = self.client.multiplyTransforms(*pose, *self._outertial)
-        return x, y, self.client.getEulerFromQuaternion(turned)[2]
 
     def _turn(self, agent: int, speed: float, turn: float, track: float) -> None:
         """Let the motors of an agent turn its wheels at a speed, m/s, and a turning rate, rad/s."""

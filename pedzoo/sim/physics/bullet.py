@@ -20,8 +20,14 @@ from pedzoo.maps.boxes import boxes
 from pedzoo.sim.camera import FLOOR, OUTSIDE, VIEW_ANGLE, Affine, Camera, Lens, as_array, moved, scene_to_grid
 from pedzoo.sim.dynamics import SKIN, driven
 from pedzoo.sim.physics._base import Bodies
-from pedzoo.sim.physics._looks import CUT_HEIGHT, BulletLooks, Figure
-from pedzoo.sim.physics._pybullet import WALL_HEIGHT, disconnect, load_pybullet
+from pedzoo.sim.physics._pybullet import (
+    CUT_HEIGHT,
+    WALL_HEIGHT,
+    BulletLooks,
+    Figure,
+    disconnect,
+    load_pybullet,
+)
 from pedzoo.sim.physics._urdf import STEPS, Crossing, DrivenRobots, RobotShapes, find_urdf
 from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.sim.state import Contacts, MotionInput, OwnedMotion, State
@@ -98,8 +104,7 @@ class Bullet(Compiled):
         return {**self.__dict__, "_clients": {}}
 
     @classmethod
-    def check(cls) -> None:
-        """Check that pybullet is there; errors as of `load_pybullet`."""
+    def check(cls) -> None:  # noqa: D102
         load_pybullet()
 
     def close(self) -> None:
@@ -110,11 +115,7 @@ class Bullet(Compiled):
         self._closed = True
 
     def _of_plan(self, kind: type, row: int, *settings: object) -> Any:
-        """Return what holds a client for the floor plan in a row of the bank; the first time, it is made.
-
-        Raises:
-            UserError: All were closed, or this client is gone.
-        """
+        """Return what holds a client for the floor plan in a row of the bank; the first time, it is made."""
         if self._closed:
             raise UserError("this Bullet was closed: make a new one, Bullet(bank)")
         key = kind, row, settings
