@@ -55,11 +55,7 @@ def person_color(person: int) -> tuple[int, int, int]:
 
 
 def check_size(size: object) -> None:
-    """Refuse a size of pictures that is no width and height in whole pixels.
-
-    Raises:
-        UserError: It is none.
-    """
+    """Refuse a size of pictures that is no width and height in whole pixels."""
     sides = list(size) if isinstance(size, Iterable) else []
     if len(sides) != 2 or not all(isinstance(side, Integral) and int(side) > 0 for side in sides):
         raise UserError(f"size {size!r:.60}: expected width and height in pixels, such as (640, 480)")
@@ -108,14 +104,10 @@ class Camera:
     pitch: float = math.radians(50)
 
     def around(self, points: Tensor, size: tuple[int, int] = (640, 480), margin: float = 1.0) -> Camera:
-        """Return this camera with ``center`` and ``width`` such that it sees some points.
+        """Return this camera with ``center`` and ``width`` such that it sees points (..., 2), metres.
 
-        A video's camera stands still: give the points of all its frames, once.
-
-        Args:
-            points: Scene positions (..., 2), metres; those that are not finite are passed over.
-            size: Width and height of the image in pixels.
-            margin: Metres that are seen around the points.
+        It sees ``margin`` metres around those that are finite. A video's camera stands still: give the points
+        of all its frames, once. ``size`` is the image's width and height in pixels.
         """
         # the image's right and up on the floor, as columns
         heading = math.pi / 2 if self.view == "top" else self.heading
@@ -132,10 +124,7 @@ class Camera:
         return replace(self, center=(float(x), float(y)), width=float(max(wide, deep * size[0] / size[1])))
 
     def to_pixel(self, size: tuple[int, int]) -> Affine:
-        """Return the map from scene positions to (column, row) of the view from the top.
-
-        Whole numbers are the centres of pixels; ``center`` and ``width`` have to be known.
-        """
+        """Return the map from scene positions to (column, row) seen from the top; see `floor_pixels`."""
         assert self.center is not None and self.width is not None
         scale, (x, y), (columns, rows) = size[0] / self.width, self.center, size
         return square(

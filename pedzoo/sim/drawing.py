@@ -24,20 +24,14 @@ HEAD, FACE, FACE_AHEAD = 0.1, 0.07, 0.05
 SKIN, HAIR = (226, 180, 150), (66, 48, 40)
 """RGB."""
 
-_WINDOW = 3
-"""Trace points before and after one over which people's headings are means: 0.6 s in all."""
-
-_TURNS = 0.08
-"""Metres in such a time from which on people face where they walk."""
+_WINDOW, _TURNS = 3, 0.08
+"""Trace points before and after one over which headings are means, and metres then from which people turn."""
 
 EDGE = (40, 40, 40)
 """RGB around bodies."""
 
 _FINE = 4
 """cv2 draws at whole pixels, or at sixteenths of them with this shift."""
-
-_CIRCLE = 32
-"""Corners of the circle around a goal."""
 
 
 def shoulders(heading: float) -> NDArray[np.float64]:
@@ -50,7 +44,7 @@ def shoulders(heading: float) -> NDArray[np.float64]:
 
 def goal_circle(goal: Tensor) -> Tensor:
     """Return the circle (32, 2) around a goal (2,), metres, within which it is reached."""
-    angle = torch.linspace(0, 2 * torch.pi, _CIRCLE + 1)[:-1]
+    angle = torch.linspace(0, 2 * torch.pi, 33)[:-1]
     return goal.detach().cpu() + GOAL_RADIUS * direction_of(angle)
 
 
@@ -73,14 +67,9 @@ def headings_along(path: Tensor) -> Tensor:
 def draw_floor(
     grid: OccupancyGrid | None, unknown: Unknown, pose: Tensor, size: tuple[int, int], camera: Camera
 ) -> Image:
-    """Return the picture (H, W, 3) uint8 RGB of the floor from above.
+    """Return the picture (H, W, 3) uint8 RGB of the floor from above, so many pixels wide and high.
 
-    Args:
-        grid: The floor plan, None for open floor.
-        unknown: Meaning of its unknown cells.
-        pose: Pose of the scene on it (4,).
-        size: Width and height in pixels.
-        camera: Its center and width are used.
+    ``grid`` is None for open floor, ``pose`` (4,) that of the scene; the camera's center and width are used.
     """
     import cv2
 
@@ -102,14 +91,10 @@ def draw_floor(
 
 
 class Canvas:
-    """A picture of a scene, into which bodies, ways and goals are drawn where they are.
-
-    Attributes:
-        image: The picture (H, W, 3) uint8 RGB.
-    """
+    """A picture of a scene, ``image``, into which bodies, ways and goals are drawn where they are."""
 
     def __init__(self, image: Image, camera: Camera) -> None:
-        """Take a picture, and the camera that took it; its center and width are known."""
+        """Take a picture (H, W, 3) uint8 RGB, and the camera that took it; its center and width are known."""
         self.image, self._camera = image, camera
         self._size = image.shape[1], image.shape[0]
 

@@ -32,8 +32,7 @@ STRIDE = 2
 def substeps(fastest: float, body_radius: float = BODY_RADIUS) -> int:
     """Return how many sub-steps a trace step of 0.1 s needs for a top speed: whole strides.
 
-    An agent may move half a body radius in one at most: then none passes through a wall or another agent
-    unseen. A little less, because a body gives by `SKIN` at walls.
+    An agent may move half a body radius in one, less `SKIN`: then none passes through anything unseen.
     """
     return STRIDE * max(1, math.ceil(fastest * TRACE_SECONDS / (body_radius - SKIN) - 1e-9))
 
@@ -78,11 +77,9 @@ def integrate(
     """Return paths (2, S * M, B, A), metres, of S trace steps of M sub-steps.
 
     Walls stop agents, and they slide along. An agent that starts inside a wall, or nearer than its body, may
-    only move out. Agents are not pushed apart.
-
-    In every stride the move is projected on what the nearest wall leaves, and on what the wall leaves that
-    the last stride ran into. Where the end of it is nearer to a wall than allowed all the same, the agent
-    stays for this stride.
+    only move out. In every stride the move is projected on what the nearest wall leaves, and on what the wall
+    leaves that the last stride ran into. Where its end is nearer to a wall than allowed all the same, the
+    agent stays for this stride. Agents are not pushed apart.
 
     Args:
         position: Where agents are (2, B, A), metres.

@@ -134,37 +134,23 @@ class PedestrianEnv(EnvBase):
 
     @property
     def state(self) -> State:
-        """All that is known about the scenes now.
-
-        Raises:
-            UserError: `reset` was never called.
-        """
+        """All that is known about the scenes now; an error before the first `reset`."""
         if self._scenes is None:
             raise UserError("the environment has no scenes yet: call reset() first")
         return self._scenes.state
 
     def cut(self) -> TensorDict:
-        """Return what all agents see now, as given: gradients go back no farther than to here.
-
-        Raises:
-            UserError: `reset` was never called.
-        """
-        guidance = self._scenes.guidance if self._scenes else ()
-        state = State(*(value.detach() for value in self.state))
-        self._scenes = Scenes(state, Guidance(*(value.detach() for value in guidance)))
+        """Return what all agents see now, as given: gradients go back no farther than to here."""
+        state, guidance = self.state, self._scenes.guidance if self._scenes else ()
+        self._scenes = Scenes.of(value.detach() for value in (*state, *guidance))
         return self._observation(*self._scenes)
 
     def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
-        """Take a step, and begin the scenes that have ended anew.
+        """Take a step from an observation with actions, and begin the scenes that have ended anew.
 
-        This is `EnvBase.step_and_maybe_reset` for the keys of this environment, without its general search
-        for keys, which takes longer than a step of few scenes.
-
-        Args:
-            tensordict: The observation, with actions; the key ``next`` is added.
-
-        Returns:
-            This, and the new observation. Keys that a policy has added stand in both.
+        This is `EnvBase.step_and_maybe_reset` without its general search for keys, which takes longer than a
+        step of few scenes. It returns the observation with the key ``next``, and the new one. Keys that a
+        policy has added stand in both.
         """
         if "next" in tensordict.keys() or "_step" in tensordict.keys():
             return super().step_and_maybe_reset(tensordict)
@@ -189,11 +175,7 @@ class PedestrianEnv(EnvBase):
         """Begin scenes anew, and return the observation of all agents.
 
         This is `EnvBase.reset`, but all rows are taken as `_reset` returns them; TorchRL would pick those
-        that begin anew, key by key.
-
-        Args:
-            tensordict: Under ``_reset``, which scenes (B, 1) bool; all of them without it. It is updated.
-            settings: As of `EnvBase.reset`.
+        that begin anew, key by key. ``tensordict`` says under ``_reset`` which scenes (B, 1) bool.
         """
         if tensordict is None or "_reset" not in tensordict.keys():
             return super().reset(tensordict, **settings)
@@ -202,9 +184,7 @@ class PedestrianEnv(EnvBase):
     def render(self, scene: int = 0, size: tuple[int, int] = (640, 480)) -> NDArray[np.uint8]:
         """Return a picture (H, W, 3) uint8 RGB of a scene from above: floor plan, people and their goals.
 
-        Args:
-            scene: Its row.
-            size: Width and height in pixels.
+        ``size`` is width and height in pixels.
 
         Raises:
             UserError: No such row or size, or `reset` was never called.
@@ -221,25 +201,17 @@ class PedestrianEnv(EnvBase):
 
     def choose_scenes(self, which: Tensor, seeds: Sequence[int] | int) -> None:
         """Choose what begins next in some rows (B,) bool: scenes of one seed, or the first of B seeds."""
-        rows = which.nonzero().view(-1).cpu()
-        one = not isinstance(seeds, Sequence)
-        numbers = torch.tensor(
-            [signed(as_integer("seed", seed) % 2**64) for seed in ([seeds] if one else seeds)]
-        )
-        first = self._first + rows * one
-        self._queue.choose(rows, numbers[rows * (not one)], first, self._stride if one else 1)
+        rows, several = which.nonzero().view(-1).cpu(), isinstance(seeds, Sequence)
+        given = seeds if isinstance(seeds, Sequence) else [seeds]
+        numbers = torch.tensor([signed(as_integer("seed", seed) % 2**64) for seed in given])
+        first, stride = (self._first + 0 * rows, 1) if several else (self._first + rows, self._stride)
+        self._queue.choose(rows, numbers[rows * several], first, stride)
 
     def _set_seed(self, seed: int | None) -> None:
         self.seed = worker_number() if seed is None else as_integer("seed", seed)
+        (rows,), people = self.batch_size, self.prepared.people
         self._queue = EpisodeQueue(
-            self._episodes,
-            self.rules,
-            self._opened,
-            people=self.prepared.people,
-            seed=self.seed,
-            rows=self.batch_size[0],
-            first=self._first,
-            stride=self._stride,
+            self._episodes, self.rules, self._opened, people, self.seed, rows, self._first, self._stride
         )
 
     def _opened(self, state: State) -> State:

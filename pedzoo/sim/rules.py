@@ -36,7 +36,7 @@ class Rules:
             stands.
         wheels: Some bodies have wheels or a limited acceleration; without it `State.drive` and both
             accelerations are not looked at.
-        waits: Says for how long people wait where their goals are (B, A), seconds; None where no person does.
+        waits: Says how long people wait where their goals are (B, A), seconds; None where no person does.
         script: Plays recorded people back; None for none.
         deadline: Seconds for every goal; None as `deadline` says.
     """

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import replace
-from typing import ClassVar, NamedTuple, Self
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -61,11 +61,9 @@ class Physics(ABC):
     """Moves agents on the floor plans of its bank, and answers questions about them.
 
     A backend is one file in `pedzoo.sim.physics`, or ``file.py:Class``. It keeps nothing between two
-    questions, so one serves any number of scenes on the floor plans of its bank. Agents whose position is not
-    finite are treated as absent.
-
-    Agents move along one common path, `pedzoo.sim.dynamics.integrate`, which the kernel's velocities lead.
-    A backend that simulates bodies of its own says which in `owned`, and moves them in `move_owned`.
+    questions, so one serves any number of scenes. Agents whose position is not finite are treated as absent.
+    Agents move along one common path, `pedzoo.sim.dynamics.integrate`. A backend that simulates bodies of its
+    own says which in `owned`, and moves them in `move_owned`.
 
     Attributes:
         scenes_at_once: Scenes that evaluations run together: memory grows with them, time hardly.
@@ -78,26 +76,17 @@ class Physics(ABC):
     views: ClassVar[tuple[str, ...]] = ("top",)
 
     def __init__(self, bank: MapBank, body_radius: float = BODY_RADIUS) -> None:
-        """Take the floor plans.
-
-        Raises:
-            UserError: The radius is too small.
-        """
+        """Take the floor plans and a radius, above that by which bodies give at walls."""
         if not body_radius > SKIN:
             raise UserError(
                 f"body_radius {body_radius}: expected metres above {SKIN}, by which a body gives at walls, "
                 f"like {BODY_RADIUS}"
             )
-        self.bank = bank
-        self.body_radius = body_radius
+        self.bank, self.body_radius = bank, body_radius
 
     @classmethod
     def check(cls) -> None:
-        """Check that what the backend needs is installed.
-
-        Raises:
-            UserError: Something is not; the message says how to get it.
-        """
+        """Raise a `UserError` that says how to get it where what the backend needs is not installed."""
         return
 
     def decide(self, state: State, commands: Tensor, rules: Rules) -> Decision | None:
@@ -105,10 +94,7 @@ class Physics(ABC):
         return None
 
     def owned(self, state: State) -> Tensor | None:
-        """Return which agents the backend moves itself (B, A) bool; None, the default, for none.
-
-        The answer may not depend on where agents are: bodies do not change hands within an episode.
-        """
+        """Return which agents the backend always moves itself (B, A) bool; None, the default, for none."""
         return None
 
     def move_owned(
@@ -155,14 +141,10 @@ class Physics(ABC):
         own, ticks = own & moving, velocity.shape[1]
         command = torch.zeros_like(state.velocity) if command is None else command
         moved = self.move_owned(state, command, own, ticks, substeps)
-        if played is None:
-            played = state.position[:, :, None, None].expand(-1, -1, ticks, substeps, 2)
-        played = torch.where(own[:, :, None, None, None], moved.path, played)
+        others = state.position[:, :, None, None] if played is None else played
+        played = torch.where(own[:, :, None, None, None], moved.path, others)
         inputs = MotionInput(velocity, moving & ~own, substeps, played, wanted, command, moved)
-        heading, turn_rate = (
-            torch.where(own, moved.heading, torch.nan),
-            torch.where(own, moved.turn_rate, 0.0),
-        )
+        heading, turn_rate = moved.heading.where(own, torch.nan), moved.turn_rate.where(own, 0.0)
         return self._advance(state, inputs)._replace(heading=heading, turn_rate=turn_rate)
 
     def _advance(self, state: State, inputs: MotionInput) -> Motion:
@@ -224,14 +206,10 @@ class Physics(ABC):
     def image(
         self, people: Bodies, scene: int, size: tuple[int, int] = (640, 480), camera: Camera | None = None
     ) -> NDArray[np.uint8]:
-        """Return a picture (H, W, 3) uint8 RGB of one scene.
+        """Return a picture (H, W, 3) uint8 RGB of one scene, so many pixels wide and high.
 
-        Args:
-            people: Where people are.
-            scene: Which of the B scenes.
-            size: Width and height in pixels.
-            camera: Where it is taken from; by default from the top, all free space of the floor plan, or
-                all people where there is none.
+        Without a ``camera`` it is taken from the top: all free space of the floor plan, or all people where
+        there is none.
         """
 
     def onboard(
@@ -239,12 +217,8 @@ class Physics(ABC):
     ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
         """Return pictures (B, R, H, W, 3) uint8 RGB and depths (B, R, H, W), metres, as robots see them.
 
-        Depths are along the optical axis. A robot does not see itself; for absent ones all is 0.
-
-        Args:
-            people: Where agents are; the last R are robots.
-            heading: Where robots face (B, R), radians.
-            lens: Their camera.
+        The last R of ``people`` are robots, which face ``heading`` (B, R), radians. Depths are along the
+        optical axis. A robot does not see itself; for absent ones all is 0.
 
         Raises:
             UserError: The backend has no such camera.
@@ -277,12 +251,6 @@ class Physics(ABC):
 
     def close(self) -> None:  # noqa: B027 (most backends hold nothing)
         """Give back what the backend holds outside of Python; it cannot be asked afterwards."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
     def _radius(self, people: Bodies) -> Tensor:
         """Return the radii of the bodies (B, A), metres."""
