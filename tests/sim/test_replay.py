@@ -1,16 +1,19 @@
-"""Replay: recorded people come, are taken over and leave exactly when they should, under any policy."""
+"""Replay: recorded people come, are taken over, stop and leave when they should, under any policy."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from tensordict import TensorDict
 from torch import Tensor
 from torchrl.envs.utils import step_mdp
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.randomness import Draws
+from pedzoo.data.tracks import Tracks
 from pedzoo.eval.realism import replay_row
 from pedzoo.eval.rollout import rollout
 from pedzoo.eval.rollout import run as walk_all
@@ -22,13 +25,14 @@ from pedzoo.metrics.realism.crowds import crowd
 from pedzoo.metrics.realism.features import every_step, surroundings
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.rule_based.go_to_goal import GoToGoal
-from pedzoo.policies.walker import Walker
+from pedzoo.policies.walker import Walker, stay_in_place
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
-from pedzoo.sim.recorded_people import REASONS
+from pedzoo.sim.recorded_people import REASONS, stops_of
+from pedzoo.sim.robots.env import make_robot_env
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.scenarios.replay import PreparedReplay, Replay
-from pedzoo.sim.script import pieces, slots, table
+from pedzoo.sim.script import occupants_of
 
 # a room of 12 m x 8 m with a wall from x = 8 to 10 that leaves a room of 2 m x 8 m behind it
 SIDE = 0.1
@@ -36,11 +40,20 @@ GRID = np.full((80, 120), FREE, dtype=np.uint8)
 GRID[:, 80:100] = OCCUPIED
 
 ALICE, SHORT, STANDS, DEEP, EDGE, BEHIND, LATE = 1, 2, 3, 4, 5, 6, 7
+WAITER, WALKER, IN_WALL, EARLY = 1, 2, 3, 4
+
+Rows = list[tuple[float, ...]]
 
 
-def straight(agent: int, first: int, count: int, start: tuple, step: tuple) -> list[tuple[float, ...]]:
+def straight(agent: int, first: int, count: int, start: tuple, step: tuple) -> Rows:
     """Return rows (frame, agent, x, y) of a person who walks ``step`` metres per frame."""
     return [(first + i, agent, start[0] + i * step[0], start[1] + i * step[1]) for i in range(count)]
+
+
+def turning(agent: int, start: tuple[float, float], moves: list[tuple[int, float, float]]) -> Rows:
+    """Return rows of a person who makes each move (steps, x, y) for so many frames."""
+    steps = [(x, y) for count, x, y in moves for _ in range(count)]
+    return [(i, agent, *place) for i, place in enumerate(np.vstack((start, steps)).cumsum(0))]
 
 
 ROWS = [
@@ -52,6 +65,15 @@ ROWS = [
     *straight(BEHIND, 6, 21, (1.0, 5.0), (0.5, 0.0)),  # leaves at (11, 5): no way leads there
     *straight(LATE, 40, 15, (1.0, 1.5), (0.0, 0.2)),  # comes when all others are gone
 ]
+STOPS = [
+    # walks, stands at (4.6, 1) for 15 steps, walks, stands too shortly at (7.0, 1), walks down
+    *turning(WAITER, (1.0, 1.0), [(12, 0.3, 0), (15, 0, 0), (8, 0.3, 0), (4, 0, 0), (12, 0, 0.3)]),
+    *turning(WALKER, (1.0, 6.0), [(20, 0.3, 0)]),
+    # stands where the floor plan has a wall, 1 m deep, and then before it
+    *turning(IN_WALL, (5.0, 3.0), [(13, 0.3, 0), (15, 0, 0), (12, -0.3, 0), (15, 0, 0), (9, -0.2, 0)]),
+    # stands before being taken over, not after
+    *turning(EARLY, (1.0, 4.5), [(7, 0, 0.01), (12, 0.3, 0)]),
+]
 
 
 @pytest.fixture(scope="module")
@@ -60,11 +82,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("recordings")
     write_ros(OccupancyGrid(GRID, SIDE, name="rooms"), path / "rooms.yaml")
     save(path / "first.txt", ROWS)
+    save(path / "stops.txt", sorted(STOPS))
     save(path / "second.txt", [(f, a + 10, x, 8 - y) for f, a, x, y in ROWS if a in (ALICE, SHORT, LATE)])
     return path
 
 
-def save(path: Path, rows: list[tuple[float, ...]]) -> None:
+def save(path: Path, rows: Rows) -> None:
     path.write_text("".join(f"{f} {a} {x:.4f} {y:.4f}\n" for f, a, x, y in rows))
 
 
@@ -90,14 +113,17 @@ class Stands(GoToGoal):
 
 
 class Drunk(GoToGoal):
-    """Walks anywhere, and gives no number for people whom it does not move."""
+    """Walks anywhere, and gives no number for people whom it does not move; for all after ``breaks`` s."""
+
+    breaks = torch.inf
 
     def forward(self, tensordict: Any) -> Any:
         """Write velocities by the clock."""
         agents = tensordict["agents"]
         angle = 9 * tensordict["time"] + agents["id"]
         action = 1.5 * torch.stack((angle.cos(), angle.sin()), dim=-1)
-        tensordict["agents", "action"] = torch.where(agents["controlled"].unsqueeze(2), action, torch.nan)
+        sober = agents["controlled"] & (tensordict["time"] < self.breaks)
+        tensordict["agents", "action"] = torch.where(sober.unsqueeze(2), action, torch.nan)
         return tensordict
 
 
@@ -111,8 +137,8 @@ class Truth(GoToGoal):
 
     def forward(self, tensordict: Any) -> Any:
         """Write the velocity to the next recorded place."""
-        script, state = self.env.prepared.script, self.env.state
-        assert script is not None
+        script: Any = self.env.prepared.script
+        state = self.env.state
         there = script.playback(state, state.failed, round(self.decision_dt / 0.1), 1)[:, :, -1, 0]
         tensordict["agents", "action"] = (there - state.position) / self.decision_dt
         return tensordict
@@ -132,7 +158,7 @@ def walked(env: PedestrianEnv, policy: Any) -> list[dict[str, Tensor]]:
     return results
 
 
-def at(track: list[tuple[float, ...]], agent: int, frame: np.ndarray) -> np.ndarray:
+def at(track: Rows, agent: int, frame: np.ndarray) -> np.ndarray:
     """Return where a person is at (fractions of) frames (T,): (T, 2)."""
     rows = np.array([row for row in track if row[1] == agent])
     return np.column_stack([np.interp(frame, rows[:, 0], rows[:, axis]) for axis in (2, 3)])
@@ -163,19 +189,18 @@ def test_who_is_simulated_and_why_others_are_not(folder: Path) -> None:
         BEHIND: "no path to the exit",
         LATE: "controlled",
     }
-    assert people.counts == {
-        "controlled": 3, "too short": 1, "already at the exit": 1,
-        "exit in a wall": 1, "no path to the exit": 1,
-    }  # fmt: skip
-    assert sum(people.counts.values()) == len(people.agent) == 7
+    assert people.counts == dict.fromkeys(reasons.values(), 1) | {"controlled": 3}
+    without = Replay(files=[str(folder / "first.txt")], dt=0.4).prepare(0.25)
+    assert without.persons.counts == {"controlled": 5, "too short": 1, "already at the exit": 1}
+    result, _ = rollout("go_to_goal", without, "compiled", without.scenes)
+    assert len(result.person[result.controlled & (result.reached > 0)].unique()) == 5
 
 
 def test_starts_goals_ways_and_times(folder: Path) -> None:
     scenario = replay(folder)
     people, alice, edge = scenario.persons, person(scenario, ALICE), person(scenario, EDGE)
     # 8 steps are frames 0 to 7; the last of 17 is frame 16
-    assert 0.4 * float(people.handover[alice]) == pytest.approx(2.8)
-    assert 0.4 * float(people.last[alice]) == pytest.approx(6.4)
+    assert (int(people.handover[alice]), int(people.last[alice])) == (7, 16)
     assert people.start[alice].tolist() == pytest.approx([1 + 7 * 0.3, 1])
     assert people.exit[alice].tolist() == people.goal[alice].tolist() == pytest.approx([5.8, 1])
     assert float(people.path_length[alice]) == pytest.approx(5.8 - 3.1, abs=0.05)
@@ -188,36 +213,26 @@ def test_starts_goals_ways_and_times(folder: Path) -> None:
     assert float(people.pref_speed[person(scenario, STANDS)]) == pytest.approx(0.3)
 
 
-def test_the_speed_of_the_whole_track(folder: Path, tmp_path: Path) -> None:
-    slow_then_fast = [(i, 1, 1 + 0.2 * i + 0.3 * max(0, i - 7), 1.0) for i in range(15)]
-    save(tmp_path / "one.txt", slow_then_fast)
-    (tmp_path / "rooms.yaml").write_text((folder / "rooms.yaml").read_text())
-    (tmp_path / "rooms.png").write_bytes((folder / "rooms.png").read_bytes())
-    assert float(replay(tmp_path, "one").persons.pref_speed[0]) == pytest.approx(0.5)
+def test_the_speed_of_the_whole_track(folder: Path) -> None:
+    save(folder / "one.txt", [(i, 1, 1 + 0.2 * i + 0.3 * max(0, i - 7), 1.0) for i in range(15)])
+    assert float(replay(folder, "one").persons.pref_speed[0]) == pytest.approx(0.5)
     # 14 steps of 0.2 m and 7 times 0.3 m more in 5.6 s
-    assert float(replay(tmp_path, "one", speed="track").persons.pref_speed[0]) == pytest.approx(4.9 / 5.6)
+    assert float(replay(folder, "one", speed="track").persons.pref_speed[0]) == pytest.approx(4.9 / 5.6)
 
 
 def test_a_share_of_the_time(folder: Path) -> None:
     scenario = replay(folder, share=0.5)
-    assert scenario.persons.counts["later"] == 1
     assert scenario.persons.what[person(scenario, LATE)] == REASONS.index("later")
-    assert scenario.scenes == 1  # no person is simulated in the second half
+    assert scenario.scenes == scenario.persons.counts["later"] == 1  # nobody in the second half
 
 
-def test_a_hole_in_a_track_makes_two_people(folder: Path, tmp_path: Path) -> None:
-    rows = straight(1, 0, 12, (1.0, 1.0), (0.3, 0.0)) + straight(1, 20, 12, (1.0, 2.0), (0.3, 0.0))
-    save(tmp_path / "hole.txt", rows)
-    scenario = Replay(files=[str(tmp_path / "hole.txt")], dt=0.4).prepare(0.25)
-    assert scenario.persons.counts == {"controlled": 2}
-    assert scenario.persons.first.tolist() == [0, 20]
-
-
-def test_without_a_floor_plan(folder: Path) -> None:
-    scenario = Replay(files=[str(folder / "first.txt")], dt=0.4).prepare(0.25)
-    assert scenario.persons.counts == {"controlled": 5, "too short": 1, "already at the exit": 1}
-    result, _ = rollout("go_to_goal", scenario, "compiled", scenario.scenes)  # type: ignore[arg-type]
-    assert len(result.person[result.controlled & (result.reached > 0)].unique()) == 5
+def test_a_hole_in_a_track_makes_two_people(folder: Path) -> None:
+    save(
+        folder / "hole.txt",
+        [row for row in straight(1, 0, 32, (1.0, 1.0), (0.1, 0.0)) if not 12 <= row[0] < 20],
+    )
+    people = replay(folder, "hole").persons
+    assert people.counts == {"controlled": 2} and people.first.tolist() == [0, 20]
 
 
 # When they come, are taken over and go
@@ -227,26 +242,25 @@ def test_without_a_floor_plan(folder: Path) -> None:
 @pytest.mark.parametrize("policy", [Stands, Drunk])
 def test_all_come_and_go_on_time_with_any_policy(folder: Path, dt: float, policy: type) -> None:
     scenario = replay(folder)
-    env = make_env(scenario, num_envs=1, decision_dt=dt)
-    seen = walked(env, policy(dt))
+    seen = walked(make_env(scenario, num_envs=1, decision_dt=dt), policy(dt))
     # the clock is 0 in frame 7; alice is taken over there, and has twice the 9 frames until frame 16
     spans = {
-        ALICE: (0, 0, 2 * 9 * 0.4),
-        SHORT: (0, None, (9 - 7) * 0.4),
-        STANDS: (0, None, (22 - 7) * 0.4),
-        DEEP: (0, None, (24 - 7) * 0.4),
-        EDGE: (0, (12 - 7) * 0.4, (12 - 7 + 2 * 13) * 0.4),
-        BEHIND: (0, None, (26 - 7) * 0.4),
+        ALICE: (0, 2 * 9 * 0.4),
+        EDGE: ((12 - 7) * 0.4, (12 - 7 + 2 * 13) * 0.4),
+        **{
+            agent: (torch.inf, (last - 7) * 0.4)
+            for agent, last in ((SHORT, 9), (STANDS, 22), (DEEP, 24), (BEHIND, 26))
+        },
     }
-    for agent, (comes, taken, goes) in spans.items():
+    for agent, (taken, goes) in spans.items():
         number = person(scenario, agent)
         for i, now in enumerate(seen):
             clock = i * dt
             mine = (now["id"] == number) & now["mask"]
-            due = comes - 1e-6 <= clock < goes - 1e-6
-            if policy is Stands or taken is None:  # people without a policy never arrive
+            due = clock < goes - 1e-6
+            if policy is Stands or taken == torch.inf:  # people without a policy never arrive
                 assert bool(mine.any()) == due, (agent, clock)
-            expected = due and taken is not None and clock > taken - 1e-6
+            expected = due and clock > taken - 1e-6
             if policy is Stands or not expected:
                 assert bool((mine & now["controlled"]).any()) == expected, (agent, clock)
     assert len(seen) * dt == pytest.approx((12 - 7 + 2 * 13) * 0.4) or policy is Drunk
@@ -283,27 +297,23 @@ def run(scenario: PreparedReplay, policy: Any, dt: float = 0.4, episodes: int = 
 
 def test_newcomers_are_known_as_far_as_they_were_seen(folder: Path) -> None:
     scenario = replay(folder)
-    env = make_env(scenario)
-    seen = walked(env, Stands())
+    seen = walked(make_env(scenario), Stands())
     number = person(scenario, EDGE)  # comes in frame 5, two frames before the clock is 0
     slot = int((seen[0]["id"] == number).nonzero()[0, 0])
     for i in range(8):
-        valid = seen[i]["valid"][slot]
-        assert valid.tolist() == [k >= max(0, 5 - i) for k in range(8)]
-        history = seen[i]["history"][slot].numpy()
-        frames = np.clip(np.arange(i, i + 8), 5, None)
+        assert seen[i]["valid"][slot].tolist() == [k >= max(0, 5 - i) for k in range(8)]
         if i <= 5:  # until it is taken over
-            assert np.abs(history - at(ROWS, EDGE, frames)).max() < 1e-5
+            expected = at(ROWS, EDGE, np.clip(np.arange(i, i + 8), 5, None))
+            assert np.abs(seen[i]["history"][slot].numpy() - expected).max() < 1e-5
     assert seen[0]["valid"][int((seen[0]["id"] == person(scenario, ALICE)).nonzero()[0, 0])].all()
     # who comes is on the way already
     rows = straight(1, 0, 20, (1.0, 1.0), (0.3, 0.0)) + straight(2, 12, 20, (1.0, 2.0), (0.0, 0.2))
     save(folder / "two.txt", rows)
-    for i, now in enumerate(walked(make_env(replay(folder, "two")), Stands())):
-        if i == 5:  # frame 12
-            slot = int((now["id"] == 1).nonzero()[0, 0])
-            assert now["velocity"][slot].tolist() == pytest.approx([0, 0.5], abs=1e-6)
-            assert now["valid"][slot].tolist() == [False] * 7 + [True]
-            assert now["history"][slot].tolist() == [pytest.approx([1, 2])] * 8
+    now = walked(make_env(replay(folder, "two")), Stands())[5]  # frame 12
+    slot = int((now["id"] == 1).nonzero()[0, 0])
+    assert now["velocity"][slot].tolist() == pytest.approx([0, 0.5], abs=1e-6)
+    assert now["valid"][slot].tolist() == [False] * 7 + [True]
+    assert now["history"][slot].tolist() == [pytest.approx([1, 2])] * 8
 
 
 def test_the_truth_arrives_with_all_people(folder: Path) -> None:
@@ -335,35 +345,29 @@ def test_the_truth_arrives_with_all_people(folder: Path) -> None:
         assert torch.equal(*minutes)
 
 
-def test_real_is_the_recording(folder: Path) -> None:
-    for simulated in ("all", "one"):
-        scenario = replay(folder, "first second", simulated=simulated)
-        real, people = scenario.real(), scenario.persons
-        script = scenario.script
-        assert script is not None
-        for scene in range(scenario.scenes):
-            origin = int(script.scenes.origin[scene])
-            tracks = ROWS if int(script.scenes.table[scene]) == 0 else None
-            for slot, point in real.present[scene].nonzero().tolist():
-                if tracks is None or (point + 1) % 4:
-                    continue
-                agent = int(people.agent[real.person[scene, slot, point]])
-                expected = at(tracks, agent, np.array([origin + (point + 1) / 4]))
-                assert np.abs(real.trace[scene, slot, point].numpy() - expected).max() < 1e-5
-        for number in people.controlled.nonzero()[:, 0].tolist():
-            scene = int((real.controlled & (real.person == number)).any(-1).any(-1).nonzero()[0, 0])
-            begun = 0.4 * int(script.scenes.origin[scene])
-            first, last = times(real, real.controlled, number)
-            assert begun + 0.1 * (first - 1) == pytest.approx(0.4 * float(people.handover[number]))
-            _, gone = times(real, real.present, number)
-            assert begun + 0.1 * gone == pytest.approx(0.4 * float(people.last[number]))
-            mine = real.controlled[scene] & (real.person[scene] == number)
-            away = (real.trace[scene][mine] - people.goal[number]).norm(dim=-1)
-            assert away[:-1].min() > 0.3 - 1e-5 and (away[-1] < 0.3 + 1e-5 or last == gone)
-            assert real.reached[scene][mine].tolist() == [0] * (len(away) - 1) + [1]
-        assert not real.controlled[~real.present].any()
-        scored = real.person[real.controlled].unique()
-        assert torch.equal(scored, people.controlled.nonzero()[:, 0])
+@pytest.mark.parametrize("simulated", ["all", "one"])
+def test_real_is_the_recording(folder: Path, simulated: Any) -> None:
+    scenario = replay(folder, "first second", simulated=simulated)
+    real, people, scenes = scenario.real(), scenario.persons, scenario.script.scenes
+    for scene in (scenes.table == 0).nonzero()[:, 0].tolist():
+        origin, there = int(scenes.origin[scene]), real.present[scene]
+        for slot, point in there[:, 3::4].nonzero().tolist():
+            agent = int(people.agent[real.person[scene, slot, 4 * point + 3]])
+            expected = at(ROWS, agent, np.array([origin + point + 1]))
+            assert np.abs(real.trace[scene, slot, 4 * point + 3].numpy() - expected).max() < 1e-5
+    for number in people.controlled.nonzero()[:, 0].tolist():
+        scene = int((real.controlled & (real.person == number)).any(-1).any(-1).nonzero()[0, 0])
+        begun = 0.4 * int(scenes.origin[scene])
+        first, last = times(real, real.controlled, number)
+        assert begun + 0.1 * (first - 1) == pytest.approx(0.4 * float(people.handover[number]))
+        _, gone = times(real, real.present, number)
+        assert begun + 0.1 * gone == pytest.approx(0.4 * float(people.last[number]))
+        mine = real.controlled[scene] & (real.person[scene] == number)
+        away = (real.trace[scene][mine] - people.goal[number]).norm(dim=-1)
+        assert away[:-1].min() > 0.3 - 1e-5 and (away[-1] < 0.3 + 1e-5 or last == gone)
+        assert real.reached[scene][mine].tolist() == [0] * (len(away) - 1) + [1]
+    assert not real.controlled[~real.present].any()
+    assert torch.equal(real.person[real.controlled].unique(), people.controlled.nonzero()[:, 0])
 
 
 # Slots and scenes
@@ -371,33 +375,26 @@ def test_real_is_the_recording(folder: Path) -> None:
 
 def test_slots_are_never_shared(plaza: PreparedReplay) -> None:
     begin, end = torch.tensor([0, 3, 5, 5, 9, 9]), torch.tensor([5, 9, 6, 5, 12, 10])
-    assert slots(begin, end).tolist() == [0, 1, 0, -1, 0, 1]
-    assert table(slots(begin, end), begin, end, 12, 2).tolist() == [
-        [0, 0, 0, 0, 0, 2, -1, -1, -1, 4, 4, 4],
-        [-1, -1, -1, 1, 1, 1, 1, 1, 1, 5, -1, -1],
+    assert occupants_of(0 * begin, begin, end)[0].tolist() == [
+        [0, 0, 0, 0, 0, 2, -1, -1, -1, 4, 4, 4, -1],
+        [-1, -1, -1, 1, 1, 1, 1, 1, 1, 5, -1, -1, -1],
     ]
-    assert [piece.tolist() for piece in pieces(begin, end)] == [[0, 1, 2, 3], [4, 5]]
-    scenario, people = plaza, plaza.persons
-    assert scenario.script is not None
-    (who,) = scenario.script.occupants
+    people, (who,) = plaza.persons, plaza.script.occupants
     for number in range(len(people.agent)):
         slot, frames = (who == number).nonzero(as_tuple=True)
         assert len(slot.unique()) == 1
         assert torch.equal(frames, torch.arange(int(people.first[number]), int(people.removal[number])))
-    assert ((who >= 0).sum(0) <= scenario.people).all()
-    busy = torch.tensor(
-        [int(((people.first <= f) & (people.removal > f)).sum()) for f in range(who.shape[1])]
-    )
-    assert max(busy) == scenario.people  # no fewer slots would do
+    there = (
+        (people.first[:, None] <= torch.arange(who.shape[1]))
+        & (torch.arange(who.shape[1]) < people.removal[:, None])
+    ).sum(0)
+    assert torch.equal((who >= 0).sum(0), there) and int(there.max()) == plaza.people  # no fewer would do
 
 
 def test_recordings_are_cut_where_no_person_can_be_left(folder: Path) -> None:
-    scenario = replay(folder, "first second")
+    scenes = replay(folder, "first second").script.scenes
     # alice and others, the late one (frame 40 and later), and both again in the second recording
-    assert scenario.scenes == 4
-    assert scenario.script is not None
-    assert scenario.script.scenes.origin.tolist() == [7, 47, 7, 47]
-    assert scenario.script.scenes.table.tolist() == [0, 0, 1, 1]
+    assert scenes.origin.tolist() == [7, 47, 7, 47] and scenes.table.tolist() == [0, 0, 1, 1]
 
 
 def test_a_scene_alone_and_in_a_batch_are_the_same(folder: Path) -> None:
@@ -431,28 +428,22 @@ def test_a_scene_alone_and_in_a_batch_are_the_same(folder: Path) -> None:
 def test_one_person_among_others_who_are_played_back(folder: Path) -> None:
     every, one = replay(folder, "first second"), replay(folder, "first second", simulated="one")
     assert one.scenes == 5
-    result = run(one, Drunk(), 0.4, 5)
-    real = every.real()
+    result, real = run(one, Drunk(), 0.4, 5), every.real()
     scored = [result.person[i][result.controlled[i]].unique().tolist() for i in range(5)]
     assert (
         sorted(number for scene in scored for number in scene)
         == every.persons.controlled.nonzero()[:, 0].tolist()
     )
-    script, whole = one.script, every.script
-    assert script is not None and whole is not None
-    same = 0
+    mine, whole, same = one.script.scenes, every.script.scenes, 0
     for scene in range(5):
-        table_, origin = int(script.scenes.table[scene]), int(script.scenes.origin[scene])
         others = result.present[scene] & ~result.controlled[scene]
         for slot, point in others.nonzero().tolist():
             number = int(result.person[scene, slot, point])
             assert number not in scored[scene]
-            tick = 4 * origin + point  # on the recording's clock
-            for of in (whole.scenes.table == table_).nonzero()[:, 0].tolist():
-                there = tick - 4 * int(whole.scenes.origin[of])
+            for of in (whole.table == mine.table[scene]).nonzero()[:, 0].tolist():
+                there = point + 4 * int(mine.origin[scene] - whole.origin[of])
                 if 0 <= there < real.trace.shape[2]:
-                    results = (real.person[of, :, there] == number).nonzero()[:, 0]
-                    for place in results.tolist():
+                    for place in (real.person[of, :, there] == number).nonzero()[:, 0].tolist():
                         assert torch.equal(result.trace[scene, slot, point], real.trace[of, place, there])
                         same += 1
     assert same > 300
@@ -460,11 +451,12 @@ def test_one_person_among_others_who_are_played_back(folder: Path) -> None:
 
 def test_others_around_one_person_are_taken_over_in_their_frame(folder: Path) -> None:
     one, around = (replay(folder, "first second", simulated=which) for which in ("one", "around"))
-    assert around.scenes == one.scenes == 5 and around.script is not None
+    assert around.scenes == one.scenes == 5
     people, result, alone = around.persons, run(around, GoToGoal(), 0.4, 5), run(one, GoToGoal(), 0.4, 5)
     reacting = []
-    for scene in range(5):
-        origin, lead = (int(part[scene]) for part in (around.script.scenes.origin, around.script.scenes.lead))
+    for scene, (origin, lead) in enumerate(
+        zip(*(around.script.scenes[i].tolist() for i in (1, 5)), strict=True)
+    ):
         assert alone.person[scene][alone.controlled[scene]].unique().tolist() == [lead]
         who, moved = result.person[scene], result.controlled[scene]
         for number in set(who[moved].tolist()) - {lead}:
@@ -553,19 +545,11 @@ def test_a_replay_begins_as_it_was_recorded(folder: Path) -> None:
 
 
 def test_only_the_actions_of_the_controlled_matter(folder: Path) -> None:
-    class Breaks(Drunk):
-        """Gives no number for every person in the fifth decision."""
-
-        def forward(self, tensordict: Any) -> Any:
-            super().forward(tensordict)
-            if abs(float(tensordict["time"][0, 0]) - 1.6) < 1e-3:
-                tensordict["agents", "action"] = torch.full_like(tensordict["agents", "action"], torch.nan)
-            return tensordict
-
-    scenario = replay(folder)
-    assert not run(scenario, Drunk()).failed.any()
+    scenario, policy = replay(folder), Drunk()
+    assert not run(scenario, policy).failed.any()
+    policy.breaks = 1.5
     with pytest.warns(UserWarning, match=f"agent {person(scenario, ALICE)} of scene 0"):
-        assert run(scenario, Breaks()).failed.all()
+        assert run(scenario, policy).failed.all()
 
 
 def test_noise_is_drawn_by_the_person(plaza: PreparedReplay) -> None:
@@ -601,20 +585,83 @@ def test_rewards_are_the_way_that_got_shorter(folder: Path) -> None:
 # Bad input
 
 
-def test_settings_that_cannot_be(folder: Path) -> None:
-    with pytest.raises(UserError, match="did you mean 'one'"):
-        Replay(simulated="ome")  # type: ignore[arg-type]
-    with pytest.raises(UserError, match="did you mean 'track'"):
-        Replay(speed="trak")  # type: ignore[arg-type]
-    with pytest.raises(UserError, match="share 0: expected a part of the time"):
-        Replay(share=0)
-    with pytest.raises(UserError, match="the fold 'embedded' has its own"):
-        Replay(map="flat")
-    with pytest.raises(UserError, match="did you mean 'zara1'"):
-        make_env("replay:fold=zara11")
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (partial(Replay, simulated="ome"), "did you mean 'one'"),
+        (partial(Replay, speed="trak"), "did you mean 'track'"),
+        (partial(Replay, share=0), "share 0: expected a part of the time"),
+        (partial(Replay, map="flat"), "the fold 'embedded' has its own"),
+        (partial(make_env, "replay:fold=zara11"), "did you mean 'zara1'"),
+        (partial(make_robot_env, "replay:stops=true"), r"stops=true: expected one robot .* stops=false"),
+    ],
+)
+def test_settings_that_cannot_be(make: Any, message: str) -> None:
+    with pytest.raises(UserError, match=message):
+        make()
+
+
+def test_a_recording_without_people_to_simulate(folder: Path) -> None:
     save(folder / "short.txt", straight(1, 0, 8, (1.0, 1.0), (0.3, 0.0)))
     with pytest.raises(UserError, match=r"no person in 'files' can be simulated: \{'too short': 1\}"):
         replay(folder, "short")
+
+
+# Stops
+
+
+def test_stops_by_hand() -> None:
+    rows = np.array(STOPS)
+    who, place, pause = stops_of(Tracks("made", rows[:, 0].astype(int), rows[:, 1].astype(int), rows[:, 2:]))
+    assert who.tolist() == [0, 2, 2]
+    # rows 12 to 27 are at (4.6, 1); the mean of three rows is there from 13 to 26, still from 14 on
+    assert place.tolist() == [pytest.approx(xy) for xy in ([4.6, 1.0], [8.9, 3.0], [5.3, 3.0])]
+    assert pause.tolist() == pytest.approx([13 * 0.4] * 3)
+
+
+def test_goals_and_ways_lead_over_the_stops(folder: Path) -> None:
+    scenario = replay(folder, "stops", stops=True)
+    people, (waiter, in_wall) = scenario.persons, (person(scenario, one) for one in (WAITER, IN_WALL))
+    assert float(people.path_length[waiter]) == pytest.approx(4.6 - 3.1 + np.hypot(2.4, 3.6), abs=0.1)
+    # no path leads to the first stop in a wall: that person goes to the second one at once
+    assert float(people.path_length[in_wall]) == pytest.approx(7.1 - 3.5, abs=0.1)
+    assert (people.goals >= 0).sum(1).tolist() == [2, 1, 2, 1]
+    assert people.pauses[[waiter, in_wall]].tolist() == [[pytest.approx(13 * 0.4)]] * 2
+
+
+@pytest.mark.parametrize("policy", ["go_to_goal", "orca:radius=0.3", "social_walker.styled"])
+def test_people_stand_at_their_stop_and_go_on(folder: Path, policy: str) -> None:
+    def way(stops: bool) -> tuple[Tensor, Tensor]:
+        """Return where the waiter was while a policy moved it (T, 2), and its speeds (T - 1,)."""
+        scenario = replay(folder, "stops", stops=stops)
+        result, _ = rollout(policy, scenario, "compiled", scenario.scenes)
+        path = result.trace[(result.person == person(scenario, WAITER)) & result.controlled]
+        return path, path.diff(dim=0).norm(dim=1) / 0.1
+
+    path, speed = way(stops=True)
+    stands = (speed < 0.25).nonzero()[:, 0]  # learned people come the last decimetres step by step
+    # 5.2 s, less the first and the last step, in which they come and go
+    assert 0.1 * len(stands) == pytest.approx(5.2, abs=0.9)
+    assert float((path[stands] - torch.tensor([4.6, 1.0])).norm(dim=1).median()) < 0.1
+    assert float((path[-1] - torch.tensor([7.0, 4.6])).norm()) < 0.31
+    assert int((way(stops=False)[1] < 0.1).sum()) < 5
+
+
+def test_a_scene_without_stops_is_as_before(folder: Path) -> None:
+    save(folder / "walker.txt", [row for row in STOPS if row[1] == WALKER])
+    without, stops = (run(replay(folder, "walker", stops=stops), GoToGoal()) for stops in (False, True))
+    assert torch.equal(without.trace, stops.trace)
+
+
+def test_waiting_people_go_to_their_place_and_others_by_the_model() -> None:
+    desired = torch.tensor([[[1.3, 0.0], [0.0, 0.65], [0.0, 0.0]]])
+    agents = {"desired_velocity": desired, "pref_speed": torch.full((1, 3, 1), 1.3)}
+    step = torch.tensor([[[0.1, 0.2], [0.4, 0.0], [0.3, 0.3]]])
+    # half of the usual speed: half of the model's step and half of what leads to the place
+    expected = [pytest.approx([0.1, 0.2]), pytest.approx([0.2, 0.13]), [0, 0]]
+    assert stay_in_place(TensorDict({"agents": agents}, [1]), step)[0].tolist() == expected
+    without = TensorDict({"agents": {"pref_speed": torch.ones(1, 3, 1)}}, [1])
+    assert torch.equal(stay_in_place(without, step), step)
 
 
 # Ways to many exits
