@@ -2,9 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 import torch
 from helpers.bodies import BACKENDS, Wide, commands, free_places, put
@@ -32,14 +30,8 @@ def home(width: float, scenes: int, map: str = MAP) -> PedestrianEnv:
     return env
 
 
-def backend(name: str, bank: MapBank) -> Physics:
-    if name == "bullet":
-        pytest.importorskip("pybullet")
-    return make_physics(name, bank, 0.15)
-
-
 def decided(env: PedestrianEnv, state: State, wanted: Tensor) -> Tensor:
-    """Return the velocities (2, S, B, A) that the kernel makes of commands (B, A, 2)."""
+    """Return the velocities (2, S, B, A) that the kernel makes of commands."""
     command = limited(wanted.movedim(-1, 0), state.top_speed)
     return limited(blended(state.velocity.movedim(-1, 0), command, env.rules.ticks), state.top_speed)
 
@@ -61,8 +53,10 @@ def test_backends_move_agents_alike(other: str, width: float) -> None:
     At a corner a rounded digit decides whether a stride is taken. Decisions that differ for it are 0.2 to
     1 %, as many as torch itself has after a shift of 1e-6 m, and differ by a stride or two.
     """
+    if other == "bullet":
+        pytest.importorskip("pybullet")
     env = home(width, scenes=4 if other == "bullet" else 24)
-    ours, theirs = env.physics, backend(other, env.bank)
+    ours, theirs = env.physics, make_physics(other, env.bank, 0.15)
     state = put(env.state, free_places(env, width))
     generator = torch.Generator().manual_seed(1)
     apart, rounded, flags = [], [], []
@@ -135,43 +129,6 @@ def test_gradients_of_torch_are_those_of_finite_differences(width: float) -> Non
     assert free.float().mean() > 0.95
 
 
-RADII = torch.tensor([[0.15, 0.5, 0.25]])
-
-
-def people_at(places: list[list[float]]) -> Bodies:
-    position = torch.tensor([places])
-    mask = torch.ones(position.shape[:2], dtype=torch.bool)
-    return Bodies(position, mask, torch.tensor([[-1]]), identity_pose(1), RADII[:, : len(places)])
-
-
-@pytest.mark.parametrize("name", BACKENDS)
-@pytest.mark.parametrize(("first", "second"), [(0, 1), (1, 2), (0, 2)])
-def test_agents_touch_at_the_sum_of_their_radii(name: str, first: int, second: int) -> None:
-    physics = backend(name, MapBank())
-    both = float(RADII[0, first] + RADII[0, second])
-    for apart, touch in ((both - 2e-4, True), (both + 2e-4, False)):
-        places = [[9.0 * slot, -7.0] for slot in range(3)]
-        places[first], places[second] = [0.0, 0.0], [0.6 * apart, 0.8 * apart]
-        people = people_at(places)
-        result = physics.contacts(people.position[:, :, None, None], people).agent[0, :, 0]
-        assert result.tolist() == [touch and slot in (first, second) for slot in range(3)]
-        assert float(physics.distances(people).agent[0, first]) == pytest.approx(apart, abs=1e-4)
-    physics.close()
-
-
-@pytest.mark.parametrize("name", BACKENDS)
-def test_rays_meet_bodies_as_wide_as_they_are(name: str) -> None:
-    physics = backend(name, MapBank())
-    people = people_at([[0.0, 0.0], [3.0, 0.0], [0.0, 2.0]])
-    origin = torch.tensor([[[0.0, 0.0], [0.0, 0.0], [1.5, 0.3], [3.3, 0.0], [3.0, -2.0]]])
-    direction = torch.tensor([[[1.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 0.0], [0.0, 1.0]]])
-    result = physics.rays(people, origin, direction, 4.0)
-    # the wide body ahead, that of 0.25 m to the left, a chord of the wide one, out of it, and from below
-    expected = [2.5, 1.75, 1.5 - 0.4, 4.0, 1.5]
-    assert result[0].tolist() == pytest.approx(expected, abs=2e-3)
-    physics.close()
-
-
 def test_compiled_rays_meet_bodies_where_torchs_do() -> None:
     """Bodies of all widths, some absent, some that a ray begins in, one that is nowhere."""
     generator = torch.Generator().manual_seed(0)
@@ -185,25 +142,3 @@ def test_compiled_rays_meet_bodies_where_torchs_do() -> None:
     first, second = (cls(MapBank()).rays(people, origin, direction, 3.0) for cls in (Torch, Compiled))
     torch.testing.assert_close(first, second)
     assert 0.2 < (first < 3).float().mean() < 0.9
-
-
-@pytest.mark.parametrize("name", BACKENDS)
-@pytest.mark.parametrize("width", WIDTHS)
-def test_walls_are_touched_at_the_own_radius(name: str, width: float) -> None:
-    env = home(width, 40)
-    physics = backend(name, env.bank)
-    generator = torch.Generator().manual_seed(4)
-    grid = env.bank.grids[0]
-    ends = np.array([[0, 0], grid.cells.shape[::-1]], dtype=np.float64)
-    low, high = torch.from_numpy(grid.cells_to_map(ends)).float()
-    place = low + (high - low) * torch.rand(40, 5, 2, generator=generator)
-    gap, _ = env.bank.closest_wall(place, env.state.map_id, env.state.pose)
-    people: Any = Bodies(
-        place, torch.ones(40, 5, dtype=torch.bool), env.state.map_id.unsqueeze(1), env.state.pose,
-        torch.full((40, 5), width),
-    )  # fmt: skip
-    result = physics.contacts(place[:, :, None, None], people).wall[..., 0]
-    clear = (gap - width).abs() > 1e-3
-    assert torch.equal(result[clear], (gap < width)[clear])
-    assert 0.1 < result.float().mean() < 0.9
-    physics.close()

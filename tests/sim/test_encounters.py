@@ -1,4 +1,4 @@
-"""Encounters: who meets whom, where and when, with how many people, and what cannot be."""
+"""Encounters and other scenes that differ: who meets whom, where and when, on which floor plans."""
 
 import math
 from functools import cache
@@ -16,8 +16,10 @@ from pedzoo.core.types import BODY_RADIUS
 from pedzoo.eval.rollout import prepare, walk
 from pedzoo.metrics.arrival import arrived_in_time, finish_seconds
 from pedzoo.sim.env import PedestrianEnv
-from pedzoo.sim.make import make_env, make_scenario, prepare_scenario
+from pedzoo.sim.make import make_env, make_scenario
 from pedzoo.sim.rollout import Rollout, joined
+from pedzoo.sim.scenario import Layout
+from pedzoo.sim.scenarios._base import Variants
 from pedzoo.sim.scenarios._lanes import ABREAST, MEET, SPACING, Encounter
 
 ENCOUNTERS = "blind_corner circle hallway intersection overtaking parallel perpendicular room_exit".split()
@@ -27,11 +29,25 @@ EXACT = "speed_std=0,jitter=0,aside=0,delay=0"
 """Scenes that do not differ but in their variant."""
 
 
-@cache
+LISTS = (
+    "door:width=[0.7,1.2],thickness=[0.15,0.25],offset=[0,0.6]",
+    "hallway:width=[1.2,2.5],offset=[-0.2,0,0.2],people=7",
+    "room_exit:corridor=[1.5,3],people=9",
+    "intersection:people=9,turn=0.5",
+)
+
+CROWD = 24
+"""People who walk."""
+
+
 def made(spec: str) -> Encounter:
-    scenario = make_scenario(spec)
+    scenario = prepared(spec).scenario
     assert isinstance(scenario, Encounter)
     return scenario
+
+
+def laid_out(spec: str, scenes: int) -> Layout:
+    return prepared(spec).layout(Draws.for_episodes(0, torch.arange(scenes)))
 
 
 def begun(spec: str, episodes: int = 8, seed: int = 0) -> PedestrianEnv:
@@ -53,34 +69,20 @@ def apart(position: Tensor) -> Tensor:
     return between + torch.eye(position.shape[1]).mul(1e9)
 
 
-def touched(result: Rollout) -> float:
-    """Return the share of episodes in which people touch."""
-    return float(result.agent_contact.any(2).any(1).double().mean())
-
-
-def arrived(result: Rollout) -> float:
-    good = arrived_in_time(result)
-    return float(good.double().mean())
-
-
-CROWD = 40
-"""People who walk."""
-
-
 @EVERY
 def test_a_crowd_has_room_and_arrives(name: str) -> None:
     most = SCENARIOS.get(name).most  # type: ignore[attr-defined]
-    layout = prepare_scenario(f"{name}:people={most}").layout(Draws.for_episodes(0, torch.arange(3)))
-    assert layout.mask.all() and layout.mask.shape == (3, most)
+    layout = laid_out(f"{name}:people={most}", 2)
+    assert layout.mask.all() and layout.mask.shape == (2, most)
     assert float(apart(layout.start).min()) > 2 * BODY_RADIUS
     env = begun(f"{name}:people={min(most, CROWD)}", 3)
     state = env.state
-    assert float(apart(state.past[:, :, 0]).min()) > 2 * BODY_RADIUS
-    assert float(apart(state.position).min()) > 2 * BODY_RADIUS
+    for place in (state.past[:, :, 0], state.position):
+        assert float(apart(place).min()) > 2 * BODY_RADIUS
     wall, _ = env.bank.closest_wall(state.position, state.map_id, state.pose)
-    assert float(wall.min()) > BODY_RADIUS
-    assert state.remaining_path.isfinite().all()
-    assert arrived(walked(f"{name}:people={min(most, CROWD)}", 1)) > 0.95
+    assert float(wall.min()) > BODY_RADIUS and state.remaining_path.isfinite().all()
+    walk = walked(f"{name}:people={min(most, CROWD)}", 1)
+    assert float(arrived_in_time(walk).double().mean()) > 0.95
 
 
 @EVERY
@@ -90,8 +92,7 @@ def test_how_many_people(name: str) -> None:
         with pytest.raises(UserError, match=rf"people {people}: expected .*{cls.fewest}"):
             make_scenario(f"{name}:people={people}")
     for people in (cls.fewest, 7):
-        layout = prepare_scenario(f"{name}:people={people}").layout(Draws.for_episodes(0, torch.arange(3)))
-        assert layout.mask.sum(1).tolist() == [people] * 3
+        assert laid_out(f"{name}:people={people}", 3).mask.sum(1).tolist() == [people] * 3
 
 
 @EVERY
@@ -109,13 +110,13 @@ def test_people_meet_after_the_warm_start(name: str) -> None:
 
 @EVERY
 def test_go_to_goal_runs_into_others_and_orca_does_not(name: str) -> None:
-    assert touched(walked(name, 16)) >= 0.7
-    assert touched(walked(name, 4, "orca:radius=0.3,dt=0.4")) == 0
+    direct, orca = walked(name, 16), walked(name, 4, "orca:radius=0.3,dt=0.4")
+    assert float(direct.agent_contact.any(2).any(1).double().mean()) >= 0.7
+    assert not orca.agent_contact.any()
 
 
 def test_hallway_is_head_on() -> None:
-    env = begun("hallway")
-    x = env.state.position[..., 0]
+    x = begun("hallway").state.position[..., 0]
     assert ((x[:, 0] < -1.5) & (x[:, 1] > 1.5)).all()
     met = walked(f"hallway:{EXACT}", 1)
     # the two of them are at x = 0 when they are said to be, but for the first steps of the warm start
@@ -153,9 +154,9 @@ def test_the_fast_overtake_the_slow(people: int) -> None:
 
 
 def test_lanes_keep_their_distance_who_is_fast() -> None:
-    scenario = made("overtaking:people=20,jitter=0")
-    draws = Draws.for_episodes(0, torch.arange(50))
-    start, variant = scenario.prepare(0.25).layout(draws).start, scenario.variants.draw(draws)
+    spec = "overtaking:people=20,jitter=0"
+    scenario, start = made(spec), laid_out(spec, 50).start
+    variant = scenario.variants.draw(Draws.for_episodes(0, torch.arange(50)))
     for which, lanes in enumerate(scenario.lanes):
         for number in range(len(lanes)):
             x = start[variant == which][:, scenario.seats.lane[which] == number, 0]
@@ -229,13 +230,9 @@ def test_who_leaves_the_room_and_who_enters() -> None:
 
 def test_a_room_of_200_people_is_no_deeper_than_one_of_70() -> None:
     """Many people come from more directions, apart from each other, and not one behind a hundred others."""
-    draws = Draws.for_episodes(0, torch.arange(2))
-    room, crowd = (
-        prepare_scenario(f"room_exit:people={people},entering=0").layout(draws) for people in (70, 200)
-    )
-    assert float(apart(crowd.start).min()) > 2 * BODY_RADIUS
-    assert float(crowd.start[..., 0].min()) > float(room.start[..., 0].min()) - 1
-    assert (crowd.start[..., 0] < 0).all() and crowd.mask.all()
+    room, crowd = (laid_out(f"room_exit:people={people},entering=0", 2).start for people in (70, 200))
+    assert float(apart(crowd).min()) > 2 * BODY_RADIUS
+    assert float(room[..., 0].min()) - 1 < float(crowd[..., 0].min()) and (crowd[..., 0] < 0).all()
 
 
 def test_streams_side_by_side() -> None:
@@ -279,19 +276,94 @@ def test_passages_that_no_person_fits_through() -> None:
 
 
 def test_people_who_walk_together() -> None:
-    scenario = made("hallway:people=5,against=1,together=true,width=[1.8,2.4],jitter=0")
-    layout = scenario.prepare(0.25).layout(Draws.for_episodes(0, torch.arange(60)))
+    layout = laid_out("hallway:people=5,against=1,together=true,width=[1.8,2.4],jitter=0", 60)
     # from the left two and two, from the right one
     sides = layout.start[..., 0].sign()
     assert (sides.sum(1) == -3).all()
     scene = torch.arange(60)[layout.map_id == layout.map_id[0]]
     mine, speed = layout.start[scene], layout.pref_speed[scene]
-    left = [number for number in range(5) if sides[scene[0], number] < 0]
-    (first, second), (third, fourth) = left[:2], left[2:]
+    first, second, third, fourth = (number for number in range(5) if sides[scene[0], number] < 0)
     for one, other in ((first, second), (third, fourth)):
         assert torch.equal(speed[:, one], speed[:, other])
         assert torch.equal(mine[:, one, 0], mine[:, other, 0])
         assert torch.allclose((mine[:, one] - mine[:, other]).norm(dim=-1), torch.tensor(ABREAST))
     assert not torch.equal(speed[:, first], speed[:, third])
-    alone = made("hallway:people=5,against=1,width=2").speeds(Draws.for_episodes(0, torch.arange(60)))
+    alone = laid_out("hallway:people=5,against=1,width=2", 60).pref_speed
     assert not torch.equal(alone[:, first], alone[:, second])
+
+
+# How scenes of one scenario differ
+
+
+@pytest.mark.parametrize("spec", ["blind_corner", "hallway", "overtaking", *LISTS])
+def test_every_plan_occurs_and_its_scenes_fit_it(spec: str) -> None:
+    env = begun(spec, 48)
+    state, names = env.state, {grid.map_id: grid for grid in env.bank.grids}
+    assert len(names) > 1 and set(state.map_id.tolist()) == set(names)
+    for points in (state.past[:, :, 0], state.position, state.goal_point):
+        wall, _ = env.bank.closest_wall(points, state.map_id, state.pose)
+        assert float(wall.min()) > BODY_RADIUS
+        for scene, identity in enumerate(state.map_id.tolist()):
+            grid = names[identity]
+            low = torch.tensor(grid.origin[:2])
+            high = low + torch.tensor(grid.cells.shape[::-1]) * grid.resolution
+            assert ((points[scene] > low) & (points[scene] < high)).all()
+    assert state.remaining_path.isfinite().all()
+
+
+def test_doors_of_any_width_are_walked_through() -> None:
+    result = walked(LISTS[0], 32)
+    assert len(result.map_id.unique()) == 4 == len(prepared(LISTS[0]).bank.grids)
+    assert bool(result.reached.amax(2).eq(1).all())
+    # an offset of 0 is head-on, and goals lie where starts do
+    y = result.goal[..., 0, 1].abs()
+    assert set(y.flatten().mul(10).round().tolist()) == {0.0, 6.0}
+    assert float((result.past[:, :, 0, 1].abs() - y).abs().max()) < 0.31
+
+
+def test_a_list_of_one_is_the_number() -> None:
+    one, other = (begun(f"hallway:width={width}", 5) for width in ("2", "[2]"))
+    assert torch.equal(one.state.past[:, :, 0], other.state.past[:, :, 0])
+    assert [grid.map_id for grid in one.bank.grids] == [grid.map_id for grid in other.bank.grids]
+
+
+def test_settings_are_drawn_one_by_one() -> None:
+    draws = Draws.for_episodes(3, torch.arange(500))
+    both = Variants("x", width=(1.0, 2.0, 3.0), offset=(0.0, 0.1))
+    assert torch.equal(both.draw(draws) // 2, Variants("x", width=(1.0, 2.0, 3.0)).draw(draws))
+    assert [dict(one) for one in both][3] == {"width": 2.0, "offset": 0.1}
+    assert float(torch.bincount(both.draw(draws)).min()) > 50
+    assert Variants("x").draw(draws).eq(0).all() and list(Variants("x")) == [{}]
+
+
+@EVERY
+def test_without_variation_scenes_of_a_plan_are_alike(name: str) -> None:
+    scenario, there = made(f"{name}:{EXACT}"), laid_out(f"{name}:{EXACT}", 12).start
+    variant = scenario.variants.draw(Draws.for_episodes(0, torch.arange(12)))
+    for number in variant.unique().tolist():
+        mine = there[variant == number]
+        assert torch.equal(mine, mine[:1].expand_as(mine))
+
+
+@EVERY
+def test_people_start_aside_and_late(name: str) -> None:
+    spec = f"{name}:speed_std=0,jitter=0,aside=0.4,delay=0.8"
+    scenario, layout = made(spec), laid_out(spec, 200)
+    draws = Draws.for_episodes(0, torch.arange(200))
+    places = scenario.seats.of_scenes(scenario.variants.draw(draws))
+    off = layout.start - places.middle
+    along = (off * places.heading).sum(-1)
+    across = off[..., 0] * places.heading[..., 1] - off[..., 1] * places.heading[..., 0]
+    assert (across.abs() <= places.aside + 1e-4).all() and (places.aside <= 0.4 + 1e-6).all()
+    assert float(across.abs().max()) > 0.9 * float(places.aside.max())
+    # all others come in time, by the speeds that they like
+    late = -along / layout.pref_speed - places.before / layout.pref_speed - 2.8 - scenario.meet
+    assert (late > -1e-3).all() and (late <= places.delay + 1e-3).all()
+    if bool((places.delay > 0).all()):
+        first = torch.bincount(late.argmin(1), minlength=scenario.people)
+        assert (first > 0).sum() >= 2 and float(first.max()) < 160
+
+
+def test_who_comes_first_differs_between_seeds() -> None:
+    position = begun("blind_corner", 40).state.position
+    assert 8 <= int(position.norm(dim=-1).argmin(1).sum()) <= 32

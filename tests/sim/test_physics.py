@@ -33,16 +33,17 @@ from pedzoo.sim.physics.bullet import Bullet
 from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.sim.physics.torch import Torch
 
-RADIUS = 0.15
+RADIUS, RADII = 0.15, torch.tensor([[0.15, 0.5, 0.25]])
 
-KINDS: dict[str, type[Physics]] = {"torch": Torch, "compiled": Compiled, "bullet": Bullet}
+ANSWERS = pytest.mark.parametrize("kind", [Torch, Compiled])
+"""Of contacts, distances and rays; those of `Bullet` are those of `Compiled`."""
 
 
-@pytest.fixture(params=KINDS)
-def kind(request: pytest.FixtureRequest) -> type[Physics]:
-    if request.param == "bullet":
+@pytest.fixture(params=[Torch, Bullet])
+def draws(request: pytest.FixtureRequest) -> type[Physics]:
+    if request.param is Bullet:
         pytest.importorskip("pybullet")
-    return KINDS[request.param]
+    return request.param
 
 
 def hall(name: str = "hall", **options: object) -> OccupancyGrid:
@@ -97,6 +98,7 @@ def test_contacts_are_as_defined(scenes: int, people: int) -> None:
         assert 0 < result.agent.float().mean() < 0.9 and 0 < result.wall.float().mean() < 0.9
 
 
+@ANSWERS
 def test_contacts_by_hand(kind: type[Physics]) -> None:
     """Two walk towards one another, one stands at a wall, the last one is absent."""
     grid = hall()
@@ -114,6 +116,18 @@ def test_contacts_by_hand(kind: type[Physics]) -> None:
     assert result.wall[0].tolist() == [[False] * 3] * 2 + [[True, True, False], [False] * 3]
 
 
+def test_agents_touch_at_the_sum_of_their_radii() -> None:
+    for first, second in ((0, 1), (1, 2), (0, 2)):
+        both = float(RADII[0, first] + RADII[0, second])
+        for apart, touch in ((both - 2e-4, True), (both + 2e-4, False)):
+            places = torch.tensor([[9.0 * slot, -7.0] for slot in range(3)])
+            places[[first, second]] = torch.tensor([[0.0, 0.0], [0.6 * apart, 0.8 * apart]])
+            people = crowd(places[None])._replace(radius=RADII)
+            result = Compiled(MapBank()).contacts(people.position[:, :, None, None], people).agent[0, :, 0]
+            assert result.tolist() == [touch and slot in (first, second) for slot in range(3)]
+
+
+@ANSWERS
 def test_distances_by_hand(kind: type[Physics]) -> None:
     grid = hall()
     places = torch.tensor([[[0.7, 3.0], [1.0, 3.4], [5.0, 2.0], [5.1, 2.0]]])
@@ -127,6 +141,7 @@ def test_distances_by_hand(kind: type[Physics]) -> None:
     assert result.wall_normal[0, 3].tolist() == [0, 0]
 
 
+@ANSWERS
 def test_a_corner_is_not_blunt(kind: type[Physics]) -> None:
     grid = hall()
     corner = torch.tensor([2.0, 1.4], dtype=torch.float64)  # of the pillar
@@ -210,6 +225,7 @@ def test_the_backends_agree_on_a_shared_map(shared: Path, name: str) -> None:
     agree(MapBank([grid], "wall"), people, seed=3)
 
 
+@ANSWERS
 def test_rays_by_hand(kind: type[Physics]) -> None:
     """The other's body; the wall, past the own body; the first body from outside; a wall; nothing; none."""
     grid, nan = hall(), math.nan
@@ -226,8 +242,15 @@ def test_rays_by_hand(kind: type[Physics]) -> None:
     direction = torch.tensor([[[1.0, 0.0], [1, 0], [1, 0], [-1, 0]]])
     result = kind(MapBank()).rays(people, origin, direction)
     assert result[0].tolist() == pytest.approx([0.75, 0.05, 0.1, 0.65], abs=2e-4)
+    # the wide body ahead, that of 0.25 m to the left, a chord of the wide one, out of it, and from below
+    people = crowd(torch.tensor([[[0.0, 0.0], [3.0, 0.0], [0.0, 2.0]]]))
+    origin = torch.tensor([[[0.0, 0.0], [0.0, 0.0], [1.5, 0.3], [3.3, 0.0], [3.0, -2.0]]])
+    direction = torch.tensor([[[1.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 0.0], [0.0, 1.0]]])
+    result = kind(MapBank()).rays(people._replace(radius=RADII), origin, direction, 4.0)
+    assert result[0].tolist() == pytest.approx([2.5, 1.75, 1.5 - 0.4, 4.0, 1.5], abs=2e-3)
 
 
+@ANSWERS
 @pytest.mark.parametrize("count", [0, 1])
 def test_open_floor_without_people(kind: type[Physics], count: int) -> None:
     people, physics = crowd(torch.zeros(2, count, 2)), kind(MapBank())
@@ -240,6 +263,7 @@ def test_open_floor_without_people(kind: type[Physics], count: int) -> None:
     assert physics.rays(people, torch.zeros(2, 0, 2), torch.zeros(2, 0, 2)).shape == (2, 0)
 
 
+@ANSWERS
 def test_absent_and_lost_agents_disturb_no_others(kind: type[Physics]) -> None:
     grid, generator = hall(), torch.Generator().manual_seed(5)
     position = torch.rand(3, 6, 2, generator=generator) * torch.tensor([5.0, 3.0]) + 0.5
@@ -272,6 +296,7 @@ def test_distances_of_the_grid_are_differentiable() -> None:
     torch.testing.assert_close(gradient[0], torch.tensor([[-0.6, -0.8], [0.6, 0.8], [0.0, 0.0]]))
 
 
+@ANSWERS
 def test_a_reach_beyond_the_bank_is_refused(kind: type[Physics]) -> None:
     grid = hall()
     with pytest.raises(UserError, match=r"MapBank\(..., max_distance=3.0\)"):
@@ -287,7 +312,7 @@ def color_at(picture: np.ndarray, camera: Camera, x: float, y: float) -> np.ndar
 
 
 @pytest.mark.parametrize("pose", [(0.0, 1.0, 0.0, 0.0), (0.4, -1.0, 2.0, 1.0)])
-def test_pictures_show_people_and_walls_in_place(kind: type[Physics], pose: tuple[float, ...]) -> None:
+def test_pictures_show_people_and_walls_in_place(draws: type[Physics], pose: tuple[float, ...]) -> None:
     grid = hall(origin=(0.5, 0.5, 0.3))
     poses = torch.tensor([pose])
     hall_to_map = torch.tensor([[math.cos(0.3), math.sin(0.3)], [-math.sin(0.3), math.cos(0.3)]])
@@ -300,21 +325,21 @@ def test_pictures_show_people_and_walls_in_place(kind: type[Physics], pose: tupl
     ahead = direction_of(heading[0])
     # shoulders lie across where people face
     left = places[0] + 0.17 * torch.stack((-ahead[:, 1], ahead[:, 0]), 1)
-    picture = kind(MapBank([grid], "wall")).image(people, 0, (480, 360), camera)
+    picture = draws(MapBank([grid], "wall")).image(people, 0, (480, 360), camera)
     assert picture.shape == (360, 480, 3) and picture.dtype == np.uint8
     for place, expected in zip(left.tolist(), (person_color(0), person_color(1), FLOOR), strict=True):
         shade = np.abs(color_at(picture, camera, *place) - expected).max()
-        assert shade < (80 if kind is Bullet else 60)
+        assert shade < (80 if draws is Bullet else 60)
     for head, to in zip(places[0, :2], ahead, strict=False):
         face, hair = (color_at(picture, camera, *(head + step * to).tolist()) for step in (0.08, -0.08))
-        assert kind is Bullet or face.sum() > hair.sum() + 100  # Bullet sees heads obliquely
+        assert draws is Bullet or face.sum() > hair.sum() + 100  # Bullet sees heads obliquely
     assert np.abs(color_at(picture, camera, *pillar[0].tolist()) - WALL).max() < 40
 
 
 @pytest.mark.parametrize("camera", [None, Camera("perspective")])
-def test_pictures_of_everything_by_default(kind: type[Physics], camera: Camera | None) -> None:
+def test_pictures_of_everything_by_default(draws: type[Physics], camera: Camera | None) -> None:
     grid = hall()
-    people, physics = crowd(torch.tensor([[[1.0, 3.0], [5.0, 1.0]]]), grid), kind(MapBank([grid], "wall"))
+    people, physics = crowd(torch.tensor([[[1.0, 3.0], [5.0, 1.0]]]), grid), draws(MapBank([grid], "wall"))
     for seen in (people, people._replace(map_id=torch.tensor([[-1]]))):
         picture = physics.image(seen, 0, (200, 150), camera)
         for person in (0, 1):
@@ -357,9 +382,9 @@ def test_without_pybullet_the_error_says_how_to_get_it(monkeypatch: pytest.Monke
         Bullet(MapBank())
 
 
-def test_backends_can_be_pickled_before_and_after_use(kind: type[Physics]) -> None:
+def test_backends_can_be_pickled_before_and_after_use(draws: type[Physics]) -> None:
     grid = hall()
-    people, physics = crowd(torch.tensor([[[1.0, 3.0], [5.0, 1.0]]]), grid), kind(MapBank([grid], "wall"))
+    people, physics = crowd(torch.tensor([[[1.0, 3.0], [5.0, 1.0]]]), grid), draws(MapBank([grid], "wall"))
     for _ in range(2):
         copy = pickle.loads(pickle.dumps(physics))
         assert np.array_equal(physics.image(people, 0, (32, 24)), copy.image(people, 0, (32, 24)))
