@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import pytest
 import torch
 from helpers.crowds import ROOM, crowd
 from helpers.pretend import DEVICE, HostReadError, MixedDevicesError, There, pretended
+from helpers.scenes import prepared
 from torch import Tensor
 
 from pedzoo.core.geometry import identity_pose
@@ -18,6 +18,7 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.policies.safety_layer.clearance import ProposedSteps, kept_clear_in_torch
 from pedzoo.policies.safety_layer.layer import yielding
 from pedzoo.sim import kernel
+from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
 from pedzoo.sim.rules import rules_of
 
@@ -36,21 +37,21 @@ def values(tensor: Tensor) -> Tensor:
     return tensor.here
 
 
-@pytest.mark.parametrize("scenes", SCENES)
-@pytest.mark.parametrize("wheels", [False, True])
-def test_steps_on_a_device_are_those_on_the_cpu(scenes: str, wheels: bool) -> None:
-    """Seven decisions, some of them into walls and others. After the first one nothing is copied there."""
-    env = make_env(SCENES[scenes], num_envs=3, physics="torch")
+@pytest.mark.parametrize(("scenes", "wheels"), [*((name, False) for name in SCENES), ("several maps", True)])
+def test_steps_on_a_device_are_those_on_the_cpu(
+    scenes: str, wheels: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Four decisions, some of them into walls and others. After the first one nothing is copied there."""
+    env = make_env(prepared(SCENES[scenes]), num_envs=3, physics="torch")
     action = 1.2 * env.reset(seed=0)["agents", "desired_velocity"]
-    env.prepared.planner.compiled = False
     rules = replace(env.rules, wheels=wheels)
+    expected, moved = env.state, 0.0
+    monkeypatch.setattr(env.prepared.planner, "compiled", False)
     with pretended():
         state, asked = env.state.to(DEVICE), action.to(DEVICE)
         remote = replace(rules_of(env.prepared, rules.ticks, rules.substeps, DEVICE), wheels=wheels)
-        state, _, _ = kernel.step(state, asked, env.physics, remote)
-    expected, guided, _ = kernel.step(env.state, action, env.physics, rules)
-    moved = 0.0
-    for _ in range(6):
+        kernel.step(state, asked, env.physics, remote)
+    for _ in range(4):
         with pretended(copies=False):
             state, guidance, events = kernel.step(state, asked, env.physics, remote)
             asked = 1.2 * guidance.desired_velocity
@@ -96,20 +97,27 @@ FAULTS: dict[str, tuple[Callable[[Tensor], object], type[Exception]]] = {
 }
 
 
-@pytest.mark.parametrize("fault", FAULTS)
-def test_a_fault_in_a_step_raises(fault: str) -> None:
-    """What the tests above would say if it were in the step."""
+@pytest.fixture(scope="module")
+def begun() -> tuple[PedestrianEnv, Any, Tensor]:
+    """An environment, its state on the device, and an action."""
     env = make_env("door:people=4", num_envs=2, physics="torch")
     action = env.reset(seed=0)["agents", "desired_velocity"]
-    does, error = FAULTS[fault]
-
-    def guidance(right: Callable[..., Any], state: Any) -> Any:
-        does(state.position)
-        return right(state)
-
     with pretended():
         state, asked = env.state.to(DEVICE), action.to(DEVICE)
         kernel.step(state, asked, env.physics, env.rules)
-    faulty = replace(env.rules, guidance=partial(guidance, env.rules.guidance))
+    return env, state, asked
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_in_a_step_raises(fault: str, begun: tuple[PedestrianEnv, Any, Tensor]) -> None:
+    """What the tests above would say if it were in the step."""
+    env, state, asked = begun
+    does, error = FAULTS[fault]
+
+    def guidance(state: Any) -> Any:
+        does(state.position)
+        return env.rules.guidance(state)
+
+    faulty = replace(env.rules, guidance=guidance)
     with pretended(copies=False), pytest.raises(error):
         kernel.step(state, asked, env.physics, faulty)
