@@ -23,7 +23,7 @@ from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim import kernel
-from pedzoo.sim.camera import check_size
+from pedzoo.sim.drawing import check_size
 from pedzoo.sim.dynamics import substeps
 from pedzoo.sim.episodes import EpisodeQueue, Episodes, Scenes, WarmStart
 from pedzoo.sim.observation import done_spec, observation_spec, observed, real

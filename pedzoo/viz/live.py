@@ -22,8 +22,7 @@ from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.eval.packed_episodes import packed_episodes
 from pedzoo.eval.rollout import Recorder, prepare
 from pedzoo.maps.boxes import boxes
-from pedzoo.sim.camera import as_array, moved, scene_to_grid
-from pedzoo.sim.drawing import headings_along
+from pedzoo.sim.drawing import as_array, headings_along, moved, scene_to_grid
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.physics._pybullet import BulletLooks, Figure, disconnect
 from pedzoo.viz.report import empty_content, page

@@ -12,8 +12,18 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import direction_of, move_to_scene
 from pedzoo.core.paths import atomic_write
 from pedzoo.core.types import TRACE_SECONDS
-from pedzoo.sim.camera import ROBOT_BODY, ROBOT_FRONT, Camera, as_array, free_corners, person_color
-from pedzoo.sim.drawing import Canvas, Image, draw_floor, headings_along
+from pedzoo.sim.drawing import (
+    ROBOT_BODY,
+    ROBOT_FRONT,
+    Camera,
+    Canvas,
+    Image,
+    as_array,
+    draw_floor,
+    free_corners,
+    headings_along,
+    person_color,
+)
 from pedzoo.sim.physics._base import Bodies
 from pedzoo.sim.robots.env import RobotEnv
 from pedzoo.sim.robots.rollout import RobotRollout

@@ -19,8 +19,7 @@ from pedzoo.core.geometry import move_to_map
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.metrics.contacts import begins
-from pedzoo.sim.camera import person_color
-from pedzoo.sim.drawing import goal_circle
+from pedzoo.sim.drawing import goal_circle, person_color
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.state import TRACE_PER_STEP
 from pedzoo.viz.plots import check_plot_path, draw_floor_plan, write_figure

@@ -14,8 +14,7 @@ from pedzoo.core.geometry import move_to_map
 from pedzoo.core.paths import CODECS, atomic_write, check_ending
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.eval.comparison import PolicyRollout
-from pedzoo.sim.camera import Camera, person_color
-from pedzoo.sim.drawing import Canvas, Image, headings_along
+from pedzoo.sim.drawing import Camera, Canvas, Image, headings_along, person_color
 from pedzoo.sim.physics._base import Bodies
 from pedzoo.sim.physics._pybullet import quiet
 from pedzoo.sim.rollout import Rollout

@@ -25,8 +25,16 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.boxes import boxes
 from pedzoo.maps.formats import read_ros
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.sim.camera import FLOOR, WALL, Camera, as_array, moved, person_color, scene_to_grid
-from pedzoo.sim.drawing import headings_along
+from pedzoo.sim.drawing import (
+    FLOOR,
+    WALL,
+    Camera,
+    as_array,
+    headings_along,
+    moved,
+    person_color,
+    scene_to_grid,
+)
 from pedzoo.sim.physics import _pybullet
 from pedzoo.sim.physics._base import Bodies, Physics
 from pedzoo.sim.physics.bullet import Bullet

@@ -12,7 +12,7 @@ import pedzoo
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose, move_to_scene
 from pedzoo.maps.bank import MapBank
-from pedzoo.sim.camera import FLOOR, OUTSIDE, Lens
+from pedzoo.sim.drawing import FLOOR, OUTSIDE, Lens
 from pedzoo.sim.make import make_physics
 from pedzoo.sim.physics._base import Bodies
 

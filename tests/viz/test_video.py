@@ -16,7 +16,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.eval.robots import robot_rollout
 from pedzoo.eval.rollout import rollout
-from pedzoo.sim.camera import person_color
+from pedzoo.sim.drawing import person_color
 from pedzoo.sim.robots.env import RobotEnv
 from pedzoo.sim.robots.rollout import RobotRollout
 from pedzoo.viz.robots import film_robots, robot_frames

@@ -24,8 +24,7 @@ from pedzoo.eval.robots import robot_rollout
 from pedzoo.eval.rollout import rollout
 from pedzoo.maps.procedural.plan import generate
 from pedzoo.policies.controller.controller import Controller
-from pedzoo.sim.camera import ROBOT_BODY, Camera, person_color
-from pedzoo.sim.drawing import EDGE, SHOULDERS, Canvas, headings_along
+from pedzoo.sim.drawing import EDGE, ROBOT_BODY, SHOULDERS, Camera, Canvas, headings_along, person_color
 from pedzoo.sim.robots.rollout import RobotRollout
 from pedzoo.viz.plan_sheet import draw
 from pedzoo.viz.robots import film_robots

@@ -27,7 +27,7 @@ from pedzoo.core.spec import parse
 from pedzoo.core.types import BODY_RADIUS, GOAL_RADIUS
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.segments import outlines
-from pedzoo.sim.camera import person_color
+from pedzoo.sim.drawing import person_color
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
 from pedzoo.sim.scenarios._lanes import Encounter

@@ -15,8 +15,7 @@ from pedzoo.core.batch import ROBOT, agents_of
 from pedzoo.core.errors import UserError, installed
 from pedzoo.core.geometry import direction_of
 from pedzoo.core.types import TRACE_SECONDS
-from pedzoo.sim.camera import Camera, check_size, person_color
-from pedzoo.sim.drawing import Canvas
+from pedzoo.sim.drawing import Camera, Canvas, check_size, person_color
 from pedzoo.sim.physics._base import Bodies
 from pedzoo.sim.robots.env import RobotEnv, make_robot_env
 

@@ -16,8 +16,7 @@ from pedzoo.core.geometry import move_to_scene
 from pedzoo.core.types import BODY_RADIUS, GOAL_RADIUS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.walls import LocalWalls
-from pedzoo.sim.camera import Camera, Lens, free_corners, person_color
-from pedzoo.sim.drawing import Canvas
+from pedzoo.sim.drawing import Camera, Canvas, Lens, free_corners, person_color
 from pedzoo.sim.dynamics import SKIN, integrate
 from pedzoo.sim.rules import Rules
 from pedzoo.sim.state import Contacts, Decision, Distances, Motion, MotionInput, OwnedMotion, State

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from pedzoo.core.errors import UserError, install_command
 from pedzoo.core.types import BODY_RADIUS
-from pedzoo.sim.camera import ROBOT_BODY, ROBOT_FRONT, WALL, person_color
-from pedzoo.sim.drawing import HAIR, SKIN
+from pedzoo.sim.drawing import HAIR, ROBOT_BODY, ROBOT_FRONT, SKIN, WALL, person_color
 
 SHAPES = 16
 """pybullet takes so many shapes per body and drops the others without a word."""

@@ -17,7 +17,17 @@ from pedzoo.core.geometry import TURNS_FROM, direction_of, heading_of
 from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.boxes import boxes
-from pedzoo.sim.camera import FLOOR, OUTSIDE, VIEW_ANGLE, Affine, Camera, Lens, as_array, moved, scene_to_grid
+from pedzoo.sim.drawing import (
+    FLOOR,
+    OUTSIDE,
+    VIEW_ANGLE,
+    Affine,
+    Camera,
+    Lens,
+    as_array,
+    moved,
+    scene_to_grid,
+)
 from pedzoo.sim.dynamics import SKIN, driven
 from pedzoo.sim.physics._base import Bodies
 from pedzoo.sim.physics._pybullet import (

@@ -12,8 +12,7 @@ from torch import Tensor
 from pedzoo.core.batch import ROBOT
 from pedzoo.core.errors import UserError
 from pedzoo.maps.walls import LocalWalls
-from pedzoo.sim.camera import Camera, person_color
-from pedzoo.sim.drawing import Canvas, draw_floor
+from pedzoo.sim.drawing import Camera, Canvas, draw_floor, person_color
 from pedzoo.sim.physics._base import REACH, Bodies, Physics
 from pedzoo.sim.state import Contacts, Distances, MotionInput, State
 

@@ -19,7 +19,7 @@ from pedzoo.core.geometry import direction_of, rotate, unrotate
 from pedzoo.core.registry import name_of_class
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.maps.planning.guidance import Guidance
-from pedzoo.sim.camera import Lens
+from pedzoo.sim.drawing import Lens
 from pedzoo.sim.physics._base import Bodies, Physics
 from pedzoo.sim.state import State
 

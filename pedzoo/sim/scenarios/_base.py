@@ -15,11 +15,8 @@ from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.plans import Point, Rectangle, check_lengths, rectangles
 from pedzoo.sim.scenario import PreparedScenario, Scenario
 
-CELL = 0.05
-"""Side of the floor plans' cells, metres."""
-
-WALL = 0.1
-"""Thickness of outer walls, metres."""
+CELL, WALL = 0.05, 0.1
+"""Side of the floor plans' cells, and thickness of outer walls, metres."""
 
 BEHIND = 1.5
 """Metres of floor behind the last person, and behind goals."""

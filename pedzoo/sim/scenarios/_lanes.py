@@ -21,29 +21,17 @@ from pedzoo.maps.plans import Point, Rectangle
 from pedzoo.sim.scenario import SLOWEST, WARM_SECONDS, Layout, PreparedScenario
 from pedzoo.sim.scenarios._base import CELL, Numbers, Variant, Variants, Varied, fastest_ahead
 
-MEET = 2.5
-"""Seconds after the warm start at which those in front meet if they are in time and nothing holds them up."""
+MEET, MAX_DELAY = 2.5, 10.0
+"""Seconds after the warm start at which those in front meet if they are in time; greatest delay, seconds."""
 
-SPACING = 0.9
-"""Metres between people one behind the other."""
+SPACING, ABREAST = 0.9, 0.8
+"""Metres between people one behind the other, and between lanes."""
 
-ABREAST = 0.8
-"""Metres between lanes."""
+APART, FREE, ASIDE = 0.5, 0.3, 0.45
+"""Metres at least from starts to those in other lanes and to walls; from the outermost lanes to walls."""
 
 BEYOND = 4.0
 """Metres of the goals behind the place of the encounter."""
-
-APART = 0.5
-"""Minimum distance of people in different lanes at the start, metres."""
-
-FREE = 0.3
-"""Minimum distance of starts to walls, metres."""
-
-ASIDE = 0.45
-"""Distance of the outermost lanes to walls, metres."""
-
-MAX_DELAY = 10.0
-"""Seconds."""
 
 
 class Lane(NamedTuple):
@@ -101,14 +89,14 @@ class Places(NamedTuple):
         for lanes in variants:
             slots = sorted((row, number) for number, lane in enumerate(lanes) for row in range(lane.people))
             row, lane = torch.tensor(slots).unbind(1)
-            table = {
-                name: torch.tensor([getattr(one, name) for one in lanes])[lane] for name in cls._fields[5:]
-            }
+            side, *more = (
+                torch.tensor([getattr(one, name) for one in lanes])[lane] for name in cls._fields[5:]
+            )
             goals = torch.tensor([len(one.goals) for one in lanes])
-            beside = (row == row.unsqueeze(1)) & (table["side"] == table["side"].unsqueeze(1))
-            table["before"] = table["before"] + SPACING * row
+            beside = (row == row.unsqueeze(1)) & (side == side.unsqueeze(1))
             first = (goals.cumsum(0) - goals)[lane]
-            tables.append(cls(row, lane, beside.int().argmax(1), first, goals[lane], **table))
+            place = cls(row, lane, beside.int().argmax(1), first, goals[lane], side, *more)
+            tables.append(place._replace(before=place.before + SPACING * row))
         return cls(*(torch.stack(table) for table in zip(*tables, strict=True)))
 
     def of_scenes(self, variant: Tensor) -> Places:
@@ -124,12 +112,11 @@ def abreast(
     The middle of the lanes keeps ``right`` metres to the right of the origin, goals are ``beyond`` metres
     behind it. ``heading`` and ``before`` are as of `Lane`.
     """
-    lanes = []
+    lanes, (x, y) = [], heading
     for number, mine in enumerate(shares(people, min(most, people))):
         left = (number - (min(most, people) - 1) / 2) * ABREAST - right
-        middle = (-heading[1] * left, heading[0] * left)
-        goal = (middle[0] + beyond * heading[0], middle[1] + beyond * heading[1])
-        lanes.append(Lane(mine, heading, middle, (goal,), before))
+        goal = beyond * x - y * left, beyond * y + x * left
+        lanes.append(Lane(mine, heading, (-y * left, x * left), (goal,), before))
     return lanes
 
 
@@ -186,6 +173,7 @@ class Encounter(Varied):
     Attributes:
         fewest: People, at least.
         most: People, at most, and in ``more_would`` why not more.
+        max_jitter: Greatest jitter with which people of different lanes keep `APART` at the start, metres.
         stray: Share of people with another goal of their lane than the first.
         together: People side by side walk together: equally fast, and equally late.
     """
@@ -193,17 +181,15 @@ class Encounter(Varied):
     fewest: ClassVar[int] = 2
     most: ClassVar[int] = 300
     more_would: ClassVar[str] = "more need a floor plan that is hundreds of metres long"
+    max_jitter: float = (ABREAST - APART) / 2
     stray: float = 0.0
     meet: float = MEET
     together: bool = False
 
     def __init__(self, common: EncounterSettings, meet: float = MEET, **variants: Numbers) -> None:
-        """Check the settings of all encounters.
+        """Check the settings of all encounters; ``meet`` is as `MEET`.
 
-        Args:
-            common: Their settings.
-            meet: Seconds after the warm start at which those in front meet.
-            variants: Settings of which every scene draws a value; widths are whole cells.
+        Every scene draws a value of each of ``variants``; ``width`` and ``corridor`` are whole cells.
         """
         people, jitter, aside, delay = common.people, common.jitter, common.aside, common.delay
         super().__init__(people, common.speed, common.speed_std)
@@ -219,22 +205,11 @@ class Encounter(Varied):
 
     @abstractmethod
     def lanes_on(self, variant: Variant) -> list[Lane]:
-        """Return where people come from.
-
-        Agents are numbered lane by lane: first those in front, then those behind them.
-        """
+        """Return where people come from; agents are numbered from those in front, lane by lane."""
 
     def walls_on(self, variant: Variant, reach: float) -> list[Rectangle]:
-        """Return the walls, whose edges are between cells of 0.05 m; none: an open space.
-
-        The last one of a lane may start ``reach`` metres from its middle.
-        """
+        """Return walls between cells; the last one of a lane may start ``reach`` metres from its middle."""
         return []
-
-    @property
-    def max_jitter(self) -> float:
-        """Greatest jitter with which people of different lanes keep `APART` at the start, metres."""
-        return (ABREAST - APART) / 2
 
     @property
     def slowest(self) -> float:

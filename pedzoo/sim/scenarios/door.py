@@ -11,20 +11,14 @@ from pedzoo.maps.plans import Point, Rectangle, room, wall
 from pedzoo.sim.scenario import SLOWEST, WARM_SECONDS, Layout, PreparedScenario
 from pedzoo.sim.scenarios._base import Numbers, Range, Uniform, Variant, Variants, Varied, fastest_ahead
 
-BEFORE = 2.5
-"""Metres from the wall at which the first ones are when the warm start ends, unless ``away`` is given."""
-
-NEAREST = 1.0
-"""Metres: the smallest such distance that a setting may ask for."""
+BEFORE, NEAREST = 2.5, 1.0
+"""Metres from the wall at which the first ones are when the warm start ends, and the least to ask for."""
 
 PUSH = 0.05
 """Metres that those behind may drive the first ones on before the episode begins."""
 
-SPACING = 0.9
-"""Metres between people one behind the other."""
-
-ABREAST = 0.75
-"""Metres between people side by side (pairs of Zanlungo et al. 2014, 10.1103/PhysRevE.89.012811)."""
+SPACING, ABREAST = 0.9, 0.75
+"""Metres between people in a line, and in pairs (Zanlungo et al. 2014, 10.1103/PhysRevE.89.012811)."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +89,7 @@ class Door(Varied):
         self.variants.check_lengths(common.resolution, "width", "thickness", instead=fine)
         self.jitter, self.speed_ratio, self.resolution, self.sync = jitter, ratio, common.resolution, sync
         self.away = Uniform(self.name, "away", common.away, least=NEAREST)
-        self._seat(self.people, self.people // 2 if common.from_right is None else common.from_right, common)
+        self._seat(common)
         queue = (int(self._row.max()) + 1) * SPACING
         aside = max(map(abs, self.variants.values["offset"])) + 3 * jitter
         self.half_length = self.away.most + queue + WARM_SECONDS * self.fastest + 1.5
@@ -107,9 +101,10 @@ class Door(Varied):
             self.half_length = self.fastest * (WARM_SECONDS + alone) + queue + 1.5
         self.half_width = aside + 2.0 + ABREAST * (common.abreast - 1) / 2
 
-    def _seat(self, people: int, from_right: int, common: DoorSettings) -> None:
+    def _seat(self, common: DoorSettings) -> None:
         """Give each person a side, a row, and the people beside them."""
-        abreast = common.abreast
+        people, abreast = self.people, common.abreast
+        from_right = people // 2 if common.from_right is None else common.from_right
         self.check(0 <= from_right <= people, f"from_right {from_right} of {people} people", f"0 to {people}")
         self.check(1 <= abreast <= 3, f"abreast {abreast}", "1 to 3")
         sides = (people - from_right, from_right)
@@ -133,14 +128,12 @@ class Door(Varied):
 
     def walls(self, variant: Variant) -> list[Rectangle]:
         """Return the two rooms and the wall between them."""
-
-        def cells(length: float) -> float:  # whole ones
-            return math.ceil(length / self.resolution) * self.resolution
-
         width, thickness = variant["width"], variant["thickness"]
-        # from the door's sides, and from the wall, to the ends of the rooms
-        x = thickness / 2 + cells(self.half_length - thickness / 2)
-        y = width / 2 + cells(self.half_width - width / 2)
+        # whole cells from the door's sides, and from the wall, to the ends of the rooms
+        x, y = (
+            near + math.ceil((far - near) / self.resolution) * self.resolution
+            for near, far in ((thickness / 2, self.half_length), (width / 2, self.half_width))
+        )
         walls = room((-x, -y), (x, y), 2 * self.resolution)
         return walls + wall((0.0, -y), (0.0, y), thickness, doors=[(y, width)])
 
@@ -168,10 +161,7 @@ class Door(Varied):
         return Layout(map_id, torch.stack((side * away, lateral), -1), mask, speed, goals[:, right])
 
     def _later(self, draws: Draws, away: Tensor, lateral: Tensor, speed: Tensor, sync: float) -> Tensor:
-        """Return how many metres farther back each side starts (B, 2), so that both come to the door in time.
-
-        Distances of starts from the wall and the door's axis, and speeds are (B, A); ``sync`` as in settings.
-        """
+        """Return the metres that each side starts farther back (B, 2), so that both come in time."""
         first = [int((self._right == side).nonzero()[0]) for side in (0, 1)]
         away, lateral, speed = away[:, first], lateral[:, first], speed[:, first]
         left, right = (torch.hypot(away, lateral) / speed).unbind(1)  # seconds until they are at the door

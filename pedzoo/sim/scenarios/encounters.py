@@ -30,17 +30,11 @@ from pedzoo.sim.scenarios._lanes import (
 HEADINGS: tuple[Point, ...] = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
 """Of those from the left, from below, from the right and from above."""
 
-OVERTAKING_BEYOND = 8.0
-"""Metres of the goals behind the place at which the slow are caught up with."""
-
-PARALLEL_BEYOND = 6.0
-"""Metres of the goals behind the line on which those in front are at the same time."""
+OVERTAKING_BEYOND, PARALLEL_BEYOND = 8.0, 6.0
+"""Metres of the goals behind where the slow are caught up with, or where streams are side by side."""
 
 CHORD, RADII, MIN_RADIUS = 1.0, (3.0, 4.0, 5.0), 2.0
 """Metres between neighbours on a circle, at least; its radii by default, and the smallest one."""
-
-THICKNESS = 0.1
-"""Metres of the wall with the door of a room."""
 
 RAYS, MANY_RAYS = (5, math.radians(18)), (17, math.radians(9))
 """Most directions from which people come to a room's door, and the angle between two; those of 151 people."""
@@ -116,15 +110,12 @@ class Circle(Encounter):
         if radius is None:
             radius = [usual for usual in RADII if usual >= least] or [least]
         least = max(least, MIN_RADIUS)
-        for given in radius if isinstance(radius, Sequence) else [radius]:
+        radii = radius if isinstance(radius, Sequence) else [radius]
+        for given in radii:
             expected = f"at least {least:.2f} m, which puts them {CHORD} m apart or more"
             self.check(given >= least, f"radius {given} for {people} people", expected)
+        self.max_jitter = min(1.0, max(0.0, min(radii, default=0.0) * self.half_chord - APART / 2))
         super().__init__(common, meet=0.0, radius=radius)
-
-    @property
-    def max_jitter(self) -> float:
-        """Greatest jitter with which no people touch at the start, metres."""
-        return min(1.0, max(0.0, min(self.variants.values["radius"]) * self.half_chord - APART / 2))
 
     def lanes_on(self, variant: Variant) -> list[Lane]:
         """Return a lane for each person, from their place on the circle through its middle."""
@@ -397,7 +388,7 @@ class RoomExit(Encounter):
 
     def lanes_on(self, variant: Variant) -> list[Lane]:
         """Return lanes of those who leave, which all end at the door, and of those who enter."""
-        place, (rays, between), lanes = (THICKNESS + variant["corridor"]) / 2, self._rays, []
+        place, (rays, between), lanes = (WALL + variant["corridor"]) / 2, self._rays, []
         people = self.people - self.entering
         count = min(rays, people)
         for number, mine in enumerate(shares(people, count)):
@@ -414,14 +405,14 @@ class RoomExit(Encounter):
 
     def walls_on(self, variant: Variant, reach: float) -> list[Rectangle]:
         """Return the room, the corridor and the wall between them, symmetric about y = 0."""
-        half, width, (rays, between) = THICKNESS / 2, variant["width"], self._rays
+        half, width, (rays, between) = WALL / 2, variant["width"], self._rays
         length = max(reach, BEYOND) + BEHIND
         deep = half + whole_cells(length)
         widest = math.sin((min(rays, self.people) - 1) / 2 * between) * reach + self.aside
         high = width / 2 + whole_cells(max(widest, 2.0) + BEHIND)
         ends = high + whole_cells(max(0.0, length - high))
         walls = room((-deep, -ends), (half + variant["corridor"], ends), WALL)
-        walls += wall((0.0, -ends), (0.0, ends), THICKNESS, doors=[(ends, width)])
+        walls += wall((0.0, -ends), (0.0, ends), WALL, doors=[(ends, width)])
         if ends > high:
             walls += [(-deep, high, -half, ends), (-deep, -ends, -half, -high)]
         return walls

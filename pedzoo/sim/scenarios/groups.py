@@ -7,24 +7,19 @@ from pedzoo.core.randomness import Draws
 from pedzoo.maps.plans import Point, Rectangle, check_lengths, room, wall
 from pedzoo.sim.scenario import WARM_SECONDS, Layout, PreparedScenario
 from pedzoo.sim.scenarios._base import BEHIND, CELL, WALL, Numbers, Variant, Variants, Varied, whole_cells
+from pedzoo.sim.scenarios.door import ABREAST
 
 HALF_WIDTH = 3.0
 """Metres from the middle of the hall to its walls."""
 
-ABREAST = 0.75
-"""Metres between people side by side (pairs of Zanlungo et al. 2014, 10.1103/PhysRevE.89.012811)."""
-
 OUTMOST = 7
 """Half places of `ABREAST` from the middle to the outmost person."""
 
-SPACING = 2.0
-"""Metres between groups one behind the other."""
+SPACING, BEYOND = 2.0, 5.0
+"""Metres between groups one behind the other, and of the goals behind the middle."""
 
 MEET = 1.5
 """Seconds after the warm start at which the first groups would meet in the middle."""
-
-BEYOND = 5.0
-"""Metres of the goals behind the middle."""
 
 SIZES = (2, 4)
 """The smallest and the largest group."""

@@ -8,8 +8,8 @@ from pedzoo.maps.plans import Point, Rectangle, room
 from pedzoo.sim.scenario import WARM_SECONDS, Layout, PreparedScenario
 from pedzoo.sim.scenarios._base import BEHIND, WALL, Range, Uniform, Variant, Variants, Varied, whole_cells
 
-SPACING = 0.8
-"""Metres between places in the line."""
+SPACING, COMING = 0.8, 2.0
+"""Metres between places in the line, and at least between people who come to it."""
 
 COUNTER = (0.5, -1.0, 1.1, 1.0)
 """The counter's corners, metres; the person who is served stands at the origin."""
@@ -18,9 +18,6 @@ HALF_WIDTH = 3.2
 """Metres from the line to the walls."""
 
 EXITS = [(-3.0, 2.6), (-3.0, -2.6)]
-
-COMING = 2.0
-"""Metres between people who come, one behind the other, and at least as many behind the line."""
 
 
 class Queue(Varied):

@@ -10,11 +10,8 @@ from pedzoo.sim.scenario import WARM_SECONDS, Layout, PreparedScenario
 from pedzoo.sim.scenarios._base import BEHIND, CELL, WALL, Variant, Variants, Varied, whole_cells
 from pedzoo.sim.scenarios._lanes import APART, FREE
 
-FRONT = 0.5
-"""Metres from the middle to the first of a stream when the episode begins."""
-
-LANES = 8
-"""Goals beside each other at each end."""
+FRONT, LANES = 0.5, 8
+"""Metres from the middle to the first of a stream when the episode begins; goals at each end."""
 
 
 class TwoWay(Varied):

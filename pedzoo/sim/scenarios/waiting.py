@@ -23,11 +23,8 @@ PLACES = [
 LANES, ABREAST = 9, 0.8
 """Ways through the hall, and metres between them."""
 
-EXIT = 8.0
-"""Metres from the middle to the exits."""
-
-ENTER = 1.2
-"""Metres behind the exits at which people start, at most."""
+EXIT, ENTER = 8.0, 1.2
+"""Metres from the middle to the exits, and behind them at which people start, at most."""
 
 
 class Waiting(Varied):
