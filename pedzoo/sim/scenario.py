@@ -32,13 +32,14 @@ WARM_SECONDS = 7 * STEP_SECONDS
 class Layout(NamedTuple):
     """How B scenes begin. All after the goal may be left out: None is what most scenarios mean.
 
+    What is not listed here is as of `State`, where it is None for its usual value there.
+
     Attributes:
         map_id: Floor plan (B,) long, -1 for none.
         start: Positions before the warm start (B, A, 2), metres; anything finite in empty slots.
         mask: Which agents are there (B, A) bool.
         pref_speed: The speed that people like (B, A), m/s.
         goal: First goals (B, A) long, as the planner numbers them.
-        pose: Scene poses (B, 4); None for scenes that lie as their map.
         history: Recorded positions (B, A, 8, 2) for the warm start ``recorded``; the last one is where
             the episode begins.
         stand: How long people stand where they start, after the warm start, before they set out (B, A),
@@ -46,24 +47,12 @@ class Layout(NamedTuple):
         hold: How long people wait at their first goal, where they start, after the warm start (B, A),
             seconds; 0 for agents that do not, infinite until they are called or to the end. Their policy has
             to hold them there. Heeded where `Scenario.waits` says so.
-        radius: Radii of the bodies (B, A), metres; None for that of the environment. None may be smaller than
-            `Scenario.smallest_radius`.
-        kind: `pedzoo.core.batch.PERSON` or `ROBOT` (B, A) long; None for persons.
-        group: Number of the company that an agent walks in (B, A) long, -1 for alone; None: all are.
-        drive: How bodies move (B, A) long: `HOLONOMIC`, `UNICYCLE` or `DIFF_DRIVE` of `pedzoo.core.bodies`;
-            None for holonomic ones. Like the next two, read where `Scenario.wheels` says so.
-        acceleration: Greatest change of speed (B, A), m/s^2; None for any.
-        turn_acceleration: Greatest change of the turning rate of wheels (B, A), rad/s^2; None for any.
-        track: Distance between the wheels (B, A), metres; None for 1.
-        top_speed: Greatest speeds (B, A), m/s, at most `Scenario.fastest_agent`; None for 1.3 times the speed
-            that agents like.
+        radius: None for that of the environment. None may be smaller than `Scenario.smallest_radius`.
+        drive: Like the accelerations and the track, read where `Scenario.wheels` says so.
+        top_speed: At most `Scenario.fastest_agent`.
         heading: Where bodies face at first (B, A), radians; None for where they walk, or else their goal.
-        person: Person in each slot (B, A) long, -1 for none. Where it is given people are on their way as
-            ``history`` says: no warm start moves them.
-        scene: Which scenes of the script (B,) long.
-        controlled: Which people the policy moves (B, A) bool; None: all who do not stand.
-        observed_points: Trace points for which people have been seen (B, A) long; None: all.
-        velocity: Theirs (B, A, 2), m/s; None for that of the last 0.1 s.
+        person: Where it is given people are on their way as ``history`` says: no warm start moves them.
+        controlled: None: all who do not stand.
         deadline: Until when they have to arrive (B, A), seconds on the clock; None for the usual time limit.
         later: Their goals after the first (B, A, G) long, -1 for none; None: the scenario draws them.
     """

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pedzoo.core.errors import UserError, install_command
 from pedzoo.core.types import BODY_RADIUS
@@ -183,7 +183,7 @@ class Figure(NamedTuple):
     robot: bool = False
 
 
-Eye = tuple[Sequence[float], Sequence[float], Sequence[float]]
+Eye = tuple[ArrayLike, ArrayLike, ArrayLike]
 """Where a camera stands, what it looks at and which way is up, (x, y, z) each."""
 
 
@@ -235,7 +235,7 @@ class BulletLooks:
         image = self.client.getCameraImage(
             width,
             height,
-            viewMatrix=self.client.computeViewMatrix(*eye),
+            viewMatrix=self.client.computeViewMatrix(*(np.asarray(point).tolist() for point in eye)),
             projectionMatrix=self.client.computeProjectionMatrixFOV(
                 math.degrees(upright), width / height, *limits
             ),

@@ -110,21 +110,13 @@ class Robots:
 
 
 class Crossing(NamedTuple):
-    """The way of the agents of one scene in a decision of S trace points of M sub-steps.
+    """The way of the agents of one scene in S trace points of M sub-steps, in pybullet's frame, metres."""
 
-    Attributes:
-        present: Numbers of the agents that are there, in ascending order.
-        robots: Which agents have the body of the file (A,) bool.
-        path: Positions at all sub-steps (A, S, M, 2) in pybullet's frame, metres.
-        angle: Where agents face at them (A, S, M) in this frame, radians.
-        radius: Of all bodies (A,), metres.
-    """
-
-    present: list[int]
-    robots: NDArray[np.bool_]
-    path: NDArray[np.float64]
-    angle: NDArray[np.float64]
-    radius: NDArray[np.float64]
+    present: list[int]  # numbers of the agents that are there, in ascending order
+    robots: NDArray[np.bool_]  # which agents have the body of the file (A,)
+    path: NDArray[np.float64]  # positions at all sub-steps (A, S, M, 2)
+    angle: NDArray[np.float64]  # where agents face at them (A, S, M), radians
+    radius: NDArray[np.float64]  # of all bodies (A,)
 
 
 class RobotShapes(Robots):

@@ -50,21 +50,13 @@ _NEAREST = 0.05
 
 
 class _Placed(NamedTuple):
-    """One scene of a question.
-
-    Attributes:
-        index: Which of the B scenes.
-        row: Its floor plan's row in the bank, -1 for the open floor.
-        frame: From the scene to pybullet's frame: the grid has no yaw there, and cell (0, 0) at the origin.
-        places: Where agents are in pybullet's frame (A, 2), metres.
-        present: Numbers of the agents that are there, in ascending order.
-    """
+    """One of the B scenes of a question, in pybullet's frame: the grid's axes, cell (0, 0) at the origin."""
 
     index: int
-    row: int
-    frame: Affine
-    places: NDArray[np.float64]
-    present: list[int]
+    row: int  # its floor plan's row in the bank, -1 for the open floor
+    frame: Affine  # from the scene to pybullet's frame
+    places: NDArray[np.float64]  # where agents are (A, 2), metres
+    present: list[int]  # numbers of the agents that are there, in ascending order
 
 
 class Bullet(Compiled):
@@ -95,8 +87,7 @@ class Bullet(Compiled):
                 robots have none.
 
         Raises:
-            UserError: The radius is not above zero, pybullet is not installed, or there is no such file or
-                drive.
+            UserError: pybullet is not installed, or there is no such file or drive.
         """
         super().__init__(bank, body_radius)
         load_pybullet()
@@ -217,12 +208,11 @@ class Bullet(Compiled):
         for place in (eye, target):
             place[:2] = moved(asked.frame, place[:2])
         up[:2] = linear @ up[:2]
-        looks = self._of_plan(BulletLooks, asked.row, CUT_HEIGHT)
-        pinhole, limits = (
-            (eye.tolist(), target.tolist(), up.tolist()),
-            (max(0.1, 0.2 * distance), 3 * distance + 10),
+        looks, figures = (
+            self._of_plan(BulletLooks, asked.row, CUT_HEIGHT),
+            _figures(asked, one, self._radius(one)[0]),
         )
-        figures = _figures(asked, one, self._radius(one)[0])
+        pinhole, limits = (eye, target, up), (max(0.1, 0.2 * distance), 3 * distance + 10)
         picture, _, empty = looks.shot(figures, size, pinhole, VIEW_ANGLE[camera.view], limits)
         # The floor is where no body is: one to draw takes longer on the CPU than all the rest.
         picture[empty] = FLOOR

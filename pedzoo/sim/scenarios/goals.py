@@ -144,28 +144,17 @@ class Goals(Scenario):
 
 
 class _Candidates(NamedTuple):
-    """Candidates of the draws, for M floor plans with at most S places, of which the first G are goals.
+    """Candidates of the draws, for M floor plans with at most S places, of which the first G are goals."""
 
-    Attributes:
-        map_id: The floor plans (M,) long.
-        places: Starts (M, S, 2), metres; NaN where there are fewer.
-        counts: How many places there are (M,) long.
-        goals: The planner's numbers of goals (M, G) long, -1 where there are fewer.
-        far: Which goals are some way off each place (M, S, G) bool.
-        row_of_goal: Floor plan of every goal of the planner.
-        place_of_goal: Its place on that.
-    """
-
-    map_id: Tensor
-    places: Tensor
-    counts: Tensor
-    goals: Tensor
-    far: Tensor
-    row_of_goal: Tensor
-    place_of_goal: Tensor
+    map_id: Tensor  # the floor plans (M,) long
+    places: Tensor  # starts (M, S, 2), metres; NaN where there are fewer
+    counts: Tensor  # how many places there are (M,) long
+    goals: Tensor  # the planner's numbers of goals (M, G) long, -1 where there are fewer
+    far: Tensor  # which goals are some way off each place (M, S, G) bool
+    row_of_goal: Tensor  # floor plan of every goal of the planner
+    place_of_goal: Tensor  # its place on that
 
     def to(self, device: torch.device) -> _Candidates:
-        """Return the tables on a device."""
         return _Candidates(*(table.to(device) for table in self))
 
     def goal(self, row: Tensor, place: Tensor, lot: Tensor) -> Tensor:
