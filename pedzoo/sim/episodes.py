@@ -274,8 +274,8 @@ class Scenes(NamedTuple):
 class EpisodeQueue:
     """Begins the episodes of a seed, those of B rows ``stride`` numbers apart.
 
-    A warm start costs as much for one scene as for a hundred. So the episodes of all rows without one are
-    made together as soon as one row needs its own. For few rows several of each are made.
+    A warm start costs as much for one scene as for a hundred. So all rows without an episode get theirs as
+    soon as one needs it, and several where rows are few.
     """
 
     def __init__(
@@ -291,8 +291,7 @@ class EpisodeQueue:
     ) -> None:
         """Take what makes first states of A ``people`` in B ``rows``, and ``opened``, which may change them.
 
-        The episodes of a row are those of ``seed`` from number ``first`` plus the row's on, each ``stride``
-        after the one before.
+        A row's first episode is number ``first`` plus its own.
         """
         self._episodes, self._rules, self._opened = episodes, rules, opened
         self._seed = torch.full((rows,), signed(seed % 2**64))

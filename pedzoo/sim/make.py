@@ -57,9 +57,8 @@ def make_env(
 def scenario_spec(scenario: str | Spec) -> Spec | SpecText:
     """Return the name and the settings of a scenario, those of a file where one is named.
 
-    Args:
-        scenario: As of `make_env`; ``mine.yaml`` is the scenario ``custom`` with the settings in it. Those
-            behind it replace the file's (``mine.yaml:speed=1.0``). Its map is looked for beside it, too.
+    ``mine.yaml`` is the scenario ``custom`` with the settings in it. Those behind it replace the file's
+    (``mine.yaml:speed=1.0``). Its map is looked for beside it, too.
 
     Raises:
         UserError: It is no name; the file is missing or no YAML, has an unknown key, or no people.
@@ -117,11 +116,7 @@ def prepare_scenario(
 
 
 def make_physics(name: str, bank: MapBank, body_radius: float) -> Physics:
-    """Return the physics backend of a name with settings, on floor plans.
-
-    Raises:
-        UserError: There is no such backend, or what it needs is not installed.
-    """
+    """Return the physics backend of a name with settings, where what it needs is installed."""
     physics_class(name).check()
     return build(PHYSICS, name, Physics, bank=bank, body_radius=body_radius)
 

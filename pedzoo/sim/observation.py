@@ -109,8 +109,8 @@ def observation_spec(scenes: int, agents: int, trace_points: int, maps: MapBank)
 
 def done_spec(scenes: int) -> Composite:
     """Return the spec of the ends of scenes."""
-    names = ("done", "terminated", "truncated")
-    return Composite({name: flag(scenes, 1) for name in names}, shape=(scenes,))
+    ends = dict.fromkeys(("done", "terminated", "truncated"), flag(scenes, 1))
+    return Composite(ends, shape=(scenes,))
 
 
 def real(*shape: int) -> TensorSpec:

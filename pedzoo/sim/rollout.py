@@ -14,22 +14,14 @@ from pedzoo.core.types import STEP_SECONDS, TRACE_SECONDS
 from pedzoo.sim.scenario import Scenario
 from pedzoo.sim.state import State
 
-OVER_TIME = (
-    *("trace", "goal", "present", "controlled", "person", "planned"),
-    *("agent_contact", "wall_contact", "reached"),
-)
-"""Fields of a `Rollout` that have a value for every trace point."""
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Rollout:
     """E episodes of A people, on a trace of T points every 0.1 s after the warm start.
 
-    After an episode's end positions and counts stay as they were, and no agent is present.
-
-    Only ``controlled`` agents are scored; other present agents can be touched. In ordinary scenes each agent
-    has its own slot and is controlled while present. In a replay people are played back before the policy
-    takes them over; people who come later take the slots of people who have left.
+    After an episode's end positions and counts stay as they were, and no agent is present. Only
+    ``controlled`` agents are scored; other present agents can be touched. In a replay people are played back
+    before the policy takes them over, and people who come later take the slots of people who have left.
 
     Attributes:
         trace: Positions (E, A, T, 2), metres.
@@ -100,17 +92,14 @@ class Rollout:
 
     @cached_property
     def scored(self) -> Tensor:
-        """Which agents are scored (E, A, T) bool: controlled, and in the slot already at the point before.
-
-        The step to each such point was walked by that person, so points without a gap are one person's.
-        """
+        """Which agents are scored (E, A, T) bool: controlled, and in the slot already at the point before."""
         return self.controlled & self._same_agent
 
     @property
     def underway(self) -> Tensor:
         """Which agents are controlled and had goals left at the point before (E, A, T) bool.
 
-        After arriving people are there until the end of the decision: for longer if that takes 0.4 s.
+        After arriving people are there until the end of the decision.
         """
         arrived = torch.zeros_like(self.controlled)
         same = self.person[..., 1:] == self.person[..., :-1]
@@ -162,6 +151,10 @@ class Rollout:
         return replace(self, **{name: v[index] for name, v in values.items() if isinstance(v, Tensor)})
 
 
+OVER_TIME = tuple(field.name for field in fields(Rollout))[:9]
+"""Fields of a `Rollout` that always have a value for every trace point."""
+
+
 def joined(parts: Sequence[Rollout]) -> Rollout:
     """Join rollouts of the same scenario; shorter ones stand still, absent, until the longest ends."""
     longest, result = max(part.trace.shape[2] for part in parts), {}
@@ -187,15 +180,9 @@ def rollout_of(
     failed: Tensor,
     decision_dt: float = STEP_SECONDS,
 ) -> Rollout:
-    """Return the rollout of scenes that began in a state.
+    """Return the rollout of scenes of a scenario that began in a state.
 
-    Args:
-        scenario: Where they are from.
-        start: How they began.
-        steps: Values for every trace point, piece by piece (E, A, S, ...); ``changed`` may be left out.
-        overdue: Which agents did not reach a goal in time (E, A) bool.
-        failed: In which the policy gave no number (E,) bool.
-        decision_dt: Seconds between two decisions.
+    ``steps`` have values for every trace point, piece by piece (E, A, S, ...). All else is as of `Rollout`.
     """
     known = [*OVER_TIME, *(["changed"] if "changed" in steps[0] else [])]
     as_begun = ("mask", "past", "pref_speed", "radius", "kind", "map_id", "pose")

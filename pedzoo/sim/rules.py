@@ -118,20 +118,16 @@ def planned(way: Tensor) -> Tensor:
 
 
 def deadline(clock: Tensor, way: Tensor, pref_speed: Tensor, seconds: float | None = None) -> Tensor:
-    """Return when a goal at the end of ``way`` (B, A) must be reached: four times the time that it takes.
+    """Return when a goal at the end of ``way`` (B, A), metres, must be reached: in four times its time.
 
-    At least 20 s from ``clock`` (B,), the end of the decision in which the goal was drawn; everything in
-    seconds and metres. Where ``seconds`` are given, there are so many for every goal instead.
+    At least 20 s from ``clock`` (B,), the end of the decision in which the goal was drawn. Where ``seconds``
+    are given, there are so many for every goal instead.
     """
     ways, least = (TIME_RATIO, LEAST_TIME_LIMIT) if seconds is None else (0.0, seconds)
     return clock.unsqueeze(1) + torch.clamp(ways * way / pref_speed, min=least)
 
 
 def check_deadline(seconds: float | None) -> None:
-    """Check the seconds that people are given for every goal, None for the usual ones.
-
-    Raises:
-        UserError: They are no time.
-    """
+    """Refuse seconds for every goal that are no time; None stands for the usual ones."""
     if seconds is not None and not 0 < seconds < math.inf:
         raise UserError(f"deadline {seconds}: expected a number of seconds above 0")

@@ -93,7 +93,7 @@ class Scenario(ABC):
     """A family of scenes: its settings, and how scenes begin. It stays as ``__init__`` made it.
 
     What takes time or files is in what `prepare` returns. All randomness comes from draws. Settings that give
-    no scene raise `UserError`, in ``__init__`` or, where files are needed, in `prepare`.
+    no scene raise `UserError`, there or in ``__init__``.
 
     Attributes:
         name: In messages and floor plans.
@@ -129,12 +129,9 @@ class Scenario(ABC):
     people: int
 
     def __init__(self, people: int, speed: float = 1.3, speed_std: float = 0.2) -> None:
-        """Say how many people there are and how fast they like to walk.
+        """Say how many people there are at most, and how fast they like to walk.
 
-        Args:
-            people: At most.
-            speed: Mean of the preferred speeds, m/s.
-            speed_std: Its standard deviation; speeds farther than three of it from the mean are cut off.
+        ``speed`` is the mean, m/s; what is farther from it than three times ``speed_std`` is cut off.
         """
         self.name = name_of_class(type(self).__name__)
         people = as_integer("people", people)

@@ -49,13 +49,9 @@ class Script:
     """
 
     def __init__(self, people: RecordedPeople, xy: Tensor, occupants: Tensor, scenes: ScriptScenes) -> None:
-        """Take the parts.
+        """Take people with the rows of their tracks (N, 2), person after person, one for each frame.
 
-        Args:
-            people: All people.
-            xy: Rows of their tracks (N, 2), person after person, one for each frame.
-            occupants: Person in each slot in each frame (tables, A, frames) long, -1 for none.
-            scenes: The scenes.
+        ``occupants`` is the person in each slot in each frame (tables, A, frames) long, -1 for none.
         """
         self.people, self.xy, self.occupants, self.scenes = people, xy, occupants, scenes
         rows = people.last - people.first + 1

@@ -112,11 +112,7 @@ class State(NamedTuple):
     def of(cls, past: Tensor, mask: Tensor, pref_speed: Tensor, **given: Tensor | None) -> State:
         """Return people at their start, without limits and in scenes that lie as their map.
 
-        Args:
-            past: As in the class, like all others.
-            mask: Which agents are there.
-            pref_speed: The speed that agents like.
-            given: All that differs between scenes, and every other unusual value.
+        ``given`` is all that differs between scenes, and every other unusual value.
         """
         nothing, none = torch.zeros_like(pref_speed), torch.zeros_like(mask, dtype=torch.long)
         endless, begin = torch.full_like(nothing, torch.inf), nothing.new_zeros(len(mask))
