@@ -303,7 +303,9 @@ def _executed(path: Path) -> dict[str, Any]:
 
 MODELS = Registry("model", "pedzoo.models.architectures")
 DATASETS = Registry("dataset", "pedzoo.data.datasets")
-SCENARIOS = Registry("scenario", "pedzoo.sim.scenarios", "pedzoo.sim.scenarios.encounters")
+SCENARIOS = Registry(
+    "scenario", "pedzoo.sim.scenarios", "pedzoo.sim.scenarios.encounters", "pedzoo.sim.scenarios.indoor"
+)
 POLICIES = Registry("policy", "pedzoo.policies.rule_based")
 SUITES = Registry("suite", "pedzoo.eval.suites", "pedzoo.eval.suites.scenes", "tools.paper.suites")
 PHYSICS = Registry("physics", "pedzoo.sim.physics")
