@@ -18,7 +18,7 @@ from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite, WorkUnit
 from pedzoo.eval.work_units import Journal, Progress, ProgressReport, Rows, digest, work
 from pedzoo.metrics.closed_loop import NAMES, named
 from pedzoo.sim.make import physics_class
-from pedzoo.sim.rules import check_deadline
+from pedzoo.sim.scenario import check_deadline
 
 SUITE_NAMES = ("door", "goals", "encounters", "replay")
 """What is evaluated unless something else is asked for."""

@@ -24,8 +24,7 @@ from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env, physics_class, usual_physics
 from pedzoo.sim.robots.rollout import RobotRollout
 from pedzoo.sim.rollout import Rollout, joined, rollout_of
-from pedzoo.sim.rules import planned
-from pedzoo.sim.scenario import PreparedScenario, Scenario
+from pedzoo.sim.scenario import PreparedScenario, Scenario, planned
 from pedzoo.sim.state import State
 
 Progress = Callable[[str, int, int], None]

@@ -28,8 +28,7 @@ from pedzoo.sim.dynamics import substeps
 from pedzoo.sim.episodes import EpisodeQueue, Episodes, Scenes, WarmStart
 from pedzoo.sim.observation import done_spec, observation_spec, observed, real
 from pedzoo.sim.physics._base import Physics
-from pedzoo.sim.rules import rules_of
-from pedzoo.sim.scenario import WARM_SECONDS, PreparedScenario, Scenario
+from pedzoo.sim.scenario import WARM_SECONDS, PreparedScenario, Scenario, rules_of
 from pedzoo.sim.state import TRACE_PER_STEP, Events, State
 
 

@@ -22,8 +22,7 @@ from pedzoo.sim import kernel
 from pedzoo.sim.observation import dense
 from pedzoo.sim.physics._base import Physics
 from pedzoo.sim.physics.compiled import Compiled
-from pedzoo.sim.rules import Rules, deadline, planned
-from pedzoo.sim.scenario import MIN_INITIAL_PATH, Layout, PreparedScenario, filled
+from pedzoo.sim.scenario import MIN_INITIAL_PATH, Layout, PreparedScenario, Rules, deadline, filled, planned
 from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
 
 WarmStart = Literal["orca", "static", "recorded"]

@@ -17,7 +17,7 @@ from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim.dynamics import driven
 from pedzoo.sim.physics._base import Physics
-from pedzoo.sim.rules import Rules, deadline, planned
+from pedzoo.sim.scenario import Rules, deadline, planned
 from pedzoo.sim.state import CLOCK_ROUNDING, CONTACT_COST, Decision, Events, Motion, State
 
 

@@ -20,7 +20,7 @@ from pedzoo.policies.safety_layer.layer import yielding
 from pedzoo.sim import kernel
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
-from pedzoo.sim.rules import rules_of
+from pedzoo.sim.scenario import rules_of
 
 SCENES = {
     "planner and walls": "goals:map=apartment.7,people=5,goals=2,pool=6",

@@ -18,7 +18,7 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.walls import LocalWalls
 from pedzoo.sim.drawing import Camera, Canvas, Lens, free_corners, person_color
 from pedzoo.sim.dynamics import SKIN, integrate
-from pedzoo.sim.rules import Rules
+from pedzoo.sim.scenario import Rules
 from pedzoo.sim.state import Contacts, Decision, Distances, Motion, MotionInput, OwnedMotion, State
 
 REACH = 5.0

@@ -24,7 +24,7 @@ from pedzoo.maps.walls_numba import quarter, wall_gap
 from pedzoo.sim.dynamics import CREEP, ROUNDING, SKIN, STRIDE
 from pedzoo.sim.physics._base import Bodies
 from pedzoo.sim.physics.torch import Torch
-from pedzoo.sim.rules import Rules
+from pedzoo.sim.scenario import Rules
 from pedzoo.sim.state import CLOCK_ROUNDING, PAST_LEN, Decision, Motion, MotionInput, State
 
 _0, _1, _HALF = np.float32(0), np.float32(1), np.float32(0.5)

@@ -27,8 +27,7 @@ from pedzoo.sim.episodes import Episodes
 from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.sim.recorded_people import RecordedPeople, SpeedOf, people_of, top_speed_of
 from pedzoo.sim.rollout import Rollout, joined, rollout_of
-from pedzoo.sim.rules import Rules, rules_of
-from pedzoo.sim.scenario import Layout, PreparedScenario, Scenario
+from pedzoo.sim.scenario import Layout, PreparedScenario, Rules, Scenario, rules_of
 from pedzoo.sim.script import Script, Simulated
 from pedzoo.sim.state import TRACE_PER_STEP, State
 

@@ -29,8 +29,7 @@ from pedzoo.sim.dynamics import STRIDE
 from pedzoo.sim.observation import observed, state_of
 from pedzoo.sim.physics.torch import Torch
 from pedzoo.sim.recorded_people import top_speed_of
-from pedzoo.sim.rules import Rules
-from pedzoo.sim.scenario import SLOWEST
+from pedzoo.sim.scenario import SLOWEST, Rules
 from pedzoo.sim.script import Script
 from pedzoo.sim.state import TRACE_PER_STEP, Contacts, MotionInput, State
 from pedzoo.train.closed_loop.segments import Policy
