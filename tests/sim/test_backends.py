@@ -103,32 +103,6 @@ def test_walls_hold_against_random_commands_at_top_speed(
     assert hold(env, kind(env.bank), width, 250) > -1e-3
 
 
-@pytest.mark.parametrize("width", WIDTHS)
-def test_gradients_of_torch_are_those_of_finite_differences(width: float) -> None:
-    """Of positions after 0.4 s with respect to velocities, near walls and away from them."""
-    env = home(width, 6)
-    physics = Torch(env.bank)
-    state = put(env.state, free_places(env, width - SKIN, seed=3))
-    generator = torch.Generator().manual_seed(0)
-    weight = torch.randn(*state.mask.shape, 4, 2, generator=generator)
-
-    def total(velocity: Tensor) -> Tensor:
-        spread = velocity.movedim(-1, 0).unsqueeze(1).expand(-1, 4, -1, -1)
-        return (physics.advance(state, spread, state.mask, env.rules.substeps).trace * weight).sum((2, 3))
-
-    velocity = (0.7 * commands(env, generator)).requires_grad_()
-    (gradient,) = torch.autograd.grad(total(velocity).sum(), velocity)
-    for axis in range(2):
-        shift = torch.zeros_like(velocity)
-        shift[..., axis] = 2e-3
-        with torch.no_grad():
-            result = (total(velocity + shift) - total(velocity - shift)) / 4e-3
-        error = (result - gradient[..., axis]).abs()
-        assert (error < 0.02).float().mean() > 0.9  # a corner has two gradients
-    free = gradient.abs().sum(-1) > 0
-    assert free.float().mean() > 0.95
-
-
 def test_compiled_rays_meet_bodies_where_torchs_do() -> None:
     """Bodies of all widths, some absent, some that a ray begins in, one that is nowhere."""
     generator = torch.Generator().manual_seed(0)

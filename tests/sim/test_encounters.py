@@ -72,7 +72,8 @@ def apart(position: Tensor) -> Tensor:
 @EVERY
 def test_a_crowd_has_room_and_arrives(name: str) -> None:
     most = SCENARIOS.get(name).most  # type: ignore[attr-defined]
-    layout = laid_out(f"{name}:people={most}", 2)
+    corridors = ("blind_corner", "hallway", "intersection", "overtaking")
+    layout = laid_out(f"{name}:people={most}" + ",width=2" * (name in corridors), 2)
     assert layout.mask.all() and layout.mask.shape == (2, most)
     assert float(apart(layout.start).min()) > 2 * BODY_RADIUS
     env = begun(f"{name}:people={min(most, CROWD)}", 3)

@@ -1,7 +1,6 @@
 """The loop contract of the design, clause by clause."""
 
 import math
-import pickle
 from concurrent.futures import ProcessPoolExecutor
 from itertools import pairwise
 from multiprocessing import get_context
@@ -11,7 +10,7 @@ from typing import Any
 import pytest
 import torch
 from torch import Tensor
-from torchrl.envs import EnvBase, check_env_specs
+from torchrl.envs import EnvBase
 from torchrl.envs.utils import step_mdp
 
 from pedzoo.core.errors import UserError
@@ -45,12 +44,6 @@ def positions(results: list[Any]) -> Tensor:
 
 
 # 1. Time
-
-
-@pytest.mark.parametrize("scenario", SCENES)
-@pytest.mark.parametrize("dt", [0.1, 0.4])
-def test_specs(scenario: str, dt: float) -> None:
-    check_env_specs(make_env(scenario, num_envs=2, decision_dt=dt))
 
 
 @pytest.mark.parametrize("dt", [0.1, 0.2, 0.4])
@@ -292,19 +285,16 @@ def test_recorded_warm_start() -> None:
 
 
 @pytest.mark.parametrize("scenario", SCENES)
-@pytest.mark.parametrize("policy", ["go_to_goal", "orca:dt=0.4"])
-def test_scene_i_of_a_seed_is_the_same_in_every_batch(scenario: str, policy: str) -> None:
+def test_scene_i_of_a_seed_is_the_same_in_every_batch(scenario: str) -> None:
     """To the last bit, and so is all that comes of it."""
-    made = prepare_scenario(scenario)
-    whole = walked(make_env(made, num_envs=24, seed=3), 12, load_policy(policy))
-    for i in (0, 1, 5, 17, 23):
-        alone = walked(make_env(made, num_envs=1, seed=3, first_episode=i), 12, load_policy(policy))
+    made, policy = prepare_scenario(scenario), load_policy("orca:dt=0.4")
+    whole = walked(make_env(made, num_envs=24, seed=3), 12, policy)
+    for i in (0, 5, 23):
+        alone = walked(make_env(made, num_envs=1, seed=3, first_episode=i), 12, policy)
         for one, many in zip(alone, whole, strict=True):
             assert torch.equal(one["scene_key"][0], many["scene_key"][i])
             for key in ("history", "goal", "desired_velocity", "pref_speed", "mask", ("info", "reached")):
                 assert torch.equal(one["next", "agents"][key][0], many["next", "agents"][key][i]), key
-    other = make_env(made, num_envs=6, seed=4).reset()
-    assert not torch.allclose(other["agents", "history"], whole[0]["agents", "history"][:6])
 
 
 def test_seeding_again_starts_again() -> None:
@@ -333,32 +323,21 @@ def test_workers_share_a_seed() -> None:
         assert torch.equal(together, whole.reset()["scene_key"])
 
 
-def first_positions(first_episode: int) -> list[float]:
-    """Return where the people of one episode are; run by another process."""
-    env = make_env("door", num_envs=1, seed=1, first_episode=first_episode)
-    return env.reset()["agents", "history"].flatten().tolist()
-
-
-def test_another_process_sees_the_same_scene() -> None:
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        there = pool.submit(first_positions, 2).result()
-    whole = make_env("door", num_envs=4, seed=1).reset()["agents", "history"][2]
-    assert torch.allclose(torch.tensor(there), whole.flatten(), atol=1e-5)
-
-
-def test_environments_go_to_workers() -> None:
+def test_environments_go_to_workers_and_are_the_same_there() -> None:
+    """Which another process shows: no draw depends on the order of a set, or on a hash."""
     env = make_env("goals:pool=6", num_envs=2, seed=3, physics="bullet")
-    sent = pickle.loads(pickle.dumps(env))
-    assert torch.equal(sent.reset()["agents", "history"], env.reset()["agents", "history"])
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        there = pool.submit(PedestrianEnv.reset, env).result()["agents", "history"]
+    assert torch.allclose(there, env.reset()["agents", "history"], atol=1e-5)
 
 
-@pytest.mark.parametrize("scenario", [*SCENES, "circle:people=4"])
+@pytest.mark.parametrize("scenario", ["door", "circle:people=4"])
 def test_both_worlds_show_the_same_episode(scenario: str) -> None:
     """With walls and without any."""
     envs = [make_env(scenario, num_envs=2, physics=physics) for physics in ("compiled", "bullet")]
-    grid, bullet = (walked(env, 12) for env in envs)
+    results = [walked(env, 12) for env in envs]
     envs[1].physics.close()
-    for one, other in zip(grid, bullet, strict=True):
+    for one, other in zip(*results, strict=True):
         for key in ("trace", "agent_contact", "wall_contact", "reached"):
             assert torch.equal(one["next", "agents", "info", key], other["next", "agents", "info", key]), key
 

@@ -23,7 +23,6 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import direction_of, identity_pose, move_to_scene
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.boxes import boxes
-from pedzoo.maps.formats import read_ros
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.sim.drawing import (
     FLOOR,
@@ -107,35 +106,6 @@ def test_contacts_are_as_defined(scenes: int, people: int) -> None:
 
 
 @ANSWERS
-def test_contacts_by_hand(kind: type[Physics]) -> None:
-    """Two walk towards one another, one stands at a wall, the last one is absent."""
-    grid = hall()
-    physics = kind(MapBank([grid], "wall"))
-    # the two are 0.29 m apart once, in trace point 1; the third is 0.14 m from the wall's face at x = 0.2
-    start = torch.tensor([[[1.0, 3.0], [2.0, 3.0], [0.34, 2.0], [1.5, 3.0]]])
-    path = start[:, :, None, None].repeat(1, 1, 3, 2, 1)
-    path[0, 0, 0, :, 0] = torch.tensor([1.2, 1.3])
-    path[0, 1, 0, :, 0] = torch.tensor([1.8, 1.61])
-    path[0, 0, 1, :, 0] = torch.tensor([1.32, 1.3])
-    path[0, 1, 1, :, 0] = torch.tensor([1.61, 1.7])
-    path[0, 2, 2, :, 0] = torch.tensor([0.36, 0.36])
-    result = physics.contacts(path, crowd(start, grid, torch.tensor([[True, True, True, False]])))
-    assert result.agent[0].tolist() == [[False, True, False]] * 2 + [[False] * 3] * 2
-    assert result.wall[0].tolist() == [[False] * 3] * 2 + [[True, True, False], [False] * 3]
-
-
-def test_agents_touch_at_the_sum_of_their_radii() -> None:
-    for first, second in ((0, 1), (1, 2), (0, 2)):
-        both = float(RADII[0, first] + RADII[0, second])
-        for apart, touch in ((both - 2e-4, True), (both + 2e-4, False)):
-            places = torch.tensor([[9.0 * slot, -7.0] for slot in range(3)])
-            places[[first, second]] = torch.tensor([[0.0, 0.0], [0.6 * apart, 0.8 * apart]])
-            people = crowd(places[None])._replace(radius=RADII)
-            result = Compiled(MapBank()).contacts(people.position[:, :, None, None], people).agent[0, :, 0]
-            assert result.tolist() == [touch and slot in (first, second) for slot in range(3)]
-
-
-@ANSWERS
 def test_distances_by_hand(kind: type[Physics]) -> None:
     grid = hall()
     places = torch.tensor([[[0.7, 3.0], [1.0, 3.4], [5.0, 2.0], [5.1, 2.0]]])
@@ -149,27 +119,22 @@ def test_distances_by_hand(kind: type[Physics]) -> None:
     assert result.wall_normal[0, 3].tolist() == [0, 0]
 
 
-@ANSWERS
-def test_a_corner_is_not_blunt(kind: type[Physics]) -> None:
-    grid = hall()
-    corner = torch.tensor([2.0, 1.4], dtype=torch.float64)  # of the pillar
-    angle = torch.linspace(0.05, math.pi / 2 - 0.05, 9, dtype=torch.float64)
-    away, physics = direction_of(angle), kind(MapBank([grid], "wall"))
-    for gap in (0.16, 0.4):
-        result = physics.distances(crowd((corner + gap * away)[:, None], grid))
-        torch.testing.assert_close(result.wall, torch.full_like(result.wall, gap), atol=1e-5, rtol=0)
-        torch.testing.assert_close(result.wall_normal[:, 0], away, atol=1e-4, rtol=0)
-    for gap, touches in ((0.1501, False), (0.1499, True)):
-        position = (corner + gap * away)[:, None]
-        result = physics.contacts(position[:, :, None, None], crowd(position, grid))
-        assert (result.wall == touches).all()
-
-
-def agree(bank: MapBank, people: Bodies, seed: int) -> None:
+@pytest.mark.parametrize("mirror", [1.0, -1.0])
+@pytest.mark.parametrize("yaw", [0.0, 0.7])
+def test_the_backends_agree_on_plain_geometry(yaw: float, mirror: float) -> None:
     """Walls are where pybullet has them: of its own boxes, its ray test and its closest points."""
-    physics, path = Torch(bank), walks(people.position, seed, trace=2, steps=1)
-    direction = direction_of(torch.arange(16) * (2 * math.pi / 16) + 0.03)
-    direction = direction.repeat(people.mask.shape[1], 1).expand(len(people.mask), -1, -1)
+    pytest.importorskip("pybullet")
+    grid, generator = hall(origin=(1.0, -2.0, yaw)), torch.Generator().manual_seed(1)
+    position = torch.rand(12, 8, 2, generator=generator, dtype=torch.float64) * torch.tensor([6.4, 4.4])
+    c, s = math.cos(yaw), math.sin(yaw)
+    position = position @ torch.tensor([[c, s], [-s, c]], dtype=torch.float64) + torch.tensor([1.0, -2.0])
+    pose = torch.tensor([[2.1, mirror, 3.0, -1.0]] * 11 + [[0.0, 1.0, 0.0, 0.0]])
+    mask = torch.rand(12, 8, generator=generator) < 0.9
+    people = crowd(move_to_scene(position, pose).float(), grid, mask, pose)
+    people.map_id[5] = -1
+    bank = MapBank([hall("other"), grid], "wall")
+    physics, path = Torch(bank), walks(people.position, 2, trace=2, steps=1)
+    direction = direction_of(torch.arange(16) * (2 * math.pi / 16) + 0.03).repeat(8, 1).expand(12, -1, -1)
     origin = people.position.repeat_interleave(16, dim=1)
     alone = people._replace(mask=torch.zeros_like(people.mask))
     ours, touches = physics.rays(alone, origin, direction, 4.0), physics.contacts(path, people).wall
@@ -180,10 +145,10 @@ def agree(bank: MapBank, people: Bodies, seed: int) -> None:
     assert grazing.float().mean() < 0.15
     gap = bank.closest_wall(path[:, :, :, 0], people.map_id[:, 0], people.pose)[0]
     clear = ((gap - RADIUS).abs() > 1e-4) & people.mask.unsqueeze(-1)
-    for scene, pose in enumerate(people.pose):
-        grid = bank.grid(people.map_id[scene])
-        frame, client = scene_to_grid(pose, grid), _pybullet.connect()
-        walls = _pybullet.build_walls(client, boxes(grid, bank.unknown) if grid else np.zeros((0, 4)), 2.5)
+    for scene, scene_pose in enumerate(people.pose):
+        plan = bank.grid(people.map_id[scene])
+        frame, client = scene_to_grid(scene_pose, plan), _pybullet.connect()
+        walls = _pybullet.build_walls(client, boxes(plan, bank.unknown) if plan else np.zeros((0, 4)), 2.5)
         starts, ends = (
             np.pad(moved(frame, as_array(points)), ((0, 0), (0, 1)), constant_values=1.0)
             for points in (origin[scene], origin[scene] + 4.0 * direction[scene])
@@ -200,37 +165,6 @@ def agree(bank: MapBank, people: Bodies, seed: int) -> None:
             near = [point[8] for wall in walls for point in client.getClosestPoints(body, wall, RADIUS)]
             assert touches[(scene, *at)] == (min(near, default=1.0) < 0)
         _pybullet.disconnect(client)
-
-
-@pytest.mark.parametrize("mirror", [1.0, -1.0])
-@pytest.mark.parametrize("yaw", [0.0, 0.7])
-def test_the_backends_agree_on_plain_geometry(yaw: float, mirror: float) -> None:
-    pytest.importorskip("pybullet")
-    grid = hall(origin=(1.0, -2.0, yaw))
-    generator = torch.Generator().manual_seed(1)
-    position = torch.rand(12, 8, 2, generator=generator, dtype=torch.float64) * torch.tensor([6.4, 4.4])
-    c, s = math.cos(yaw), math.sin(yaw)
-    position = position @ torch.tensor([[c, s], [-s, c]], dtype=torch.float64) + torch.tensor([1.0, -2.0])
-    pose = torch.tensor([[2.1, mirror, 3.0, -1.0]] * 11 + [[0.0, 1.0, 0.0, 0.0]])
-    mask = torch.rand(12, 8, generator=generator) < 0.9
-    people = crowd(move_to_scene(position, pose).float(), grid, mask, pose)
-    people.map_id[5] = -1
-    agree(MapBank([hall("other"), grid], "wall"), people, seed=2)
-
-
-@pytest.mark.parametrize("name", ["aws_small_house", "fetch_hq", "igibson_rs", "nav2_depot", "willow_2010"])
-def test_the_backends_agree_on_a_shared_map(shared: Path, name: str) -> None:
-    pytest.importorskip("pybullet")
-    grid = read_ros(shared / "maps" / f"{name}.yaml")
-    walls = grid.signed_distance("wall")
-    row, column = np.nonzero((walls > 0.05) & (walls < 0.6))
-    rng = np.random.default_rng(0)
-    pick = rng.integers(len(row), size=60)
-    cells = np.stack((column[pick], row[pick]), axis=1) + rng.uniform(-0.5, 0.5, (60, 2))
-    affine = grid.map_to_cell()
-    places = (cells - affine[:, 2]) @ np.linalg.inv(affine[:, :2]).T
-    people = crowd(torch.tensor(places, dtype=torch.float32).view(1, 60, 2), grid)
-    agree(MapBank([grid], "wall"), people, seed=3)
 
 
 @ANSWERS

@@ -27,7 +27,7 @@ SCENES = {
     "several maps": "door:people=4,width=[0.8,1.2]",
     "no walls": "circle:people=4",
     "people who wait": "standing:people=2",
-    "playback": "replay:fold=embedded",
+    "playback": "replay:simulated=one,share=0.1",
 }
 
 

@@ -26,7 +26,6 @@ from pedzoo.policies.load import load_policy
 from pedzoo.policies.walker import Walker
 from pedzoo.sim.make import make_env, make_scenario
 from pedzoo.sim.scenario import MIN_INITIAL_PATH
-from pedzoo.sim.scenarios.goals import Goals
 
 EVERY_SCENARIO = pytest.mark.parametrize("name", SCENARIOS.names())
 EVERY_POLICY = pytest.mark.parametrize("name", [*POLICIES.names(), *baselines(), *list_models("*.eth_ucy")])
@@ -35,7 +34,7 @@ EVERY_POLICY = pytest.mark.parametrize("name", [*POLICIES.names(), *baselines(),
 
 @EVERY_SCENARIO
 def test_scenes_are_sound(name: str) -> None:
-    env = make_env(prepared(name), num_envs=24)
+    env = make_env(prepared(name), num_envs=24, decision_dt=0.1)
     check_env_specs(env)
     env.set_seed(0)
     env.reset()
@@ -88,7 +87,6 @@ def test_a_scene_depends_on_seed_and_number_alone(name: str) -> None:
     ("spec", "message"),
     [
         ("door:away=0.5", r"away 0\.5: expected a number or \[least,most\], from 1"),
-        ("door:away=[4,2.5]", r"away \(4\.0, 2\.5\): expected a number or \[least,most\]"),
         ("door:away=[2,3,4]", r"away=\[2,3,4\]: expected float"),
         ("door:sync=-1", r"sync -1\.0: expected at least 0 s"),
         ("door:sync=0.4,from_right=0", r"sync 0\.4: expected at least 0 s, and people from both sides"),
@@ -98,39 +96,29 @@ def test_a_scene_depends_on_seed_and_number_alone(name: str) -> None:
             "door:width=0.83",
             r"width 0\.83 is no multiple of the resolution 0\.05: the nearest are 0\.8 and 0\.85",
         ),
-        ("door:width=[0.85,0.83]", r"width 0\.83 is no multiple"),
-        ("door:thickness=0", r"thickness 0\.0"),
         ("door:people=0", "people 0: expected 1 to 10,000"),
         ("door:people=100000000", "people 100000000: expected 1 to 10,000"),
         ("door:speed=.nan", "speed nan, speed_std 0.2: expected at least 0.3 and 0"),
-        ("door:speed=0.1", r"speed 0\.1"),
         ("door:speed_ratio=0", r"speed_ratio 0\.0"),
         ("standing:people=1", "standing: people 1: expected at least 2"),
         ("standing:at=-1.8", r"at -1\.8, away 2\.5: expected to stand at least 1 m nearer to the wall"),
         ("standing:seconds=0", r"standing: seconds 0\.0: expected a number or \[least,most\], from 0\.1"),
-        ("standing:width=0.83", r"standing: width 0\.83 is no multiple"),
         ("hallway:width=[2,1.83]", r"width 1\.83 is no multiple of the resolution 0\.05: .* 1\.8 and 1\.85"),
         ("hallway:width=[]", r"hallway: width \[\]: expected a number, or a list of some"),
         ("hallway:width=[2,2]", r"hallway: width \[2\.0, 2\.0\]: 2 is there twice"),
         ("hallway:width=[2,wide]", r"hallway:width=\[2,wide\]: expected float \| Sequence\[float\]"),
-        ("hallway:width=.inf", r"width inf: expected a number"),
         ("hallway:aside=-1", r"aside -1\.0, delay 1\.0: expected at least 0 m"),
         ("hallway:delay=60", r"delay 60\.0: expected at least 0 m, and 0 to 10 s"),
         ("hallway:width=-1", r"hallway: width -1\.0.* expected above 0"),
         ("hallway:people=4,against=4", r"against 4 of 4 people: expected 1 to 3"),
         ("hallway:width=[2,3],offset=0.8", r"offset 0\.8 in a corridor of 2\.0 m: expected at most 0\.70 m"),
         ("hallway:jitter=0.5", r"jitter 0\.5: expected 0 to 0\.15 m"),
-        ("hallway:speed=0.1", r"speed 0\.1"),
         ("overtaking:speed_ratio=1", r"speed_ratio 1\.0: expected at least 1\.2"),
-        ("overtaking:slow=2", r"slow 2 of 2 people: expected 1 to 1"),
         ("intersection:arms=5", r"arms 5: expected 2 to 4"),
         ("intersection:turn=2", r"turn 2\.0: expected a share"),
         ("room_exit:entering=4", r"entering 4 of 4 people: expected 0 to 3"),
-        ("room_exit:corridor=1.99", r"corridor 1\.99"),
         ("parallel:gap=[1,0.5]", r"gap 0\.5: expected at least 0\.8 m"),
-        ("parallel:change=-1", r"change -1\.0: expected a share"),
         ("circle:radius=[4,1]", r"radius 1\.0 for 4 people: expected at least 2\.00 m"),
-        ("circle:people=50,radius=5", r"expected at least 7\.96 m"),
         (
             "blind_corner:people=400",
             r"people 400: expected 2 to 300, as more need a floor plan .*; goals:people=N",
@@ -138,11 +126,8 @@ def test_a_scene_depends_on_seed_and_number_alone(name: str) -> None:
         ("perpendicular:width=2", "known: .*people"),
         ("waiting:waiting=36,people=40", "waiting 36 of 40 people: expected 0 to 35 who wait"),
         ("waiting:waiting=4,people=4", "waiting 4 of 4 people: .* and 1 to 18 others"),
-        ("waiting:stay=1.5", r"stay 1\.5: expected a share"),
         ("queue:people=3,coming=3", "coming 3 of 3 people: expected 0 to 2"),
-        ("queue:seconds=0", r"queue: seconds 0"),
         ("groups:size=[1,3]", r"size \(?\[?1, 3\)?\]?: expected \[least,most\], from 2 to 4"),
-        ("groups:door=1.02", r"door 1\.02 is no multiple"),
         ("two_way:people=1", "people 1: expected at least 2"),
         ("two_way:density=3", r"density 3\.0: expected people per square metre, up to 2"),
         ("two_way:width=0.4", r"0\.40 m by .*: expected at least 0\.5 m"),
@@ -177,9 +162,9 @@ def test_a_scenario_that_returns_nothing_prepared(tmp_path: Path) -> None:
 @EVERY_SCENARIO
 def test_no_person_starts_on_a_goal(name: str) -> None:
     """Over 300 scenes, but for people who wait. Recorded people may: those who stay are not controlled."""
-    env = make_env(prepared(name), num_envs=300, seed=1)
-    env.reset()
-    if env.prepared.script is None:
+    if prepared(name).script is None:
+        env = make_env(prepared(name), num_envs=300, seed=1)
+        env.reset()
         walks = env.state.mask & ~env.state.holds
         assert float(env.state.remaining_path[walks].min()) >= MIN_INITIAL_PATH > 2 * GOAL_RADIUS
 
@@ -279,14 +264,10 @@ def test_a_turned_and_mirrored_scene_is_walked_alike(name: str) -> None:
 
 
 def test_goals_are_new_ones_some_way_off() -> None:
-    env = make_env("goals:people=3,pool=10,goals=3", num_envs=8, warm_start="static")
-    scenario = env.scenario
-    assert isinstance(scenario, Goals)
     result, _ = rollout("go_to_goal", "goals:people=3,pool=10,goals=3", "compiled", 8)
     moved = result.goal.diff(dim=2).norm(dim=-1)
     assert float(moved[moved > 0].min()) > 0.5
-    # reached one after the other, at the place where the goal was
-    assert int((result.reached.diff(dim=2) > 1).sum()) == 0
+    assert int((result.reached.diff(dim=2) > 1).sum()) == 0  # reached one after the other
 
 
 def test_a_scenario_on_several_floor_plans(tmp_path: Any) -> None:
