@@ -144,16 +144,11 @@ class Episodes:
         given |= {"key": key, "row": row, "wall_frame": frame, "wall_place": place, "pose": pose}
         # where a layout says more, it says how all is after the warm start
         given |= {"velocity": None, "deadline": None, "goal_id": layout.goal}
-        return State.of(
-            past,
-            **given
-            | {
-                "radius": filled(layout.radius, torch.full_like(stands, self._physics.body_radius)),
-                "controlled": filled(layout.controlled, layout.mask & (stands <= 0)),
-                "stands": stands if layout.hold is None else stands.maximum(layout.hold),
-                "later_goals": self._later_goals(key, layout.goal) if layout.later is None else layout.later,
-            },
-        )
+        given["radius"] = filled(layout.radius, torch.full_like(stands, self._physics.body_radius))
+        given["controlled"] = filled(layout.controlled, layout.mask & (stands <= 0))
+        given["stands"] = stands if layout.hold is None else stands.maximum(layout.hold)
+        given["later_goals"] = self._later_goals(key, layout.goal) if layout.later is None else layout.later
+        return State.of(past, **given)
 
     def _later_goals(self, key: Tensor, first: Tensor) -> Tensor:
         """Return the goals (B, A, G) that follow the ``first`` (B, A), drawn ahead; -1 for none."""

@@ -15,6 +15,9 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
 
+_NUMBERS = ("heading", "pref_speed", "top_speed", "radius", "goal_since")
+"""What states and observations have of every agent, (B, A) and (B, A, 1)."""
+
 
 def observed(state: State, guidance: Guidance, maps: MapBank) -> TensorDict:
     """Return the scene batch (B,) of a state and its guidance: all that a policy decides from."""
@@ -26,16 +29,12 @@ def observed(state: State, guidance: Guidance, maps: MapBank) -> TensorDict:
         valid=state.valid,
         mask=state.mask,
         velocity=state.velocity,
-        heading=state.heading.unsqueeze(-1),
-        pref_speed=state.pref_speed.unsqueeze(-1),
-        top_speed=state.top_speed.unsqueeze(-1),
-        radius=state.radius.unsqueeze(-1),
         kind=state.kind,
         group=state.group,
         goal=guidance.goal,
         desired_velocity=guidance.desired_velocity,
         remaining_path=guidance.distance.unsqueeze(-1),
-        goal_since=state.goal_since.unsqueeze(-1),
+        **{name: getattr(state, name).unsqueeze(-1) for name in _NUMBERS},
         controlled=state.decides & ~state.failed.unsqueeze(1),
         id=state.person,
         key=state.key.unsqueeze(1),
@@ -90,8 +89,7 @@ def observation_spec(scenes: int, agents: int, trace_points: int, maps: MapBank)
     info = {"trace": real(*bas, 2), "agent_contact": flag(*bas), "wall_contact": flag(*bas)}
     info |= {"reached": whole(*bas), "overdue": flag(*ba), "remaining_path": real(*ba)}
     people = {name: real(*ba, 2) for name in ("velocity", "goal", "desired_velocity")}
-    numbers = ("heading", "radius", "pref_speed", "top_speed", "remaining_path", "goal_since")
-    people |= {name: real(*ba, 1) for name in numbers}
+    people |= {name: real(*ba, 1) for name in (*_NUMBERS, "remaining_path")}
     people |= {name: whole(*ba) for name in ("id", "kind", "group")}
     people |= {name: flag(*ba) for name in ("mask", "controlled")}
     people |= {"history": real(*ba, OBS_LEN, 2), "valid": flag(*ba, OBS_LEN)}

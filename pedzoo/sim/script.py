@@ -16,6 +16,9 @@ from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
 
 Simulated = Literal["all", "one", "around"]
 
+_NOTHING_YET = ("goal_index", "stands", "reached", "remaining_path", "planned")
+"""Fields of a state that are 0 for people who come."""
+
 
 class ScriptScenes(NamedTuple):
     """The R scenes of a script. Frames are those of recordings, 0.4 s.
@@ -259,13 +262,9 @@ class Script:
             top_speed=torch.where(comes, top_speed_of(pref_speed), after.top_speed),
             goal_id=torch.where(comes, self.goals[scheduled, 0], after.goal_id),
             later_goals=torch.where(come, self.goals[scheduled, 1:], after.later_goals),
-            goal_index=after.goal_index.masked_fill(comes, 0),
-            stands=after.stands.masked_fill(comes, 0.0),
-            reached=after.reached.masked_fill(comes, 0),
             deadline=torch.where(comes, self._deadline(after.scene, scheduled), after.deadline),
             overdue=torch.where(sharp, overdue & ~comes, after.overdue),
-            remaining_path=after.remaining_path.masked_fill(comes, 0.0),
-            planned=after.planned.masked_fill(comes, 0.0),
+            **{name: getattr(after, name).masked_fill(comes, 0) for name in _NOTHING_YET},
         ), taken
 
     def ended(self, state: State) -> Tensor:
