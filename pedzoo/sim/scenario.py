@@ -37,7 +37,7 @@ TIME_RATIO, LEAST_TIME_LIMIT = 4.0, 20.0
 class Layout(NamedTuple):
     """How B scenes begin. All after the goal may be left out: None is what most scenarios mean.
 
-    What is not listed here is as of `State`, where it is None for its usual value there.
+    What is not listed here is as of `State`, and None for what is usual there.
 
     Attributes:
         map_id: Floor plan (B,) long, -1 for none.
