@@ -524,8 +524,8 @@ def test_rewards_are_the_way_that_got_shorter(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (partial(Replay, simulated="ome"), "did you mean 'one'"),
-        (partial(Replay, speed="trak"), "did you mean 'track'"),
+        (partial(Replay, **{"simulated": "ome"}), "did you mean 'one'"),
+        (partial(Replay, **{"speed": "trak"}), "did you mean 'track'"),
         (partial(Replay, share=0), "share 0: expected a part of the time"),
         (partial(Replay, map="flat"), "the fold 'embedded' has its own"),
         (partial(make_env, "replay:fold=zara11"), "did you mean 'zara1'"),

@@ -193,7 +193,7 @@ class PreparedReplay(PreparedScenario):
             recordings that are far from their own; see `pedzoo.data.recordings.Scene`.
     """
 
-    script: Script
+    script: Script  # type: ignore[misc]  # all fields are named, so that none needs a default
     home: Tensor
 
     @property
