@@ -18,7 +18,7 @@ from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim.dynamics import driven
 from pedzoo.sim.physics._base import Physics
 from pedzoo.sim.scenario import Rules, deadline, planned
-from pedzoo.sim.state import CLOCK_ROUNDING, CONTACT_COST, Decision, Events, Motion, State
+from pedzoo.sim.state import CLOCK_ROUNDING, CONTACT_COST, Decision, Events, Motion, MotionInput, State
 
 
 def step(state: State, commands: Tensor, physics: Physics, rules: Rules) -> tuple[State, Guidance, Events]:
@@ -93,7 +93,9 @@ def _decided(state: State, commands: Tensor, physics: Physics, rules: Rules) -> 
         heading, turn_rate = state.heading, state.turn_rate
     script = rules.script
     played = None if script is None else script.playback(state, failed, rules.ticks, rules.substeps)
-    motion = physics.advance(state, velocity, moving, rules.substeps, played, command.movedim(0, -1))
+    wanted = walking & ~state.holds
+    inputs = MotionInput(command.movedim(0, -1), velocity, moving, wanted, rules.substeps, played)
+    motion = physics.advance(state, inputs)
     after, hits, sets_out = _arrived(state, motion, failed, rules)
     turned = heading_of(after.velocity, heading, TURNS_FROM)
     if rules.wheels:

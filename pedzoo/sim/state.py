@@ -210,23 +210,23 @@ class OwnedMotion(NamedTuple):
 
 
 class MotionInput(NamedTuple):
-    """Motion of agents on the common path in a decision of S trace points of M ``substeps``.
+    """How agents are to move in a decision of S trace points of M ``substeps``.
 
     Attributes:
-        velocity: In each 0.1 s (2, S, B, A), m/s, limits respected already.
-        moving: Which agents it moves (B, A) bool; others are played back, or stay where they are.
-        played: Paths of those who are played back (B, A, S, M, 2); None for none.
+        command: What policies want (B, A, 2), as the agent's drive has it, not limited; 0 without a goal.
+        velocity: On the common path in each 0.1 s (2, S, B, A), m/s, limits respected already.
+        moving: Which agents move (B, A) bool; others are played back, or stay where they are.
         wanted: Which agents may reach their goals (B, A) bool.
-        command: What policies want (B, A, 2), as the agent's drive has it; None for nothing.
+        played: Paths of those who are played back (B, A, S, M, 2); None for none.
         owned: How agents move that the backend owns, whose paths are among those played back; None for none.
     """
 
+    command: Tensor
     velocity: Tensor
     moving: Tensor
-    substeps: int
-    played: Tensor | None
     wanted: Tensor
-    command: Tensor | None = None
+    substeps: int
+    played: Tensor | None = None
     owned: OwnedMotion | None = None
 
 

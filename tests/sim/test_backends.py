@@ -17,7 +17,7 @@ from pedzoo.sim.make import make_env, make_physics
 from pedzoo.sim.physics._base import Bodies, Physics
 from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.sim.physics.torch import Torch
-from pedzoo.sim.state import Motion, State
+from pedzoo.sim.state import Motion, MotionInput, State
 
 WIDTHS = (0.15, 0.5)
 MAP = "apartment.7"
@@ -30,10 +30,11 @@ def home(width: float, scenes: int, map: str = MAP) -> PedestrianEnv:
     return env
 
 
-def decided(env: PedestrianEnv, state: State, wanted: Tensor) -> Tensor:
-    """Return the velocities (2, S, B, A) that the kernel makes of commands."""
+def decided(env: PedestrianEnv, state: State, wanted: Tensor) -> MotionInput:
+    """Return what the kernel makes of commands (B, A, 2)."""
     command = limited(wanted.movedim(-1, 0), state.top_speed)
-    return limited(blended(state.velocity.movedim(-1, 0), command, env.rules.ticks), state.top_speed)
+    velocity = limited(blended(state.velocity.movedim(-1, 0), command, env.rules.ticks), state.top_speed)
+    return MotionInput(wanted, velocity, state.controlled, state.controlled, env.rules.substeps)
 
 
 def moved(state: State, motion: Motion) -> State:
@@ -61,10 +62,10 @@ def test_backends_move_agents_alike(other: str, width: float) -> None:
     generator = torch.Generator().manual_seed(1)
     apart, rounded, flags = [], [], []
     for _ in range(20):
-        args = decided(env, state, commands(env, generator)), state.controlled, env.rules.substeps
-        one, two = ours.advance(state, *args), theirs.advance(state, *args)
+        inputs = decided(env, state, commands(env, generator))
+        one, two = ours.advance(state, inputs), theirs.advance(state, inputs)
         shift = 1e-6 * torch.randn(state.position.shape, generator=generator)
-        nearly = Torch(env.bank).advance(put(state, state.position + shift), *args)
+        nearly = Torch(env.bank).advance(put(state, state.position + shift), inputs)
         apart.append((one.trace - two.trace).norm(dim=-1).amax(-1))
         rounded.append((nearly.trace - one.trace).norm(dim=-1).amax(-1) > 1e-4)
         for key in ("agent_contact", "wall_contact", "reached"):
@@ -83,8 +84,7 @@ def hold(env: PedestrianEnv, physics: Physics, width: float, steps: int) -> floa
     state = put(env.state, free_places(env, width))
     generator, least = torch.Generator().manual_seed(2), math.inf
     for _ in range(steps):
-        velocity = decided(env, state, commands(env, generator))
-        motion = physics.advance(state, velocity, state.mask, env.rules.substeps)
+        motion = physics.advance(state, decided(env, state, commands(env, generator)))
         gap, _ = env.bank.closest_wall(motion.trace.flatten(1, 2), state.map_id, state.pose)
         least = min(least, float(gap.min()) - (width - SKIN))
         state = moved(state, motion)

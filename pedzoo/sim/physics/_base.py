@@ -112,37 +112,19 @@ class Physics(ABC):
         """
         raise NotImplementedError(f"{type(self).__name__} owns agents and has no move_owned")
 
-    def advance(
-        self,
-        state: State,
-        velocity: Tensor,
-        moving: Tensor,
-        substeps: int,
-        played: Tensor | None = None,
-        command: Tensor | None = None,
-    ) -> Motion:
+    def advance(self, state: State, inputs: MotionInput) -> Motion:
         """Return where agents are every 0.1 s, what they touch on the way and which reach their goals.
 
         Positions are differentiable with respect to positions, velocities and played paths.
-
-        Args:
-            state: The scenes.
-            velocity: Of agents in each 0.1 s (2, S, B, A), m/s, limits respected already.
-            moving: Which agents they move (B, A) bool; others are played back, or stay where they are.
-            substeps: M, sub-steps of every 0.1 s.
-            played: Paths of agents that are played back (B, A, S, M, 2); None for none.
-            command: What policies want (B, A, 2), for agents that the backend owns; None for nothing.
         """
-        wanted = moving & (state.goal_id >= 0) & ~state.holds
         own = self.owned(state)
         if own is None:
-            return self._advance(state, MotionInput(velocity, moving, substeps, played, wanted, command))
-        own, ticks = own & moving, velocity.shape[1]
-        command = torch.zeros_like(state.velocity) if command is None else command
-        moved = self.move_owned(state, command, own, ticks, substeps)
-        others = state.position[:, :, None, None] if played is None else played
+            return self._advance(state, inputs)
+        own, ticks, others = own & inputs.moving, inputs.velocity.shape[1], inputs.played
+        moved = self.move_owned(state, inputs.command, own, ticks, inputs.substeps)
+        others = state.position[:, :, None, None] if others is None else others
         played = torch.where(own[:, :, None, None, None], moved.path, others)
-        inputs = MotionInput(velocity, moving & ~own, substeps, played, wanted, command, moved)
+        inputs = inputs._replace(moving=inputs.moving & ~own, played=played, owned=moved)
         heading, turn_rate = moved.heading.where(own, torch.nan), moved.turn_rate.where(own, 0.0)
         return self._advance(state, inputs)._replace(heading=heading, turn_rate=turn_rate)
 

@@ -269,11 +269,10 @@ def _headings(state: State, inputs: MotionInput) -> Tensor:
     Agents on the common path face as the kernel turns them, agents that the backend owns turn evenly.
     """
     wheels = state.drive != HOLONOMIC
-    command = torch.zeros_like(state.velocity) if inputs.command is None else inputs.command
     now, points = state, [state.heading]
     for tick in range(inputs.velocity.shape[1]):
         velocity = inputs.velocity[:, tick : tick + 1]
-        _, heading, rate = driven(now, command.movedim(-1, 0), velocity)
+        _, heading, rate = driven(now, inputs.command.movedim(-1, 0), velocity)
         going = velocity[:, 0].movedim(0, -1)
         heading = torch.where(wheels, heading, heading_of(going, now.heading, TURNS_FROM))
         now = now._replace(heading=heading, turn_rate=rate, velocity=going)
