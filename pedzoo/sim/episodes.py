@@ -298,8 +298,12 @@ class EpisodeQueue:
 
     def choose(self, rows: Tensor, seed: Tensor, first: Tensor, stride: int) -> None:
         """Choose other episodes for some rows (N,) long: their seeds and first numbers (N,) long."""
-        self._seed[rows], self._number[rows], self._stride[rows] = seed, first, stride
-        self._taken[rows] = self._depth
+        self._seed, self._number = (
+            self._seed.index_copy(0, rows, seed),
+            self._number.index_copy(0, rows, first),
+        )
+        self._stride = self._stride.index_fill(0, rows, stride)
+        self._taken = self._taken.index_fill(0, rows, self._depth)
 
     def begin_all(self) -> Scenes:
         """Return the next episode of every row."""
@@ -324,18 +328,18 @@ class EpisodeQueue:
             empty = (self._taken >= depth).nonzero().view(-1)
             made = self._made(empty, depth)
             places = (empty.unsqueeze(1) * depth + torch.arange(depth)).view(-1).to(made[0].device)
-            for old, new in zip(self._ahead, made, strict=bool(self._ahead)):
-                old.index_copy_(0, places, new)
-            self._ahead = self._ahead or made
-            self._taken.index_fill_(0, empty, 0)
+            # nothing is written in place: processes to which an environment was sent share its memory
+            pairs = zip(self._ahead or made, made, strict=True)
+            self._ahead = tuple(old.index_copy(0, places, new) for old, new in pairs)
+            self._taken = self._taken.index_fill(0, empty, 0)
         place = rows * depth + self._taken[rows]
-        self._taken.index_add_(0, rows, torch.ones_like(rows))
+        self._taken = self._taken.index_add(0, rows, torch.ones_like(rows))
         return place.to(self._ahead[0].device)
 
     def _made(self, rows: Tensor, episodes: int) -> tuple[Tensor, ...]:
         """Return all fields of the next ``episodes`` of some rows, those of a row one after the other."""
         number = self._number[rows].unsqueeze(1) + self._stride[rows].unsqueeze(1) * torch.arange(episodes)
-        self._number.index_add_(0, rows, episodes * self._stride[rows])
+        self._number = self._number.index_add(0, rows, episodes * self._stride[rows])
         seed = self._seed[rows].repeat_interleave(episodes)
         state = self._episodes.begin(Draws.for_episodes(seed, number.view(-1)))
         return (*self._opened(state), *self._rules.guidance(state))
