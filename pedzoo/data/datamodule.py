@@ -161,11 +161,7 @@ class TrajectoryDataModule(L.LightningDataModule):
         return {key: self.hparams[key] for key in PROTOCOL} | {"fold": self.fold} | own
 
     def setup(self, stage: str | None = None) -> None:
-        """Read the splits of a Lightning stage (``fit``, ``validate``, ``test``; None for all).
-
-        Raises:
-            UserError: A split gives no window.
-        """
+        """Read the splits of a Lightning stage, None for all. Raises UserError: one has no window."""
         wanted: dict[str | None, tuple[Split, ...]] = {
             "fit": ("train", "val"), "validate": ("val",), "test": ("test",), None: ("train", "val", "test")
         }  # fmt: skip
@@ -298,8 +294,8 @@ class BucketSampler(DistributedSampler[Draw]):
             max_pairs: Ordered pairs of people in a batch, at most.
             shuffle: Another order in every epoch.
             seed: Of the order.
-            rank: Of the process, one of ``replicas``, each of which gets its share.
-            replicas: Processes.
+            rank: Of the process.
+            replicas: Processes, each of which gets its share.
             groups: Which scenes may be in a batch together (S,) long: those of the same number; None for all.
         """
         self.sizes = sizes.numpy()

@@ -13,8 +13,7 @@ from pedzoo.core.size_limits import LARGEST_TABLE, MOST_POSITIONS, check_limit
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.data.text_format import CUT, Source, TextFormat, is_sqlite
 
-TICK = 1e-6
-"""Seconds: times of files are counted in these."""
+TICK = 1e-6  # seconds: times of files are counted in these
 
 _UNITS = 1.0, 1e-3, 1e-6, 1e-9
 _USUAL = 0.004, 0.8

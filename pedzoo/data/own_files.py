@@ -50,11 +50,7 @@ class OwnFiles:
         self._resampled: list[Tracks] = []
 
     def recordings(self, split: Split) -> list[Recording]:
-        """Return the part of every file that belongs to a split.
-
-        Raises:
-            UserError: A file is refused, or the split has nothing.
-        """
+        """Return the part of a split of every file. Raises UserError: one is refused, or all are empty."""
         self._resampled = self._resampled or [self._read(file) for file in self.files]
         parts, (begin, end) = [], self._ranges[split]
         for tracks in self._resampled:

@@ -18,8 +18,7 @@ from pedzoo.maps.grid import OccupancyGrid, home_of
 
 Split = Literal["train", "val", "test"]
 
-OWN_FILES = "files"
-"""What the fold of people's own recordings is called in a protocol."""
+OWN_FILES = "files"  # what the fold of people's own recordings is called in a protocol
 
 
 @dataclass(frozen=True)
@@ -87,11 +86,7 @@ class OpenFold:
     """A fold of a dataset whose class may be a user's: what it returns is checked."""
 
     def __init__(self, cls: type, fold: str, root: str | None, clock: TimeBase) -> None:
-        """Open the fold ``fold`` of a dataset's class.
-
-        Raises:
-            UserError: The class has no method `recordings` or takes other arguments, or there are no files.
-        """
+        """Open a fold of a dataset's class. Raises UserError: that lacks something, or finds no files."""
         self._name = cls.__name__
         method = getattr(cls, "recordings", None)
         if method is None or getattr(method, "__isabstractmethod__", False):
@@ -110,11 +105,7 @@ class OpenFold:
         self._dataset = cls(fold, root, clock)
 
     def recordings(self, split: Split) -> list[Recording]:
-        """Return the recordings of a split.
-
-        Raises:
-            UserError: The dataset returns something else, or nobody moves as people do at a step of 0.4 s.
-        """
+        """Return the recordings of a split. Raises UserError: these are none, or no walks of people."""
         result = self._dataset.recordings(split)
         if not isinstance(result, list | tuple) or not all(
             isinstance(one, Recording) and isinstance(one.tracks, Tracks) for one in result

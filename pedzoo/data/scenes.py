@@ -160,11 +160,7 @@ class SceneSet:
         people: KeptPeople = "complete",
         min_people: int = 2,
     ) -> None:
-        """Cut the windows of all recordings, see `cut_windows`; ``map_ids`` are -1 without a floor plan.
-
-        Raises:
-            UserError: No recording gives a single window.
-        """
+        """Cut the windows; ``map_ids`` are -1 without a plan. Raises UserError: there is no window."""
         self.obs_len, self.pred_len, self.maps = obs_len, pred_len, maps
         cut = [cut_windows(r.tracks, obs_len, pred_len, people, min_people) for r in recordings]
         if not any(windows.counts.windows for windows in cut):

@@ -42,8 +42,7 @@ LENGTHS = {
 }
 """Metres of a unit; 0 for pixels, which only a homography makes metres."""
 
-TIMES = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-"""Seconds of a unit."""
+TIMES = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # seconds of a unit
 
 LONGEST_LINE = 131_072
 """Letters that are read of a line before it is refused; csv has the same limit for a field."""
@@ -67,8 +66,7 @@ class Source(NamedTuple):
     metres: float = 1.0
 
 
-PLAIN = Source()
-"""Of tracks that were not read, and of files with our columns."""
+PLAIN = Source()  # of tracks that were not read, and of files with our columns
 
 
 class Column(NamedTuple):
@@ -193,11 +191,7 @@ class TextFormat:
 
     @classmethod
     def of(cls, path: Path) -> TextFormat:
-        """Find out from the first lines of a file.
-
-        Raises:
-            UserError: It names no or other columns, there are not four, or the file is too large.
-        """
+        """Find out from a file's first lines. Raises UserError: it lacks a column, or is too large."""
         what = f"recording {str(path)!r}"
         check_limit(path.stat().st_size, LARGEST_TABLE, what, "bytes", CUT)
         with path.open("rb") as file:
@@ -286,11 +280,7 @@ class TextFormat:
         return len(self.columns) == len(COLUMNS) + len(_ENDS)
 
     def numbers(self, path: Path) -> np.ndarray:
-        """Return the table (N, C), with the columns of ``columns``.
-
-        Raises:
-            UserError: Text in a number's place, or a value is missing.
-        """
+        """Return the table (N, C) of ``columns``. Raises UserError: a value is missing or no number."""
         import numpy as np  # commands look at first lines before anything heavy is imported
 
         try:

@@ -19,27 +19,17 @@ from pedzoo.core.types import STEP_SECONDS
 from pedzoo.data.file_forms import contents_of
 from pedzoo.data.text_format import COLUMNS, PLAIN, Source
 
-FASTEST = 4.0
-"""m/s: people of whom half of all steps are faster are no pedestrians."""
-
-FARTHEST = 0.8
-"""Seconds between two rows of a person, at most: no more can be made between them."""
-
-STANDS = 0.2
-"""m/s: who is slower stands."""
+FASTEST = 4.0  # m/s: people of whom half of all steps are faster are no pedestrians
+FARTHEST = 0.8  # seconds between two rows of a person, at most: no more can be made between them
+STANDS = 0.2  # m/s: who is slower stands
 
 _WALKS = 1.3
 _SLOW, _FAST = 0.3, 2.5
 """m/s: crowds whose fast steps, or usual ones, are below or above these have other seconds, most likely."""
 
-WALKED = 2.0
-"""Metres: people who get so far do not stand."""
-
-_NARROW = 0.1
-"""Metres: two people need more room."""
-
-_RATES = (60, 50, 30, 25, 15, 12.5, 10, 5, 2.5, 1.25)
-"""Rows per second that most recordings have."""
+WALKED = 2.0  # metres: people who get so far do not stand
+_NARROW = 0.1  # metres: two people need more room
+_RATES = (60, 50, 30, 25, 15, 12.5, 10, 5, 2.5, 1.25)  # rows per second that most recordings have
 
 _UNITS = {"centimetres": ("cm", 0.01), "millimetres": ("mm", 0.001), "feet": ("ft", 0.3048)}
 
@@ -90,11 +80,7 @@ class Tracks:
 
     @classmethod
     def read(cls, path: str | Path) -> Tracks:
-        """Return the tracks of a file: text in many forms, or SQLite of JuPedSim.
-
-        Raises:
-            UserError: No such file, text in a number's place, a missing column, or what `from_table` refuses.
-        """
+        """Return the tracks of a file, text or SQLite of JuPedSim. Raises UserError: it is none."""
         path = Path(path)
         if not path.is_file():
             raise UserError(f"no recording at {str(path)!r}: expected a file of rows {', '.join(COLUMNS)}")
@@ -115,11 +101,7 @@ class Tracks:
         return len(np.unique(self.agent))
 
     def through(self, homography: np.ndarray) -> Tracks:
-        """Return the tracks with positions mapped by a homography (3, 3), image (x, y, 1) to world metres.
-
-        Raises:
-            UserError: It maps a position to infinity.
-        """
+        """Return the tracks in metres by a homography (3, 3). Raises UserError: it maps one to infinity."""
         mapped = np.column_stack((self.xy, np.ones(len(self)))) @ homography.T
         if not mapped[:, 2].all():
             x, y = self.xy[np.flatnonzero(mapped[:, 2] == 0)[0]]

@@ -15,8 +15,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.spec import build_ungrouped, flattened
 from pedzoo.core.types import PRED_LEN, GoalProtocol
 
-Random = torch.Generator | None
-"""Where random numbers come from; None for torch's own."""
+Random = torch.Generator | None  # where random numbers come from; None for torch's own
 
 Noise = Literal["episode", "step", "scene", "mixed"]
 """How often noise is drawn for people who walk; see `pedzoo.policies.walker.Walker`."""

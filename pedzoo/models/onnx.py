@@ -31,8 +31,7 @@ from pedzoo.models.blocks import alexnet
 from pedzoo.models.blocks.map_encoders import AlexNetEncoder, Viewpoints, encode, map_to_feature
 from pedzoo.models.zoo.loading import config_of
 
-TOLERANCE = 1e-4
-"""Metres per step by which a graph may differ from torch."""
+TOLERANCE = 1e-4  # metres per step by which a graph may differ from torch
 
 _ABOUT = "metres per step of 0.4 s, zero for padding: the first one over 0.4 s is the velocity to walk with"
 

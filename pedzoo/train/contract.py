@@ -18,8 +18,7 @@ from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
 from pedzoo.models.base import Forecaster
 
-SAMPLES = 2
-"""K of the tried futures."""
+SAMPLES = 2  # K of the tried futures
 
 
 def is_own(model: Forecaster) -> bool:

@@ -86,11 +86,7 @@ class ForecastModule(L.LightningModule):
         )
 
     def on_fit_start(self) -> None:
-        """Let the model take from the data what is not trained; try a model of the user's on one batch.
-
-        Raises:
-            UserError: As of `pedzoo.train.contract.check_model`.
-        """
+        """Prepare the model, and try one of the user's. Raises UserError: as of `check_model`."""
         data: Any = getattr(self.trainer, "datamodule", None)
         if data is None or int(self.iteration):
             return
@@ -177,11 +173,7 @@ class ForecastModule(L.LightningModule):
         checkpoint["pedzoo"] = config_of(self.generator, protocol=data.protocol if data else {})
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Check that a checkpoint is of this training; a run asks before it touches its records.
-
-        Raises:
-            UserError: It was written by another program, for another architecture, or in another training.
-        """
+        """Check that a checkpoint is of this training. Raises UserError: it is of another one."""
         theirs, ours = checkpoint.get("pedzoo"), config_of(self.generator)
         if theirs is None:
             raise UserError("this checkpoint was not written by pedzoo fit")
@@ -240,11 +232,7 @@ def check_state(module: nn.Module, checkpoint: Mapping[str, Any]) -> None:
 
 
 def read_progress(file: str) -> dict[str, Any]:
-    """Return a checkpoint with which a training can go on.
-
-    Raises:
-        UserError: It cannot be read, or has weights alone.
-    """
+    """Return a checkpoint to go on with. Raises UserError: it cannot be read, or has weights alone."""
     checkpoint = read_checkpoint(file)
     if lacks := [key for key in ("loops", "optimizer_states") if not checkpoint.get(key)]:
         raise UserError(f"checkpoint {file!r} has no {lacks[0]} to go on with: is it damaged?")

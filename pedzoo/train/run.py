@@ -85,11 +85,7 @@ class RunFolder:
 
     @classmethod
     def resume(cls, path: str | Path) -> RunFolder:
-        """Return the folder of an earlier run that can be continued.
-
-        Raises:
-            UserError: It has no configuration or no checkpoint.
-        """
+        """Return an earlier run's folder. Raises UserError: it has no configuration or no checkpoint."""
         run = cls(Path(path), goes_on=True)
         for file in (run.path / "config.yaml", run.last):
             if not file.is_file():
@@ -98,11 +94,7 @@ class RunFolder:
 
     @rank_zero_only
     def begin(self) -> None:
-        """Lock the folder until `end` or the end of this process, and copy earlier records aside.
-
-        Raises:
-            UserError: Another process is training in this folder.
-        """
+        """Lock the folder until `end`, and copy earlier records aside. Raises UserError: it is in use."""
         named = self.path / HOLDER
         try:
             self._lock.acquire(blocking=False)

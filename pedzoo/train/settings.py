@@ -28,8 +28,7 @@ from pedzoo.models.zoo.store import of_robots
 from pedzoo.train.module import ForecastModule, differences
 from pedzoo.train.validation import ClosedLoopValidation
 
-PLAIN = ("seed_everything", "monitor", "monitor_mode")
-"""Settings that are a text or a number."""
+PLAIN = ("seed_everything", "monitor", "monitor_mode")  # settings that are a text or a number
 
 SCHEDULE = (
     *("max_epochs", "max_steps", "limit_train_batches", "limit_val_batches", "limit_test_batches"),
@@ -158,9 +157,8 @@ class _Check(NamedTuple):
         refuse_code(result, f"config {str(file)!r}", remedy, self.typed)
         try:
             _check_keys(result)
-            self._class(ForecastModule, result.get("model"), "model")
-            for key, cls in GROUPS.items():
-                self._class(cls, result.get(key), key)
+            for key, kind in {"model": ForecastModule, **GROUPS}.items():
+                self._value(result.get(key), key, kind)
             self._trainer(result.get("trainer"))
         except UserError as error:
             raise UserError(f"config {str(file)!r}: {error}: {remedy}") from error
@@ -175,26 +173,38 @@ class _Check(NamedTuple):
                 path = one.get("class_path") if isinstance(one, Mapping) else one
                 if key in _GIVES_ORDERS and isinstance(path, str) and absolute_name(path) not in self.typed:
                     raise UserError(f"trainer.{key} is {path!r:.80}, which gives orders")
-                if key == "callbacks":
-                    self._class(object, one, f"trainer.{key}")
-                else:
-                    self._value(one, f"trainer.{key}")
+                self._value(one, f"trainer.{key}", object if key == "callbacks" else None)
 
-    def _class(self, hint: type, value: Any, place: str) -> None:
-        """Check a value in the place of a class or a group of settings: a text would be imported, or read."""
-        for one in value if isinstance(value, list) else [value]:
-            if one is None:
-                continue
-            if not isinstance(one, Mapping):
+    def _value(self, value: Any, place: str, kind: type | None = None, own: bool = False) -> None:
+        """Check a value of an object, or group of settings, of a kind; None where that is not known.
+
+        ``own``: it is a setting of one of pedzoo's classes, which take texts as they are.
+        """
+        if isinstance(value, list):
+            for one in value:
+                self._value(one, place, kind, own)
+        elif isinstance(value, Mapping):
+            settings = value
+            if "class_path" in value:
+                if more := sorted(value.keys() - {"class_path", "init_args"}):
+                    raise UserError(f"{place} has {more[0]!r:.80} beside its class")
+                kind, settings = self._named(value["class_path"], place), value.get("init_args")
+                if not isinstance(settings, Mapping | None):
+                    raise UserError(f"{place} is {settings!r:.80}, expected a mapping")
+            own = kind.__module__.startswith("pedzoo.") if kind else own
+            bases = reversed(kind.__mro__) if kind and own else ()
+            hints = {key: hint for base in bases for key, hint in get_type_hints(base.__init__).items()}
+            for key, inner in (settings or {}).items():
+                for part in _classes(hints.get(key)) or [None]:
+                    self._value(inner, f"{place}.{key}", part, own)
+        elif kind and value is not None:  # a text would be imported, or read
+            raise UserError(f"{place} is {value!r:.80}, and such a file may not name classes or files there")
+        elif isinstance(value, str) and not own and not place.endswith(".monitor"):
+            to_disk = re.search("dir|path|file", place.rpartition(".")[2])
+            if absolute_name(value) not in self.typed and (to_disk or _PLACE.search(value)):
                 raise UserError(
-                    f"{place} is {one!r:.80}, and such a file may not name classes or files there"
+                    f"{place} is {value!r:.80}, and such a file may not name code or places there"
                 )
-            if "class_path" not in one:
-                self._arguments(hint, one, place)
-                continue
-            if more := sorted(one.keys() - {"class_path", "init_args"}):
-                raise UserError(f"{place} has {more[0]!r:.80} beside its class")
-            self._arguments(self._named(one["class_path"], place), one.get("init_args"), place)
 
     def _named(self, path: Any, place: str) -> type:
         if typed := isinstance(path, str) and absolute_name(path) in self.typed:
@@ -207,50 +217,15 @@ class _Check(NamedTuple):
             raise UserError(f"{place} is of the class {path!r:.80}, which pedzoo does not have")
         return cls
 
-    def _arguments(self, cls: type, values: Any, place: str) -> None:
-        if values is None:
-            return
-        if not isinstance(values, Mapping):
-            raise UserError(f"{place} is {values!r:.80}, expected a mapping")
-        own = cls.__module__.startswith("pedzoo.")
-        bases = reversed(cls.__mro__) if own else ()
-        hints = {key: hint for base in bases for key, hint in get_type_hints(base.__init__).items()}
-        for key, value in values.items():
-            kinds = _classes(hints.get(key))
-            for kind in kinds:
-                self._class(kind, value, f"{place}.{key}")
-            if not kinds:
-                self._value(value, f"{place}.{key}", own)
-
-    def _value(self, value: Any, place: str, own: bool = False) -> None:
-        """Check a value of which it is not known that it is a class; ``own`` for one of pedzoo's classes."""
-        if isinstance(value, Mapping):
-            if "class_path" in value:
-                self._class(object, value, place)
-            else:
-                for key, inner in value.items():
-                    self._value(inner, f"{place}.{key}", own)
-        elif isinstance(value, list):
-            for inner in value:
-                self._value(inner, place, own)
-        elif isinstance(value, str) and not own and not place.endswith(".monitor"):
-            to_disk = re.search("dir|path|file", place.rpartition(".")[2])
-            if absolute_name(value) not in self.typed and (to_disk or _PLACE.search(value)):
-                raise UserError(
-                    f"{place} is {value!r:.80}, and such a file may not name code or places there"
-                )
-
 
 def _check_keys(value: Any) -> None:
     """Refuse keys that stand for several ones, or for more of a list: they would pass by the other checks."""
-    if isinstance(value, list):
-        for one in value:
-            _check_keys(one)
-    elif isinstance(value, Mapping):
-        for key, inner in value.items():
-            if set(key) & set(".+") and not names_code(key):
-                raise UserError(f"{key!r:.80} is no key: write one level for each dot")
+    if isinstance(value, list | Mapping):
+        for inner in value.values() if isinstance(value, Mapping) else value:
             _check_keys(inner)
+    for key in value if isinstance(value, Mapping) else ():
+        if set(key) & set(".+") and not names_code(key):
+            raise UserError(f"{key!r:.80} is no key: write one level for each dot")
 
 
 def _classes(hint: Any) -> list[type]:

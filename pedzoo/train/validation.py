@@ -42,11 +42,8 @@ MEANS = ("success", "clean", "stl")
 USUAL = "door", "compiled"
 """Scenario and physics of the shipped configs, where all of pedzoo's models with goals can walk."""
 
-FILM = (480, 360)
-"""Width and height of videos, pixels."""
-
-FILM_SECONDS = 20.0
-"""Of an episode, at most."""
+FILM = (480, 360)  # width and height of videos, pixels
+FILM_SECONDS = 20.0  # of an episode, at most
 
 
 class ClosedLoopValidation(Callback):
@@ -120,11 +117,7 @@ class ClosedLoopValidation(Callback):
         return {"case": case, "n": self.episodes}
 
     def check_monitor(self, monitor: str | None, mode: str) -> None:
-        """Check that a monitored rollout metric is logged here, and that ``mode`` fits it.
-
-        Raises:
-            UserError: It starts with ``rollout/``, and no scenario has it, or ``mode`` would keep the worst.
-        """
+        """Check a monitored rollout metric. Raises UserError: none, or ``mode`` keeps the worst."""
         if monitor is None or not monitor.startswith("rollout/"):
             return
         if not self.scenarios:
@@ -136,11 +129,7 @@ class ClosedLoopValidation(Callback):
             raise UserError(f"--monitor {monitor}: its best value is the {best}: add --monitor_mode {best}")
 
     def check(self, model: Forecaster, data: Any = None) -> None:
-        """Let an untrained copy decide once, so that models that cannot walk fail before the training.
-
-        Raises:
-            UserError: The model needs other inputs than an environment has, or does not answer in numbers.
-        """
+        """Let an untrained copy decide once. Raises UserError: it cannot walk, or not in numbers."""
         observed = data.obs_len if data is not None else OBS_LEN
         if self.scenarios and observed != OBS_LEN:
             raise UserError(

@@ -16,8 +16,7 @@ from pedzoo.core.types import STEP_SECONDS, TimeBase
 from pedzoo.data.recordings import Dataset, Recording, Split
 from pedzoo.data.tracks import Tracks
 
-FRAMES_PER_STEP = 10
-"""One annotated step is 10 in the frame column of every file."""
+FRAMES_PER_STEP = 10  # one annotated step is 10 in the frame column of every file
 
 TRUE_SECONDS = {"biwi_eth": 2 / 3}
 """Real time of an annotated step where it is not 0.4 s: biwi_eth has every tenth frame of a 15 Hz video."""
@@ -115,5 +114,4 @@ class EthUcy(Dataset):
         return Recording(tracks, self._folder / "maps" / f"{plan}.yaml" if plan else None)
 
 
-SCENES = [fold for fold, tested in EthUcy.FOLDS.items() if tested]
-"""The folds that leave one scene out."""
+SCENES = [fold for fold, tested in EthUcy.FOLDS.items() if tested]  # the folds that leave one scene out

@@ -40,8 +40,7 @@ DIGESTS = {
 }
 """Content of the floor plans that the released models were trained and measured on."""
 
-_MARGIN = 2.0
-"""Metres of floor plan beyond the people."""
+_MARGIN = 2.0  # metres of floor plan beyond the people
 
 _ENTRANCE_ROW = 440
 """From this row of the image down the mask of eth closes an entrance through which people walk."""

@@ -48,11 +48,7 @@ def files_of(name: str) -> list[PublishedFile]:
 
 
 def bring(files: list[PublishedFile], folder: Path, name: str) -> None:
-    """Download files into a dataset's folder; those that are there and right stay. ``name`` is in the bar.
-
-    Raises:
-        UserError: A file cannot be had from any mirror. What is there stays for the next call.
-    """
+    """Download what is not there or damaged, ``name`` in the bar. Raises UserError: no mirror has it."""
     from tqdm import tqdm
 
     for file in tqdm(files, desc=name, unit="file", disable=None, leave=False):

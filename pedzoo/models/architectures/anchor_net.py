@@ -21,14 +21,12 @@ from pedzoo.models.blocks.anchored import UNIT, AnchorForecaster, AnchorInputs, 
 from pedzoo.models.blocks.map_encoders import ENCODERS, Viewpoints
 from pedzoo.models.blocks.mlp import init_with_zeros, mlp
 
-NEAR = 5.0
-"""Metres: farther people are not seen."""
+NEAR = 5.0  # metres: farther people are not seen
 
 BOUND = 4.0
 """By how much the network may change the log probability of a mode, before they are made to add up to 1."""
 
-HEADS = 4
-"""Of the attention; each has a share of the width."""
+HEADS = 4  # of the attention; each has a share of the width
 
 
 @dataclass(frozen=True)

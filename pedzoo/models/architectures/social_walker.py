@@ -56,8 +56,7 @@ of going on. In a doorway people go where they want, and do not stop by themselv
 CALM = 0.95
 """Of drawn changes: before training they are a third of those seen; ways and neighbours make the rest."""
 
-BRAKING = 0.35
-"""m/s: how much slower people who halt get in a step."""
+BRAKING = 0.35  # m/s: how much slower people who halt get in a step
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,7 @@ URLS = (f"https://download.pytorch.org/models/{FILE}", f"https://s3.amazonaws.co
 """Torchvision's published address, and the store behind it."""
 
 SHA256 = "7be5be791159472b1fbf3c69796f7cb30dca7ad8466c2df70058c37116cdee02"
-SIZE = 244_408_911
-"""Of the published file, bytes."""
+SIZE = 244_408_911  # of the published file, bytes
 
 SHA256_FP16 = "0ef845d6e986e08581699f6b21519636884c2269921df75317a6d6e770777047"
 """Of the tensors below, rounded to half precision, in this order: the same for every file format."""
@@ -70,11 +69,7 @@ def features(image: Tensor, weights: dict[str, Tensor]) -> Tensor:
 
 
 def obtain() -> Path:
-    """Return torchvision's file: from the cache of pedzoo or of ``torch.hub``, or downloaded (244 MB).
-
-    Raises:
-        UserError: No network, or no mirror has the published file.
-    """
+    """Return torchvision's file (244 MB), from a cache or downloaded. Raises UserError: no mirror has it."""
     of_torch_hub = Path(torch.hub.get_dir()) / "checkpoints" / FILE
     if of_torch_hub.is_file() and sha256_of(of_torch_hub) == SHA256:
         return of_torch_hub

@@ -86,11 +86,7 @@ class AnchorForecaster(Forecaster):
     def __init__(
         self, steps: int, modes: int, goal_protocol: GoalProtocol | None, losses: AnchorLosses
     ) -> None:
-        """Make room for M anchors ``modes`` of T ``steps`` of 0.4 s; no goal protocol: it sees no goal.
-
-        Raises:
-            UserError: No step or fewer than two modes.
-        """
+        """Make room for M ``modes`` of T ``steps`` of 0.4 s. Raises UserError: there are too few."""
         super().__init__()
         if steps < 1 or modes < 2:
             raise UserError(f"steps {steps}, modes {modes}: expected at least 1 step and 2 modes")

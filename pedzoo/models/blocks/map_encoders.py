@@ -27,8 +27,7 @@ RADII, RAYS = (0.3, 0.6, 1.0, 1.6), 12
 on each; the first one is straight ahead.
 """
 
-CLIP = 1.5
-"""Metres: farther walls are all alike."""
+CLIP = 1.5  # metres: farther walls are all alike
 
 
 class Viewpoints(NamedTuple):
@@ -86,11 +85,7 @@ class PatchEncoder(nn.Module):
     """A few thousand weights, trained from scratch; turning the whole world changes nothing."""
 
     def __init__(self, size: float = 6.0, cells: int = 16, dim: int = 32) -> None:
-        """Encode a square patch with sides of ``size`` metres and ``cells`` samples, into ``dim`` features.
-
-        Raises:
-            UserError: The patch is empty or has too few cells to convolve.
-        """
+        """Encode a square of ``size`` metres, ``cells`` a side. Raises UserError: it is too small."""
         if cells < 4 or size <= 0:
             raise UserError(
                 f"a patch of {cells} x {cells} cells and {size} m: expected at least 4 cells, above 0 m"

@@ -12,8 +12,7 @@ _RELU = partial(nn.ReLU, inplace=True)
 def mlp(*dims: int, layer: Callable[[], nn.Module] = _RELU) -> nn.Sequential:
     """Return Linear and an activation ``layer`` for each pair of neighbouring ``dims``.
 
-    ReLU follows the last linear layer too, as in the code of Social GAN: contexts, pooled vectors and even
-    the discriminator's scores are never negative.
+    One follows the last linear layer, too, as in Social GAN's code: scores are never negative.
     """
     layers: list[nn.Module] = []
     for fan_in, fan_out in pairwise(dims):
@@ -29,11 +28,7 @@ def init_with_zeros(*layers: nn.Linear) -> None:
 
 
 def init_like_sgan(module: nn.Module) -> None:
-    """Draw the weights of every ``nn.Linear`` in ``module`` from Kaiming's normal distribution.
-
-    Biases and LSTMs keep torch's default, as in the published code (K. He et al., ICCV 2015, for the
-    distribution).
-    """
+    """Draw weights of every ``nn.Linear`` as the published code: Kaiming's normal (He et al., ICCV 2015)."""
     for child in module.modules():
         if isinstance(child, nn.Linear):
             nn.init.kaiming_normal_(child.weight)

@@ -1,7 +1,7 @@
 """Recurrent encoder and decoder of displacements (Gupta et al., CVPR 2018, eq. 1, 2 and 4).
 
-Both compute exactly what the paper's step-by-step networks do, in one LSTM call. A linear embedding has no
-activation, so it disappears in the LSTM's input weights; so does the decoder's feedback, which is linear too.
+Both compute exactly what the paper's step-by-step networks do, in one LSTM call: linear embeddings and the
+decoder's linear feedback disappear in the LSTM's weights.
 """
 
 from typing import cast

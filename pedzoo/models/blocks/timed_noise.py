@@ -1,9 +1,7 @@
-"""Noise that changes smoothly with time, each number at a pace of its own, by counter.
+"""Noise that changes smoothly with time, each number at a pace of its own, by counter: nothing is kept.
 
-A number of period p is drawn anew every p seconds, and turns from one draw into the next in between: its
-variance stays 1. A number of a negative period is the second difference of numbers that are drawn at every
-step, as white noise of places changes velocities. All depend on the scene's key, the agent and the time
-alone: nothing has to be kept.
+A number of period p is drawn anew every p seconds, and turns from one draw into the next; its variance is 1.
+One of a negative period is the second difference of numbers of every step, as white noise of places is.
 """
 
 import math

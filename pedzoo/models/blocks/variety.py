@@ -50,8 +50,7 @@ class VarietyLoss:
         mode_weight: Weight of the same loss on the noise-free prediction.
         energy_weight: Weight of the energy score of two random samples, E|X - y| - E|X - X'| / 2, whose
             minimum is the true distribution (Gneiting and Raftery, JASA 2007, eq. 21).
-        map_dropout: Share of a floor plan's features left out in training, against overfitting to few floor
-            plans.
+        map_dropout: Share of a floor plan's features left out in training: recordings have few plans.
     """
 
     best_k: int = 20

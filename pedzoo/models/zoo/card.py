@@ -91,11 +91,7 @@ _PARTS = {"config": Config, "training": Training, "data": Data, "evaluations": l
 
 
 class ModelCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What is known about a file of weights. A card that contradicts itself cannot be made.
-
-    Raises:
-        UserError: A value that cannot be.
-    """
+    """What is known about a file of weights. Raises UserError: it contradicts itself."""
 
     name: str  # zoo name, ``architecture.tag``
     architecture: str  # registered name of the model's class
@@ -137,11 +133,7 @@ def check_name(name: str) -> str:
 
 
 def read_card(path: str | Path) -> ModelCard:
-    """Return the card in a file.
-
-    Raises:
-        UserError: No such file, no YAML, or no card: unknown or missing keys, wrong types.
-    """
+    """Return the card in a file. Raises UserError: no such file, no YAML, or no card."""
     path = Path(path)
     if not path.is_file():
         raise UserError(f"no model card at {str(path)!r}")
@@ -173,11 +165,7 @@ def read_config(path: str | Path) -> dict[str, Any]:
 
 
 def read_file(path: str | Path, tensors: bool = True) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the config in the metadata of a file of weights, and its ``tensors`` by name, if wanted.
-
-    Raises:
-        UserError: No such file, it is damaged, or pedzoo did not write it.
-    """
+    """Return config and, if wanted, ``tensors`` of a file of weights. Raises UserError: it is damaged."""
     what = f"weights {str(path)!r}"
     if not Path(path).is_file():
         raise UserError(f"no weights at {str(path)!r}")

@@ -18,8 +18,7 @@ from pedzoo.models.zoo.store import ROBOTS, find, names, weights_of
 
 TAGS = ("pedestrians", "trajectory-forecasting", "social-navigation", "crowd-simulation")
 
-TERMS_FILE = "LICENSE.md"
-"""Says on whose terms weights may be used."""
+TERMS_FILE = "LICENSE.md"  # says on whose terms weights may be used
 
 LICENCES = ("mit", "apache-2.0", "bsd-3-clause", "cc-by-4.0", "cc-by-sa-4.0", "cc-by-nc-4.0", "cc0-1.0")
 """Licences that the hub knows by these names; all others are ``other`` there."""

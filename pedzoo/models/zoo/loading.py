@@ -29,8 +29,7 @@ from pedzoo.models.zoo import store
 from pedzoo.models.zoo.card import Config, ModelCard, read_file
 from pedzoo.models.zoo.store import find, no_model, of_robots, weights_of
 
-HALVED = 1000
-"""Numbers: smaller matrices stay as they are in half precision."""
+HALVED = 1000  # numbers: smaller matrices stay as they are in half precision
 
 LARGEST = 1e3
 """Of a weight. Those that ship are below 20; steps from layers of ten times as large ones are no numbers."""
@@ -303,11 +302,7 @@ def saved_config(name: str) -> dict[str, Any]:
 
 
 def read_checkpoint(path: str | Path) -> dict[str, Any]:
-    """Return what ``pedzoo fit`` wrote into a Lightning checkpoint; nothing in it is run.
-
-    Raises:
-        UserError: No such file, or it is damaged, compressed or of another program.
-    """
+    """Return what ``pedzoo fit`` wrote, without running it. Raises UserError: it is damaged, or of others."""
     path, what = Path(path), f"checkpoint {str(path)!r}"
     if not path.is_file():
         raise UserError(f"no checkpoint at {str(path)!r}")

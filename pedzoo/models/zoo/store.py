@@ -22,11 +22,8 @@ from pedzoo.models.zoo.card import ModelCard, card_files, check_name, is_name, r
 SOURCES = "PEDZOO_ZOO"
 """Environment variable: folders and addresses, with commas between, where names are looked up, too."""
 
-ROBOTS = "robot_"
-"""Name prefix of robot policies."""
-
-FETCHED = "models"
-"""Folder of the cache that holds what was fetched."""
+ROBOTS = "robot_"  # name prefix of robot policies
+FETCHED = "models"  # folder of the cache that holds what was fetched
 
 _WORD = "[A-Za-z0-9][A-Za-z0-9_.-]*"
 _HUB = re.compile(f"hf://({_WORD})/({_WORD})(?:@({_WORD}))?(?:/([^/]+))?")
@@ -191,11 +188,7 @@ def _addresses_fetched() -> dict[str, list[str]]:
 
 
 def weights_of(entry: ZooEntry) -> Path:
-    """Return the weights of a model, checked against its card, and downloaded where they are not there.
-
-    Raises:
-        UserError: They cannot be had, or are others than the card says.
-    """
+    """Return a model's weights, downloaded if they must be. Raises UserError: they are not its card's."""
     card, path = entry.card, entry.path.with_name(WEIGHTS)
     if entry.folders:
         # an address that a card names gets no token of the user's

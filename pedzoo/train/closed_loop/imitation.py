@@ -37,8 +37,7 @@ from pedzoo.train.closed_loop.segments import Policy
 Walk = Callable[[TensorDict], Tensor]
 """Returns each person's next displacement (B, A, 2), metres, for an observation."""
 
-_NEAR = 1e-6
-"""Metres within which a person is at a place."""
+_NEAR = 1e-6  # metres within which a person is at a place
 
 
 class Unrolled(NamedTuple):

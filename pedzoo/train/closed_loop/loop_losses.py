@@ -16,14 +16,9 @@ from pedzoo.core.types import STEP_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.train.closed_loop.segments import Segment
 
-_SOON = 6.0
-"""Seconds of delay that count 1."""
-
-_FAR = 1e3
-"""Metres to the nearest other where there is no other agent."""
-
-_MEETING = 2.0
-"""m/s relative to each other: two people who come from the front at an easy pace."""
+_SOON = 6.0  # seconds of delay that count 1
+_FAR = 1e3  # metres to the nearest other where there is no other agent
+_MEETING = 2.0  # m/s relative to each other: two people who come from the front at an easy pace
 
 _MEET, _BESIDE, _APART = 4.0, 1.2, 0.5
 """Metres ahead and beside within which people meet others from the front, and to the side that is enough."""
@@ -142,7 +137,6 @@ def wrong_side(segment: Segment, side: Tensor) -> Tensor:
     """Return the cost of people from the front on the side that a person does not prefer (T, B, A).
 
     People with a positive ``side`` (B, A) prefer to pass others on the left: these are on their right.
-    Without such preferences all people would learn to pass on the same side, or on that of the start.
     """
     here, present = segment.trace[..., 0, :], segment.present
     ahead = functional.normalize(segment.goal - here, dim=-1)
@@ -160,9 +154,8 @@ def wrong_side(segment: Segment, side: Tensor) -> Tensor:
 def least_gaps(segment: Segment, meeting_margin: float = 0.0) -> Tensor:
     """Return how close the nearest other's body comes in every step (T, B, A), metres; far without others.
 
-    Along the straight steps that the policy asks for, exact between begin and end, without the safety layer:
-    with it agents never come near each other, and the network would not learn to give way. Two people who
-    pass each other at 2 m/s or faster need ``meeting_margin`` metres more.
+    Along the straight steps that the policy asks for: behind the safety layer the network would not learn to
+    give way. Two people who pass each other at 2 m/s or faster need ``meeting_margin`` metres more.
     """
     here, present = segment.trace[..., 0, :], segment.present
     people = here.shape[2]

@@ -152,11 +152,7 @@ class CourseSampler:
     """
 
     def __init__(self, courses: list[Course], seed: int) -> None:
-        """Take the courses; ``seed`` is of their scenes.
-
-        Raises:
-            UserError: There is none, or an unknown scenario or setting.
-        """
+        """Take the courses; ``seed`` is of their scenes. Raises UserError: none, or an unknown one."""
         if not courses:
             raise UserError("no courses: expected at least one scenario to train in")
         for course in courses:
