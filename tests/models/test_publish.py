@@ -10,7 +10,6 @@ from helpers.batches import make_batch
 from helpers.model_cards import make_card
 from helpers.runs import PROTOCOL, make_run
 
-from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.data.datasets.eth_ucy import EthUcy
 from pedzoo.data.recordings import provenance
@@ -211,16 +210,3 @@ def test_recordings_on_cards_are_those_of_the_folds(shared):
     assert "CC BY-NC" in provenance("zara1", plans=True)["terms"]
     assert provenance(None, ["data/mall.csv"])["recordings"] == ["mall.csv"]
     assert "synthetic" in provenance("embedded")["source"]
-
-
-def test_a_real_run_is_published_and_loads(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    short = ["trainer.limit_train_batches=1", "trainer.limit_val_batches=1", "trainer.max_epochs=1"]
-    short += ["trainer.check_val_every_n_epoch=1", "trainer.enable_progress_bar=false", "model.samples=2"]
-    fit = ["fit", "--config", "sgan_goal", "--data.fold", "embedded", "--rollout.scenarios", "null"]
-    assert main([*fit, *(f"--{option}" for option in short)]) == 0
-    card = read_card(publish("runs/sgan_goal/embedded-seed0/checkpoints/best.ckpt", "zoo"))
-    assert card.name == "sgan_goal.embedded" and card.data["recordings"] == ["plaza_train"]
-    assert card.training["seeds"] == {0: card.training["value"]} and card.training["epoch"] == 0
-    assert card.training["overrides"]["model.samples"] == "2"
-    assert load(Path("zoo") / card.name / card.file).goal_protocol == "window_end"

@@ -209,14 +209,6 @@ def test_the_best_checkpoint_is_of_an_epoch_that_was_measured(check, tmp_path):
     assert best.best_model_score == pytest.approx(0.95) and walks.state_dict() == {"validations": 7}
 
 
-def test_epochs_without_a_rollout_log_nothing():
-    options = ["--trainer.max_epochs=3", "--rollout.every=2", "--rollout.episodes=1", *BEST]
-    assert main([*FIT, *QUICK, *options]) == 0
-    run = Path("runs/sgan_goal/embedded-seed0")
-    assert [row["epoch"] for row in measured(run)] == ["0", "2"]
-    assert [row["epoch"] for row in measured(run, "val/ade")] == ["0", "1", "2"]
-
-
 def test_fast_dev_run_walks_one_episode(monkeypatch):
     walked: list[int] = []
     update = ClosedLoopScore.update

@@ -77,6 +77,8 @@ def load(
     """
     name = str(name)
     if weights := read_weights(name):
+        if weights.config["architecture"] in ROBOT_POLICIES.names():
+            raise of_robots(name)
         model = filled(weights, lambda: build(weights.config, own, weights.source), on_meta=own is None)
         model.card = weights.card
         model.name = weights.card.name if weights.card else name
@@ -211,14 +213,12 @@ def build(config: dict[str, Any], own: type[Forecaster] | None = None, source: s
         source: Where the config is from, for the message.
 
     Raises:
-        UserError: There is no such architecture of people, it is in a file of code, or takes other arguments.
+        UserError: There is no such architecture, it is in a file of code, or takes other arguments.
     """
     name, init = config["architecture"], config["init"]
     cls = own if own and names_code(name) and name.rpartition(":")[2] == own.__name__ else None
     if cls is None:
         refuse_code(name, f"{source}: architecture", f"name it yourself, as in {name}:weights={source}")
-        if name in ROBOT_POLICIES.names():
-            raise of_robots(source)
         cls = MODELS.get(name, Forecaster)
         try:
             check_settings(cls, init)
