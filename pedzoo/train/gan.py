@@ -20,6 +20,8 @@ from pedzoo.train.module import ForecastModule
 class GANModule(ForecastModule):
     """Variety loss plus a discriminator on trajectories; weight 0 turns it off and skips it."""
 
+    generator: SGAN
+
     def __init__(
         self,
         generator: SGAN,
@@ -59,8 +61,7 @@ class GANModule(ForecastModule):
     def training_step(self, batch: TensorDict, batch_idx: int) -> None:
         """Make one discriminator and one generator step on a batch."""
         g_optimizer, d_optimizer = cast("list[Any]", self.optimizers())
-        generator, random = cast("SGAN", self.generator), self.random()
-        judged, log = bool(self.adversarial_weight), {}
+        generator, random, judged, log = self.generator, self.random(), bool(self.adversarial_weight), {}
         # the generator is the same in both steps, and so is all of it that does not depend on the noise
         encoded = generator.encode(batch, agents_of(batch)["future"].shape[2])
         if judged:
@@ -99,7 +100,7 @@ class GANModule(ForecastModule):
 
         ``encoded`` is the result of the generator's ``encode`` for this batch, if computed already.
         """
-        agents, generator = agents_of(batch), cast("SGAN", self.generator)
+        agents, generator = agents_of(batch), self.generator
         steps = agents["future"].shape[2]
         with torch.no_grad():
             encoded = encoded or generator.encode(batch, steps)

@@ -20,8 +20,7 @@ from pedzoo.core.adapters import logged_step
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.types import OBS_LEN
 from pedzoo.models.base import Forecaster
-from pedzoo.train.contract import is_own
-from pedzoo.train.module import ForecastModule
+from pedzoo.train.module import ForecastModule, is_own
 
 METRICS = (
     *("success", "episode_success", "clean", "deadlock", "failed"),

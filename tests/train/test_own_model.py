@@ -12,7 +12,7 @@ from torch import nn
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.models.base import Forecaster, for_all_samples, true_displacements
-from pedzoo.train.contract import check_model, is_own
+from pedzoo.train.module import check_model, is_own
 
 
 class _Line(Forecaster):

@@ -7,7 +7,6 @@ floor plan of every recording and the true time between two annotated steps.
 """
 
 import json
-from pathlib import Path
 from typing import ClassVar
 
 from pedzoo.core.errors import UserError
@@ -92,9 +91,15 @@ class EthUcy(Dataset):
                 f"fold {self.fold!r} trains on every scene and has none left to test on: "
                 f"--data.fold {' or '.join(SCENES)}"
             )
-        # by name: the folds share recordings
         files = [self._folder / file for scene in self.scenes for file in self.lists[scene][split]]
-        return [self._recording(file) for file in {file.name: file for file in files}.values()]
+        result = []
+        for path in {file.name: file for file in files}.values():  # by name: the folds share recordings
+            name = path.stem.removesuffix("_train").removesuffix("_val")
+            tracks, plan = Tracks.read(path).rounded(4), self.plans.get(name)
+            if self.clock == "true":
+                tracks = tracks.resampled(self.seconds.get(name, STEP_SECONDS) / FRAMES_PER_STEP)
+            result.append(Recording(tracks, self._folder / "maps" / f"{plan}.yaml" if plan else None))
+        return result
 
     def _below(self, scene: str) -> dict[Split, list[str]]:
         paths_by_split: dict[Split, list[str]] = {}
@@ -104,14 +109,6 @@ class EthUcy(Dataset):
                 raise UserError(f"no recordings in {str(folder)!r}: expected *.txt; {HOW_TO_GET}")
             paths_by_split[split] = [str(path.relative_to(self._folder)) for path in files]
         return paths_by_split
-
-    def _recording(self, path: Path) -> Recording:
-        name = path.stem.removesuffix("_train").removesuffix("_val")
-        tracks = Tracks.read(path).rounded(4)
-        if self.clock == "true":
-            tracks = tracks.resampled(self.seconds.get(name, STEP_SECONDS) / FRAMES_PER_STEP)
-        plan = self.plans.get(name)
-        return Recording(tracks, self._folder / "maps" / f"{plan}.yaml" if plan else None)
 
 
 SCENES = [fold for fold, tested in EthUcy.FOLDS.items() if tested]  # the folds that leave one scene out
