@@ -229,7 +229,7 @@ def load_robot_weights(name: str) -> RobotPolicy | None:
 
 
 def load_planner(name: str, time_step: float) -> LocalPlanner:
-    """Return a local planner by its name as of `load_local_planner`, or a trained robot, as one."""
+    """Return a local planner by its name, or a trained robot as one; errors as of `load_local_planner`."""
     policy = None if name_of(name) in ROBOT_POLICIES.names() else load_robot_weights(name)
     return LearnedPlanner(policy) if policy else load_local_planner(name, time_step)
 

@@ -77,10 +77,6 @@ class Walker(NamedPolicy):
 
     Under a deterministic exploration type of TorchRL the noise is zero. Else it is drawn by the scene's
     key: the same scene gets the same noise in every batch and on every worker.
-
-    Attributes:
-        model: The forecaster.
-        decision_dt: Seconds between decisions; no other are possible.
     """
 
     decision_dt = STEP_SECONDS
@@ -103,12 +99,12 @@ class Walker(NamedPolicy):
                 ``episode``, what a person is like, the rest as for ``step``.
             execute_steps: How many steps of a prediction are walked before the next one is asked for.
             noise_seed: Other seeds give other noise for the same scenes.
-            safety: Whether steps are led off others and walls where they would touch them, see
-                `pedzoo.policies.safety_layer`; the velocities before that are then written, too, as
-                ``unconstrained_action`` (B, A, 2) in m/s. None: as the model says.
-            extend_goal: Whether goals are moved out to where people are 3.2 s later, also where the way bends
-                before, see `extend_goals`. None: as the model says.
+            safety: Whether steps are led off others and walls, see `pedzoo.policies.safety_layer`; those before
+                are then written, too, as ``unconstrained_action`` (B, A, 2), m/s. None: as the model says.
+            extend_goal: Whether goals are moved out, see `extend_goals`. None: as the model says.
 
+        Raises:
+            UserError: A setting is out of range.
         """
         super().__init__()
         noise = noise or model.walking_noise

@@ -36,7 +36,7 @@ SHORTEST, LONGEST = 1e-3, STEP_SECONDS
 """Seconds between two calls: positions of all calls of 2.8 s are kept, and histories have one every 0.4 s."""
 
 _LATEST, _PAUSE, _CALLS = 1e11, 30.0, 500.0
-"""Seconds that no clock shows yet; seconds and calls after which a gap, repeated, is of another unit."""
+"""Seconds that no clock shows yet; seconds and times ``dt`` from which on two gaps are of another unit."""
 
 
 @dataclass(frozen=True)
