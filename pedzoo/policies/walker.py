@@ -99,7 +99,7 @@ class Walker(NamedPolicy):
                 ``episode``, what a person is like, the rest as for ``step``.
             execute_steps: How many steps of a prediction are walked before the next one is asked for.
             noise_seed: Other seeds give other noise for the same scenes.
-            safety: Whether steps are led off others and walls, see `pedzoo.policies.safety_layer`; those before
+            safety: Whether steps are led off others and walls by `pedzoo.policies.safety_layer`; those before
                 are then written, too, as ``unconstrained_action`` (B, A, 2), m/s. None: as the model says.
             extend_goal: Whether goals are moved out, see `extend_goals`. None: as the model says.
 

@@ -34,25 +34,6 @@ def controller(plan: Any = PLAN) -> Controller:
     return Controller(load_policy("go_to_goal"), plan)
 
 
-@pytest.mark.parametrize(
-    ("radius", "message"),
-    [
-        ({"rbot": 1.0}, r"^unknown id in radius 'rbot': did you mean 'robot'\? known: anna, robot$"),
-        ({"robot": 1.0, "Anna": 0.2}, "id in radius 'Anna': did you mean 'anna'"),
-        ({7: 0.2}, "id in radius '7': known: 'anna', 'robot'"),
-    ],
-)
-def test_a_radius_of_nobody_is_refused_and_changes_nothing(radius: Any, message: str) -> None:
-    walk = controller()
-    people, goals, others = {"anna": (-4, -2)}, {"anna": (-4, 2)}, {"robot": (-3, 0)}
-    with pytest.raises(UserError, match=message):
-        walk.step(people, goals, others=others, radius=radius)
-    with pytest.raises(UserError, match="no goal for 'anna'"):
-        walk.step(people)
-    walk.step(people, goals, others=others, radius={"robot": 1.0, "anna": 0.2})
-    assert walk._agents.state["radius"].tolist() == pytest.approx([0.2, 1.0])
-
-
 def test_a_radius_of_people_who_have_left_does_not_matter() -> None:
     walk = controller()
     radius = {"anna": 0.2, 7: 0.3}
@@ -62,16 +43,6 @@ def test_a_radius_of_people_who_have_left_does_not_matter() -> None:
     walk.reset()
     with pytest.raises(UserError, match="unknown id in radius '7'"):
         walk.step({"anna": (-4, -2)}, {"anna": (-4, 2)}, radius=radius)
-
-
-@pytest.mark.parametrize("what", ["people", "goals", "velocities", "others", "radius", "groups"])
-@pytest.mark.parametrize("value", [0.3, [(1, 2)]])
-def test_arguments_that_are_no_mapping_are_named(what: str, value: Any) -> None:
-    given: dict[str, Any] = {"people": {"anna": (-4, -2)}, "goals": {"anna": (-4, 2)}} | {what: value}
-    with pytest.raises(
-        UserError, match=rf"^{what} .*: expected a mapping by id, {what}=\{{'anna': \.\.\.\}}$"
-    ):
-        controller().step(**given)
 
 
 @pytest.mark.parametrize(
@@ -125,13 +96,8 @@ def test_people_may_brush_walls_and_walk_in_from_outside(place: Any) -> None:
         warnings.simplefilter("error")
         controller().step({"anna": place}, {"anna": (-4, 2)}, others={"robot": (60, 60), "box": (0, 0)})
         controller(None).step({"anna": (900, 900)}, {"anna": (-4, 2)})
-
-
-def test_who_is_known_may_go_anywhere() -> None:
-    walk = controller()
-    walk.step({"anna": (-4, -2)}, {"anna": (-4, 2)})
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+        walk = controller()  # who is known may go anywhere
+        walk.step({"anna": (-4, -2)}, {"anna": (-4, 2)})
         walk.step({"anna": (40, 1)})
 
 
@@ -260,12 +226,28 @@ def test_policies_that_no_controller_can_ask_are_refused() -> None:
         Controller(Watch(factor=float("nan"))).step({"a": (0, 0)}, {"a": (1, 0)})
 
 
-R = {"r": (3, 3)}
+R, ROBOT = {"r": (3, 3)}, {"robot": (3, 3)}
+NO_MAPPING = r"^{0} .*: expected a mapping by id, {0}=\{{'anna': \.\.\.\}}$"
 
 
 @pytest.mark.parametrize(
     ("given", "message"),
     [
+        *(
+            ({what: value}, NO_MAPPING.format(what))
+            for what in ("people", "goals", "velocities", "others", "radius", "groups")
+            for value in (0.3, [(1, 2)])
+        ),
+        ({"people": {"anna": (1.1, 1), "cy": (3, 3)}}, "no goal for 'cy'"),
+        (
+            {"others": ROBOT, "radius": {"rbot": 1.0}},
+            r"^unknown id in radius 'rbot': did you mean 'robot'\? known: anna, bo, robot$",
+        ),
+        (
+            {"others": ROBOT, "radius": {"robot": 1.0, "Anna": 0.2}},
+            "id in radius 'Anna': did you mean 'anna'",
+        ),
+        ({"others": ROBOT, "radius": {7: 0.2}}, "id in radius '7': known: 'anna', 'bo', 'robot'"),
         ({"others": {"anna": (3, 3)}}, "'anna' is in people and in others"),
         ({"others": {"r": (1, 2, 3)}}, r"others: position \(1, 2, 3\) of 'r': expected two numbers"),
         ({"others": {"r": []}}, r"others: position \[\] of 'r'"),

@@ -43,9 +43,6 @@ def wall(points: Tensor) -> Tensor:
     return (points[..., 0] - 1).abs()
 
 
-# All of them
-
-
 @pytest.mark.parametrize("name", [name for name in ROBOT_POLICIES.names() if name != "attention"])
 def test_robots_keep_their_top_speed_and_ignore_the_absent(name: str) -> None:
     random = torch.Generator().manual_seed(0)
@@ -79,9 +76,6 @@ def test_robots_keep_their_top_speed_and_ignore_the_absent(name: str) -> None:
 def test_orca_and_social_forces_by_hand(name: str, goal: list[float], others: Any, expected: Any) -> None:
     chosen = load_local_planner(name, STEP)(robots(goal), people(*others))[0]
     assert chosen.tolist() == pytest.approx(expected, abs=1e-5)
-
-
-# The sampling planner
 
 
 @pytest.mark.parametrize(
@@ -162,8 +156,6 @@ def test_settings_of_planners_are_checked(wrong: str) -> None:
     with pytest.raises(UserError, match=wrong.partition("=")[0].replace(":", ": ") + ".*: expected"):
         load_local_planner(wrong, STEP)
 
-
-# The dynamic window approach
 
 DWA = Dwa(acceleration=1.0, turn_acceleration=2.0, top_turn_rate=1.0, speeds=3, turn_rates=3, time_step=STEP)
 
