@@ -85,7 +85,7 @@ def _check_policy(text: str, command: str = "") -> None:
     from pedzoo.models.zoo.store import ROBOTS
     from pedzoo.policies.crowd_names import members, parts
 
-    for one in [part.policy for part in members(text)] if len(parts(text)) > 1 else [text]:
+    for one in [policy for policy, _ in members(text)] if len(parts(text)) > 1 else [text]:
         name = name_of(one)
         of_robot = name in ROBOT_POLICIES.names() or name.startswith(ROBOTS)
         if not (_is_code(name) or name in POLICIES.names() or (command == "evaluate" and of_robot)):

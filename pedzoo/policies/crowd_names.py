@@ -12,7 +12,6 @@ The policies of a crowd are joined by ``+``. The setting ``share`` belongs to th
 import math
 import os
 import re
-from typing import NamedTuple
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import expanded
@@ -23,13 +22,6 @@ from pedzoo.models.zoo.store import is_address, names
 
 _SHARE = "share"
 _ROUNDING = 1e-6
-
-
-class Member(NamedTuple):
-    """A team: its policy with settings, without ``share``, and the share of the agents that it moves."""
-
-    policy: str
-    share: float
 
 
 def parts(text: str) -> list[str]:
@@ -50,8 +42,10 @@ def is_crowd(text: str) -> bool:
     return len(result) > 1 or (":" in text and _SHARE in parse(text).settings)
 
 
-def members(text: str) -> list[Member]:
-    """Return the teams of a crowd; those without a share have equal parts of what the others leave.
+def members(text: str) -> list[tuple[str, float]]:
+    """Return the teams of a crowd: their policies with settings, and their shares of the agents.
+
+    Those without a share have equal parts of what the others leave.
 
     Raises:
         UserError: A share is no positive number, or the shares do not sum to 1.
@@ -78,7 +72,7 @@ def members(text: str) -> list[Member]:
         wrong = f"nothing is left for {without[0]!r:.200}: make the other shares smaller"
     if wrong:
         raise UserError(f"{text!r:.200}: {wrong}")
-    return [Member(one, rest / len(without) if share is None else share) for one, share in shares]
+    return [(one, rest / len(without) if share is None else share) for one, share in shares]
 
 
 def _share_of(part: str, text: str) -> float:

@@ -174,7 +174,7 @@ def teams(people: str | Policy | Walker, robots: str | Policy | Walker | None = 
 
 def crowd_of(name: str) -> Crowd:
     """Return the policies of a mixed crowd, or of one policy, and their shares."""
-    return [(load_policy(one.policy), one.share) for one in members(name)]
+    return [(load_policy(one), share) for one, share in members(name)]
 
 
 def _is_of_people(file: str) -> bool:

@@ -3,6 +3,8 @@
 A ``state`` (N,) has the fields of `pedzoo.policies.controller.roster.Roster`, and is written in place.
 """
 
+from functools import partial
+
 import numpy as np
 import torch
 from scipy.spatial import KDTree
@@ -75,17 +77,18 @@ def eased(state: Array, wish: Array, past: Array, clock: CallerClock, bank: MapB
     result[at_rest | other] = 0.0
     moves = (soft | walks) & result.any(1) & ((result != asked).any(1) | undecided)
     if moves.any():
-        places = KDTree(here)
         radius = state["radius"].astype(np.float64)
+        fastest = min(_FASTEST, max(_length(each).max(initial=0.0) for each in (asked, result, seen[other])))
+        reach = 2 * (radius.max() + max(STEP_SECONDS, dt) * fastest) + _GAP
+        room_of = partial(_room, here, radius, pairs_within(KDTree(here), reach), bank, dt)
         # first those whom a policy moves, who go on as it says; then those may stop who are to stop anyway
         looks = (walks & ~undecided, asked, STEP_SECONDS), (stands | undecided, 0.0 * asked, dt)
         for which, instead, seconds in looks:
-            theirs, ahead = np.where(other[:, None], seen, result), max(seconds, dt)
-            near_to = moves & which
-            room = _room(places, radius, near_to, result, theirs, ahead, dt, bank)
+            theirs, near_to = np.where(other[:, None], seen, result), moves & which
+            room = room_of(near_to, result, theirs, max(seconds, dt))
             near_to &= room < _GAP
-            more = _room(places, radius, near_to, instead, theirs, ahead, dt, bank)
-            result[near_to & (room < more)] = instead[near_to & (room < more)]
+            near_to &= room < room_of(near_to, instead, theirs, max(seconds, dt))
+            result[near_to] = instead[near_to]
     # plans are walked as they are again when people have caught up with them
     caught_up = (_length(asked - result) < 1e-6) & (_length(seen) >= 0.99 * _length(asked)) & ~undecided
     caught_up &= _length(asked) >= _AT_SPEED * state["pref_speed"]
@@ -168,25 +171,24 @@ def _places_taken(
 
 
 def _room(
-    places: KDTree,
+    place: Array,
     radius: Array,
+    pairs: Array,
+    bank: MapBank,
+    dt: float,
     which: Array,
     own: Array,
     others: Array,
     seconds: float,
-    dt: float,
-    bank: MapBank,
 ) -> Array:
     """Return how near ``which`` agents (N,) get to others, if they go on at ``own`` and these at ``others``.
 
     Others are looked at for some ``seconds``, and walls until the next call: one that is touched is 0 away.
     """
-    result, place = np.full(len(which), np.inf), places.data
+    result = np.full(len(which), np.inf)
     if not which.any():
         return result
-    fastest = min(_FASTEST, float(np.maximum(_length(own), _length(others)).max()))
-    me, them = pairs_within(places, 2 * (radius.max() + seconds * fastest) + _GAP)
-    me, them = me[which[me]], them[which[me]]
+    me, them = pairs[:, which[pairs[0]]]
     away, move = place[me] - place[them], own[me] - others[them]
     when = -(away * move).sum(-1) / np.maximum((move**2).sum(-1), 1e-9)
     nearest = _length(away + np.clip(when, 0.0, seconds)[:, None] * move)
