@@ -106,17 +106,12 @@ class Teams(Policy):
     """A mixed crowd: which policy moves which agents, each policy at its own decision interval.
 
     An agent's team is drawn by the scene's key and the agent's number. So it is the same in every batch and
-    process, and stays for the episode.
-
-    All teams see all agents. In the batch of a team ``controlled`` are its own agents alone. A policy takes
-    on all of the avoidance of agents that it does not move. Where two teams meet, both do.
+    process, and stays for the episode. All teams see all agents. In the batch of a team ``controlled`` are
+    its own agents alone. A policy takes on all of the avoidance of agents that it does not move.
 
     The crowd decides as often as its fastest team. A slower team is asked when its interval has passed. For
     people who are new or just taken over it is asked at once; later they decide with their team. In
     between, velocities blend over steps of 0.1 s.
-
-    Attributes:
-        teams: The teams, people's first.
     """
 
     def __init__(

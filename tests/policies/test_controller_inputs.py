@@ -278,8 +278,9 @@ def test_wrong_values_are_refused_and_change_nothing(given: dict[str, Any], mess
         one.step({"anna": (1, 1)}, goals, time=3.0)
     with pytest.raises(UserError, match=message):
         walk.step(**usual | given)
-    for step in range(2):
-        answers = [one.step(**usual | {"time": 3.1 + step}) for one in (walk, other)]
+    for time in (3.1, 4.1):
+        usual["time"] = time
+        answers = [one.step(**usual) for one in (walk, other)]
         np.testing.assert_array_equal(list(answers[0].values()), list(answers[1].values()))
     counted = Controller(Watch())
     counted.step({"anna": (1, 1)}, {"anna": (8, 1)})

@@ -158,8 +158,8 @@ class Controller:
     ) -> dict[Id, NDArray[np.float64]]:
         """Return the velocity (2,) of every person, m/s, at most 1.3 times their preferred speed.
 
-        Coordinates are those of the floor plan, metres: tuples, lists, arrays or tensors. They may be
-        anywhere, within 10 km of it, or without one of the first agent. A call that raises changes nothing.
+        Coordinates are those of the floor plan, metres: tuples, lists, arrays or tensors, within 10 km of it,
+        or without one of the first agent. A call that raises changes nothing.
 
         People may brush walls. Of one who comes deeper in a wall, or farther outside, than their radius you
         are warned, once per controller: their path begins at the nearest free place. Under a safety layer
@@ -181,10 +181,9 @@ class Controller:
                 late. None: calls are ``dt`` apart.
 
         Raises:
-            UserError: A value is not two finite numbers, or an id is in people and in others. A radius is
-                not above 0, or of nobody who is or was here. A radius, a speed, a time or a move since the
-                last call seems to be in another unit. The time does not go forward. A person has no goal, or
-                one in a wall, outside the floor plan or out of reach. The policy's answer is not finite.
+            UserError: A value is not two finite numbers, or seems to be in another unit. An id is in people
+                and in others, or a radius is of nobody who is or was here. The time does not go forward. A
+                goal is missing, in a wall, off the plan or out of reach. The policy's answer is not finite.
         """
         people, others, radius = by_id(people, "people"), by_id(others, "others"), by_id(radius, "radius")
         discs, velocities = as_discs(others), by_id(velocities, "velocities")
