@@ -14,7 +14,8 @@ from pedzoo.core.geometry import rotate
 from pedzoo.core.registry import ROBOT_POLICIES
 from pedzoo.policies.load import load_local_planner
 from pedzoo.policies.robots._base import DriveState, ObservedPeople, Robot
-from pedzoo.policies.robots.baselines import Dwa, Sampling, arc, people_gap
+from pedzoo.policies.robots.baselines import Sampling, people_gap
+from pedzoo.policies.robots.dwa import Dwa, arc
 
 STEP = 0.25
 SAMPLING = Sampling(horizon=8, margin=0.2, discount=1.0, margin_cost=4.0, collision_cost=10.0, time_step=STEP)

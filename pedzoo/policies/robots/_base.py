@@ -71,7 +71,7 @@ class LocalPlanner(Protocol):
     batch, and their velocities are ignored.
 
     One that avoids walls takes them as a third argument, ``walls: Clearance | None``. One for wheels has a
-    method ``command`` beside, see `pedzoo.policies.robots.baselines.Dwa.command`.
+    method ``command`` beside, see `pedzoo.policies.robots.dwa.Dwa.command`.
     """
 
     def __call__(self, robot: Robot, people: ObservedPeople) -> Tensor:
