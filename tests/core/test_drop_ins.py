@@ -86,7 +86,8 @@ PHYSICS = '''
         def owned(self, state):
             return state.kind == ROBOT
 
-        def move_owned(self, state, command, moving, ticks, substeps):
+        def move_owned(self, state, inputs):
+            ticks, substeps = inputs.velocity.shape[1], inputs.substeps
             heading = state.heading + 0.1 * ticks * 0.2
             time = torch.arange(1, ticks * substeps + 1) * (0.1 / substeps)
             along = torch.stack((state.heading.cos(), state.heading.sin()), dim=-1)

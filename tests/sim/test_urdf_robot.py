@@ -19,7 +19,7 @@ from pedzoo.sim import kernel
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_physics
 from pedzoo.sim.robots.env import RobotEnv
-from pedzoo.sim.state import Events, State
+from pedzoo.sim.state import Events, MotionInput, State
 
 pytest.importorskip("pybullet")
 
@@ -160,8 +160,9 @@ def test_a_mirrored_scene_has_mirrored_ways() -> None:
     command = torch.tensor([0.2, 0.6]).expand(4, 2, 2)
     moving = state.kind == ROBOT
     state = put(state, state.position)
-    first = physics.move_owned(state, command, moving, 4, 2)
-    second = physics.move_owned(other, command.flip(-1), moving, 4, 2)
+    inputs = MotionInput(command, torch.zeros(2, 4, *moving.shape), moving, moving, 2)
+    first = physics.move_owned(state, inputs)
+    second = physics.move_owned(other, inputs._replace(command=command.flip(-1)))
     physics.close()
     path = first.path[:, -1].flatten(1, 2)
     torch.testing.assert_close(

@@ -96,19 +96,10 @@ class Physics(ABC):
         """Return which agents the backend always moves itself (B, A) bool; None, the default, for none."""
         return None
 
-    def move_owned(
-        self, state: State, command: Tensor, moving: Tensor, ticks: int, substeps: int
-    ) -> OwnedMotion:
-        """Return how agents of `owned` move in a decision; rows of all other agents do not matter.
+    def move_owned(self, state: State, inputs: MotionInput) -> OwnedMotion:
+        """Return how agents of `owned` that are ``moving`` do; rows of all others do not matter.
 
         Begin from ``state``: an episode may have begun since the last call. Paths show contacts and goals.
-
-        Args:
-            state: The scenes.
-            command: What policies want (B, A, 2), as the agent's drive has it, not limited; 0 without a goal.
-            moving: Which agents move (B, A) bool.
-            ticks: S, trace points of 0.1 s.
-            substeps: M, sub-steps of every 0.1 s.
         """
         raise NotImplementedError(f"{type(self).__name__} owns agents and has no move_owned")
 
@@ -120,8 +111,8 @@ class Physics(ABC):
         own = self.owned(state)
         if own is None:
             return self._advance(state, inputs)
-        own, ticks, others = own & inputs.moving, inputs.velocity.shape[1], inputs.played
-        moved = self.move_owned(state, inputs.command, own, ticks, inputs.substeps)
+        own, others = own & inputs.moving, inputs.played
+        moved = self.move_owned(state, inputs._replace(moving=own))
         others = state.position[:, :, None, None] if others is None else others
         played = torch.where(own[:, :, None, None, None], moved.path, others)
         inputs = inputs._replace(moving=inputs.moving & ~own, played=played, owned=moved)

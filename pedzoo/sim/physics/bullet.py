@@ -144,21 +144,19 @@ class Bullet(Compiled):
         return (state.kind == ROBOT) & (state.drive != HOLONOMIC) if self.drive == "wheels" else None
 
     @torch.no_grad()
-    def move_owned(
-        self, state: State, command: Tensor, moving: Tensor, ticks: int, substeps: int
-    ) -> OwnedMotion:
+    def move_owned(self, state: State, inputs: MotionInput) -> OwnedMotion:
         """See `Physics.move_owned`; pybullet limits friction and walls, and the robot its accelerations."""
-        people = Bodies.of(state)
+        people, ticks, substeps = Bodies.of(state), inputs.velocity.shape[1], inputs.substeps
         path = as_array(state.position)[:, :, None, None].repeat(ticks, 2).repeat(substeps, 3)
         heading, rate = as_array(state.heading).copy(), np.zeros(state.mask.shape)
         speed = (state.velocity * direction_of(state.heading)).sum(-1)
-        wanted, turn = speed_and_turn(command.unbind(-1), state.drive, state.track)
+        wanted, turn = speed_and_turn(inputs.command.unbind(-1), state.drive, state.track)
         wanted = wanted.clamp(-state.top_speed, state.top_speed)
         columns = state.heading, speed, state.turn_rate, wanted, turn
         limits = state.acceleration, state.turn_acceleration, state.track
         values = as_array(torch.stack((*columns, *limits), -1))
         at = np.round(np.arange(1, ticks * substeps + 1) * (STEPS / substeps)).astype(np.int64) - 1
-        for one in self._placed(people, self._present(people) & moving):
+        for one in self._placed(people, self._present(people) & inputs.moving):
             if not one.present:
                 continue
             linear, here = one.frame[:2, :2], (one.index, one.present)
