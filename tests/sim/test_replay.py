@@ -384,10 +384,8 @@ def test_slots_are_never_shared(plaza: PreparedReplay) -> None:
         slot, frames = (who == number).nonzero(as_tuple=True)
         assert len(slot.unique()) == 1
         assert torch.equal(frames, torch.arange(int(people.first[number]), int(people.removal[number])))
-    there = (
-        (people.first[:, None] <= torch.arange(who.shape[1]))
-        & (torch.arange(who.shape[1]) < people.removal[:, None])
-    ).sum(0)
+    frames = torch.arange(who.shape[1])
+    there = ((people.first[:, None] <= frames) & (frames < people.removal[:, None])).sum(0)
     assert torch.equal((who >= 0).sum(0), there) and int(there.max()) == plaza.people  # no fewer would do
 
 
@@ -413,9 +411,8 @@ def test_others_around_one_person_are_taken_over_in_their_frame(folder: Path) ->
     assert around.scenes == one.scenes == 5
     people, result, alone = around.persons, run(around, GoToGoal(), 0.4, 5), run(one, GoToGoal(), 0.4, 5)
     reacting = []
-    for scene, (origin, lead) in enumerate(
-        zip(*(around.script.scenes[i].tolist() for i in (1, 5)), strict=True)
-    ):
+    for scene in range(5):
+        origin, lead = (int(part[scene]) for part in (around.script.scenes.origin, around.script.scenes.lead))
         assert alone.person[scene][alone.controlled[scene]].unique().tolist() == [lead]
         who, moved = result.person[scene], result.controlled[scene]
         for number in set(who[moved].tolist()) - {lead}:
