@@ -34,6 +34,6 @@ for _name in IDS.keys() - gymnasium.registry.keys():
     gymnasium.register(
         _name,
         entry_point="pedzoo.sim.gym.env:RobotGymEnv",
-        vector_entry_point="pedzoo.sim.gym.env:RobotVectorEnv",
+        vector_entry_point="pedzoo.sim.gym.vector:RobotVectorEnv",
         kwargs=dict(IDS[_name]),
     )

@@ -29,8 +29,8 @@ from pedzoo.sim.make import CLEARANCE, make_physics
 from pedzoo.sim.observation import observed
 from pedzoo.sim.physics._base import Physics
 from pedzoo.sim.robots.rewards import Outcome, Terms, terms_of, weighted_sum
-from pedzoo.sim.robots.scenes import RobotScenes, with_robots
-from pedzoo.sim.robots.sensors import Reading, RobotView, Sensor
+from pedzoo.sim.robots.scenes import RobotScenes, RobotView, with_robots
+from pedzoo.sim.robots.sensors import Reading, Sensor
 from pedzoo.sim.scenario import PreparedScenario
 from pedzoo.sim.state import Events, State
 

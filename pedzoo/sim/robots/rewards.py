@@ -15,7 +15,8 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.registry import ROBOT_REWARDS
 from pedzoo.core.spec import build
 from pedzoo.core.types import TRACE_SECONDS
-from pedzoo.sim.robots.sensors import RobotView, shape_of
+from pedzoo.sim.robots.scenes import RobotView
+from pedzoo.sim.robots.sensors import shape_of
 
 DEFAULT_WEIGHTS = {"progress": 1.0, "success": 5.0, "collision": 5.0, "discomfort": 1.0, "time": 0.1}
 """Default terms and weights."""

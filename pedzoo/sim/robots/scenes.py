@@ -1,11 +1,11 @@
-"""Scenes of any scenario in which robots take the places of its last people."""
+"""Scenes of any scenario in which robots take the places of its last people, and the robots' view of them."""
 
 import inspect
 import math
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -13,15 +13,73 @@ from torch import Tensor
 from pedzoo.core.batch import ROBOT
 from pedzoo.core.bodies import HOLONOMIC, Fleet, RobotBody
 from pedzoo.core.errors import UserError, as_integer
-from pedzoo.core.geometry import identity_pose
+from pedzoo.core.geometry import direction_of, identity_pose, rotate, unrotate
 from pedzoo.core.randomness import Draws
 from pedzoo.core.registry import SCENARIOS
 from pedzoo.core.size_limits import load_yaml
 from pedzoo.core.spec import Spec, build, groups_by_setting, setting_groups, setting_types
 from pedzoo.core.types import BODY_RADIUS, TOP_SPEED_RATIO
 from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim.make import scenario_spec
+from pedzoo.sim.physics._base import Bodies, Physics
 from pedzoo.sim.scenario import WARM_SECONDS, Layout, PreparedScenario, Scenario, filled
+from pedzoo.sim.state import State
+
+
+class RobotView(NamedTuple):
+    """B scenes of A agents, the last R of which are ``robots``: what sensors and rewards look at.
+
+    ``guidance`` is what the planner says to all agents; ``physics`` casts rays, and takes pictures.
+    """
+
+    state: State
+    guidance: Guidance
+    physics: Physics
+    robots: int
+
+    def robot(self, values: Tensor) -> Tensor:
+        """Return the values (B, R, ...) of robots among those of all agents (B, A, ...)."""
+        return values[:, -self.robots :]
+
+    @property
+    def position(self) -> Tensor:
+        """Positions of robots (B, R, 2), metres."""
+        return self.robot(self.state.position)
+
+    @property
+    def heading(self) -> Tensor:
+        """Headings of robots (B, R), radians."""
+        return self.robot(self.state.heading)
+
+    def own(self, vectors: Tensor) -> Tensor:
+        """Return vectors (B, R, ..., 2) of the world in the robots' frames: x ahead, y to the left."""
+        return unrotate(vectors, _aligned(direction_of(self.heading), vectors))
+
+    def world(self, vectors: Tensor) -> Tensor:
+        """Return vectors (B, R, ..., 2) of the robots' frames in the world's: the inverse of `own`."""
+        return rotate(vectors, _aligned(direction_of(self.heading), vectors))
+
+    def own_places(self, points: Tensor) -> Tensor:
+        """Return points (B, R, ..., 2) of the world in the robots' frames, from their positions, metres."""
+        return self.own(points - _aligned(self.position, points))
+
+    def rays(self, direction: Tensor, reach: float, people: bool = True) -> Tensor:
+        """Return how far rays from the robots' centres go (B, R, N), metres, at most ``reach``.
+
+        ``direction`` (B, R, N, 2): unit vectors of the world. Without ``people`` walls alone are in the way.
+        """
+        bodies = Bodies.of(self.state)
+        if not people:
+            bodies = bodies._replace(mask=torch.zeros_like(bodies.mask))
+        # a ray that begins inside a body does not see it: so a robot does not see itself
+        origin = self.position.unsqueeze(2).expand_as(direction).flatten(1, 2)
+        return self.physics.rays(bodies, origin, direction.flatten(1, 2), reach).view(direction.shape[:3])
+
+
+def _aligned(value: Tensor, like: Tensor) -> Tensor:
+    """Return (B, R, 2) with as many dimensions as ``like`` (B, R, ..., 2)."""
+    return value.view(*value.shape[:2], *[1] * (like.dim() - 3), 2)
 
 
 class RobotScenes(Scenario):

@@ -1,4 +1,4 @@
-"""What robots observe: the view of a scene, and the table of sensors, which are classes by name."""
+"""What robots observe: the interface of sensors, and their table, which are classes by name."""
 
 import math
 from abc import ABC, abstractmethod
@@ -15,66 +15,15 @@ from torchrl.data.tensor_specs import TensorSpec
 from pedzoo.core import randomness
 from pedzoo.core.batch import other_agents
 from pedzoo.core.errors import UserError
-from pedzoo.core.geometry import direction_of, rotate, unrotate
+from pedzoo.core.geometry import direction_of
 from pedzoo.core.registry import name_of_class
 from pedzoo.core.types import TRACE_SECONDS
-from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.sim.drawing import Lens
-from pedzoo.sim.physics._base import Bodies, Physics
-from pedzoo.sim.state import State
+from pedzoo.sim.physics._base import Bodies
+from pedzoo.sim.robots.scenes import RobotView
 
 NOT_SEEN = 15.0
 """Metres: position of masked people in the observation of CrowdNav++."""
-
-
-class RobotView(NamedTuple):
-    """B scenes of A agents, the last R of which are ``robots``: what sensors and rewards look at.
-
-    ``guidance`` is what the planner says to all agents; ``physics`` casts rays, and takes pictures.
-    """
-
-    state: State
-    guidance: Guidance
-    physics: Physics
-    robots: int
-
-    def robot(self, values: Tensor) -> Tensor:
-        """Return the values (B, R, ...) of robots among those of all agents (B, A, ...)."""
-        return values[:, -self.robots :]
-
-    @property
-    def position(self) -> Tensor:
-        """Positions of robots (B, R, 2), metres."""
-        return self.robot(self.state.position)
-
-    @property
-    def heading(self) -> Tensor:
-        """Headings of robots (B, R), radians."""
-        return self.robot(self.state.heading)
-
-    def own(self, vectors: Tensor) -> Tensor:
-        """Return vectors (B, R, ..., 2) of the world in the robots' frames: x ahead, y to the left."""
-        return unrotate(vectors, _aligned(direction_of(self.heading), vectors))
-
-    def world(self, vectors: Tensor) -> Tensor:
-        """Return vectors (B, R, ..., 2) of the robots' frames in the world's: the inverse of `own`."""
-        return rotate(vectors, _aligned(direction_of(self.heading), vectors))
-
-    def own_places(self, points: Tensor) -> Tensor:
-        """Return points (B, R, ..., 2) of the world in the robots' frames, from their positions, metres."""
-        return self.own(points - _aligned(self.position, points))
-
-    def rays(self, direction: Tensor, reach: float, people: bool = True) -> Tensor:
-        """Return how far rays from the robots' centres go (B, R, N), metres, at most ``reach``.
-
-        ``direction`` (B, R, N, 2): unit vectors of the world. Without ``people`` walls alone are in the way.
-        """
-        bodies = Bodies.of(self.state)
-        if not people:
-            bodies = bodies._replace(mask=torch.zeros_like(bodies.mask))
-        # a ray that begins inside a body does not see it: so a robot does not see itself
-        origin = self.position.unsqueeze(2).expand_as(direction).flatten(1, 2)
-        return self.physics.rays(bodies, origin, direction.flatten(1, 2), reach).view(direction.shape[:3])
 
 
 class Reading(NamedTuple):
@@ -95,9 +44,7 @@ class Reading(NamedTuple):
 
 @dataclass(eq=False, kw_only=True)
 class Sensor(ABC):
-    """What robots observe in every decision: a class of this file, or ``file.py:Class``.
-
-    A sensor with more settings is a dataclass.
+    """What robots observe: a class of this file, or ``file.py:Class``, a dataclass if it has more settings.
 
     Attributes:
         noise: Standard deviation of normal noise, in the sensor's unit.
@@ -131,9 +78,9 @@ class Sensor(ABC):
 
     @abstractmethod
     def read(self, view: RobotView) -> dict[str, Tensor]:
-        """Return the entries (B, R, ...) without noise, dropout and delay.
+        """Return the entries (B, R, ...) without noise, dropout and delay; B is that of the view.
 
-        Scenes that begin anew are asked for alone: B is that of the view, and nothing is remembered by row.
+        Scenes that begin anew are asked for alone: nothing is remembered by row.
         """
 
     def observe(self, view: RobotView) -> dict[str, Tensor]:
@@ -145,10 +92,8 @@ class Sensor(ABC):
         exact, expected, name = self.read(view), self.readings, type(self).__name__
         if not isinstance(exact, Mapping) or exact.keys() != expected.keys():
             given = ", ".join(map(str, exact)) if isinstance(exact, Mapping) else f"{exact!r:.60}"
-            entries = ", ".join(expected)
-            raise UserError(
-                f"sensor {name}: read returned {given}: expected the entries of its readings, {entries}"
-            )
+            wanted = f"expected the entries of its readings, {', '.join(expected)}"
+            raise UserError(f"sensor {name}: read returned {given}: {wanted}")
         for entry, reading in expected.items():
             shape = (len(view.state.mask), view.robots, *reading.shape)
             if (given := shape_of(exact[entry])) != shape:
@@ -180,11 +125,6 @@ def shape_of(value: object) -> tuple[int, ...] | str:
     return tuple(value.shape) if isinstance(value, Tensor) else f"{value!r:.60}, no tensor"
 
 
-def _aligned(value: Tensor, like: Tensor) -> Tensor:
-    """Return (B, R, 2) with as many dimensions as ``like`` (B, R, ..., 2)."""
-    return value.view(*value.shape[:2], *[1] * (like.dim() - 3), 2)
-
-
 def _check_view(sensor: "Lidar | People", number: str, count: int) -> None:
     """Check how many things a sensor sees, how far in metres, and how wide in degrees."""
     reach, angle = sensor.reach, sensor.field_of_view
@@ -194,10 +134,10 @@ def _check_view(sensor: "Lidar | People", number: str, count: int) -> None:
 
 
 class Goal(Sensor):
-    """The goal, the way to it, and the robot's own body, in its own frame.
+    """The goal, and the way to it, in the robot's own frame.
 
-    ``goal`` (B, R, 2) and ``waypoint`` (B, R, 2) in metres, and ``remaining_path`` (B, R, 1), metres. The
-    waypoint is the planner's short-term goal: a point ahead on the way around walls, in sight.
+    ``goal`` and ``waypoint`` (B, R, 2), and ``remaining_path`` (B, R, 1), metres. The waypoint is the
+    planner's short-term goal: a point ahead on the way around walls, in sight.
     """
 
     readings: Mapping[str, Reading] = {
