@@ -101,12 +101,12 @@ def robot_frames(
     camera = Camera("top").around(seen, large, MARGIN)
     floor, radius = draw_floor(plan, unknown, one.pose[0], large, camera), one.radius[0].tolist()
     heading, facing = rollout.heading[episode, :, : shown.length + 1], headings_along(shown.path)
-    ends: Any = _lidar_ends(shown, heading, env, beams, reach) if beams else None
+    ends = _lidar_ends(shown, heading, env, max(beams, 1), reach)
     frames = shown.length if seconds is None else min(shown.length, round(seconds / TRACE_SECONDS))
     for frame in range(frames + 1):
         canvas, place = Canvas(floor.copy(), camera), shown.path[:, frame]
         here = shown.present[:, frame].nonzero()[:, 0].tolist()
-        for robot in (agent for agent in here if agent >= first and ends is not None):
+        for robot in (agent for agent in here if agent >= first and beams):
             _draw_lidar(canvas, place[robot], ends[frame, robot - first])
         for agent in here:
             color = ROBOT_BODY if agent >= first else person_color(agent)

@@ -169,8 +169,8 @@ def walk(arrived: bool, seconds: float, covered: float, walked: float) -> of_rob
     ],
 )
 def test_delay_by_hand(joined: of_robots.WalkProgress, alone: of_robots.WalkProgress, delay: float) -> None:
-    for pair, expected in (((joined, alone), delay), ((alone, joined), -delay)):
-        result = of_robots.delay(*pair, torch.tensor([[1.25]]), torch.tensor([10.0]))
+    for one, other, expected in ((joined, alone, delay), (alone, joined, -delay)):
+        result = of_robots.delay(one, other, torch.tensor([[1.25]]), torch.tensor([10.0]))
         assert result.item() == pytest.approx(expected)
 
 

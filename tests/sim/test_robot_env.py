@@ -95,7 +95,7 @@ def test_rewards_by_hand() -> None:
     trace = torch.tensor([[[[0.0, 0.0]] * 2, [[0.5, 0.0], [0.6, 0.0]], [[3.0, 0.0], [2.9, 0.0]]]])
     person = {"mask": torch.ones(1, 3, dtype=torch.bool), "kind": torch.tensor([[PERSON, ROBOT, ROBOT]])}
     person["radius"] = torch.tensor([[0.15, 0.3, 0.3]])
-    views = []
+    views: list[Any] = []
     for goals, path in (([0, 1, 2], [9.0, 5.0, 4.0]), ([0, 1, 3], [8.0, 4.5, 7.0])):
         now = {"goal_id": torch.tensor([goals]), "remaining_path": torch.tensor([path])}
         views.append(SimpleNamespace(state=SimpleNamespace(**now, **person), robots=2))
@@ -112,7 +112,7 @@ def test_rewards_by_hand() -> None:
         # gaps of 0.05 and 0.15 m where 0.2 m are liked, for 0.1 s each
         ("discomfort", outcome, [-(0.15 + 0.05) / 0.2 * 0.1, 0.0]),
     ):
-        assert term_of(name, *views, trace, result) == pytest.approx(expected), name
+        assert term_of(name, views[0], views[1], trace, result) == pytest.approx(expected), name
 
 
 def test_every_reward_is_a_number_for_every_robot() -> None:

@@ -83,6 +83,7 @@ def test_a_disc_that_faces_elsewhere_goes_the_same_way(beams: int) -> None:
     seen = cast("TensorDict", given["robots", "observation"])
     place, velocity, radius = seen["people"].split([2, 2, 1], -1)
     turned = scene(
+        "disc",
         people=torch.cat((rotate(place, direction), rotate(velocity, direction), radius), -1),
         **{name: rotate(seen[name], direction) for name in ("waypoint", "velocity")},
         lidar=seen["lidar"].roll(3, -1),

@@ -108,7 +108,8 @@ class RobotVectorEnv(VectorEnv[Observation, ArrayLike, NDArray[Any]]):
                 )
             actions = np.where(begins.reshape(-1, 1), 0.0, np.asarray(actions))
         step = self.batched.step(actions)
-        infos, (reward, terminated, truncated) = self._take(step), (part[:, 0] for part in step[1:4])
+        infos, (_, rewards, ends, cuts, _) = self._take(step), step
+        reward, terminated, truncated = rewards[:, 0], ends[:, 0], cuts[:, 0]
         if begins.any():
             infos = self._take(self.batched.restart(begins), begins, infos)
             reward[begins], terminated[begins], truncated[begins] = 0.0, False, False
