@@ -7,7 +7,6 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torchmetrics import Metric
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import METRICS
@@ -136,29 +135,3 @@ def time_ratio_median(rollout: Rollout) -> tuple[dict[str, float], dict[str, Int
     middle = float(quantiles(values, episode, torch.ones(1, episodes), (0.5,)))
     key, ends = "time_ratio_median", bootstrap_quantile(values, episode, episodes, 0.5)
     return {key: middle}, {key: ends} if ends else {}
-
-
-class ClosedLoopScore(Metric):
-    """All closed-loop metrics over any number of rollouts; sums in float64, added over processes."""
-
-    full_state_update = False
-    above: Tensor
-    below: Tensor
-
-    def __init__(self) -> None:
-        """Nothing to set."""
-        super().__init__()
-        for state in ("above", "below"):
-            self.add_state(state, torch.zeros(len(NAMES), dtype=torch.float64), dist_reduce_fx="sum")
-
-    def update(self, rollout: Rollout) -> None:
-        """Add episodes."""
-        for name, (above, below, *_) in closed_loop(rollout).items():
-            self.above[NAMES.index(name)] += above.sum()
-            self.below[NAMES.index(name)] += below.sum()
-
-    def compute(self) -> dict[str, Tensor]:
-        """Return every metric about which an episode said something, as `NAMES` orders them."""
-        values = (self.above / self.below).unbind()
-        known = (self.below > 0).tolist()
-        return {name: value for name, value, is_known in zip(NAMES, values, known, strict=True) if is_known}

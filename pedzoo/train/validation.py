@@ -15,6 +15,7 @@ from lightning.pytorch.callbacks import Callback
 from lightning.pytorch.loggers import WandbLogger
 from lightning.pytorch.utilities import rank_zero_only
 from torch import Tensor
+from torchmetrics import Metric
 
 from pedzoo.core.adapters import logged_step
 from pedzoo.core.errors import UserError, unknown
@@ -43,6 +44,37 @@ USUAL = "door", "compiled"
 
 FILM = (480, 360)  # width and height of videos, pixels
 FILM_SECONDS = 20.0  # of an episode, at most
+
+
+class ClosedLoopScore(Metric):
+    """All closed-loop metrics over any number of rollouts; sums in float64, added over processes."""
+
+    full_state_update = False
+    above: Tensor
+    below: Tensor
+
+    def __init__(self) -> None:
+        """Nothing to set."""
+        super().__init__()
+        from pedzoo.metrics.closed_loop import NAMES
+
+        self.names = NAMES
+        for state in ("above", "below"):
+            self.add_state(state, torch.zeros(len(NAMES), dtype=torch.float64), dist_reduce_fx="sum")
+
+    def update(self, rollout: Any) -> None:
+        """Add the episodes of a `pedzoo.sim.rollout.Rollout`."""
+        from pedzoo.metrics.closed_loop import closed_loop
+
+        for name, (above, below, *_) in closed_loop(rollout).items():
+            self.above[self.names.index(name)] += above.sum()
+            self.below[self.names.index(name)] += below.sum()
+
+    def compute(self) -> dict[str, Tensor]:
+        """Return every metric about which an episode said something, in the order of tables."""
+        values = (self.above / self.below).unbind()
+        known = (self.below > 0).tolist()
+        return {name: one for name, one, is_known in zip(self.names, values, known, strict=True) if is_known}
 
 
 class ClosedLoopValidation(Callback):
@@ -188,7 +220,6 @@ class ClosedLoopValidation(Callback):
         """Return the metrics of a scenario over the episodes of all processes."""
         from pedzoo.eval.comparison import PolicyRollout
         from pedzoo.eval.rollout import walk
-        from pedzoo.metrics.closed_loop import ClosedLoopScore
         from pedzoo.sim.make import make_env, physics_class
         from pedzoo.sim.rollout import joined
 

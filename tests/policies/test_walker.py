@@ -16,7 +16,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import rotate
 from pedzoo.core.types import PRED_LEN
 from pedzoo.eval.rollout import rollout
-from pedzoo.metrics.closed_loop import ClosedLoopScore
+from pedzoo.metrics.closed_loop import measure
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.loading import load
 from pedzoo.policies.walker import Walker, extend_goals
@@ -222,8 +222,6 @@ def test_models_of_recordings_do_not_creep_round_corners() -> None:
     def speed(settings: str) -> float:
         scenario = "goals:map=apartment.0,people=1,goals=1,pool=6"
         walked, _ = rollout(f"sgan_goal_map.controller_open:{settings}", scenario, "compiled", episodes=6)
-        score = ClosedLoopScore()
-        score.update(walked)
-        return float(score.compute()["speed_m_per_s"])
+        return measure(walked)[0]["speed_m_per_s"]
 
     assert speed("extend_goal=true") > 1.5 * speed("extend_goal=false")

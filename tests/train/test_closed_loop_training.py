@@ -24,11 +24,10 @@ from pedzoo.core.errors import UserError
 from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.eval.comparison import row
 from pedzoo.eval.rollout import rollout
-from pedzoo.metrics.closed_loop import ClosedLoopScore
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.train.module import PlainModule
 from pedzoo.train.run import rows_of
-from pedzoo.train.validation import METRICS, ClosedLoopValidation, share
+from pedzoo.train.validation import METRICS, ClosedLoopScore, ClosedLoopValidation, share
 from pedzoo.viz.video import read_video
 
 FIT = ["fit", "--config", "sgan_goal", "--data.fold", "embedded", "--trainer.enable_progress_bar", "false"]
