@@ -7,10 +7,9 @@ import threading
 import traceback
 import warnings
 from collections.abc import Callable, Generator, Hashable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from functools import cache
 from multiprocessing import active_children, get_context, parent_process
 from pathlib import Path
 from pickle import PicklingError
@@ -50,11 +49,10 @@ def finished(
         workers: Processes or Ray actors, at most one for each job. Each takes seconds to start. With one,
             ``processes`` stays in the caller's own.
         backend: ``processes`` of this machine, or ``ray``, whose machines need pedzoo and the files that jobs
-            read. The cluster is the one that this process is connected to, that ``RAY_ADDRESS`` names or that
-            runs on this machine. Without any, one is started for the time.
+            read. It is the cluster of this process, of ``RAY_ADDRESS`` or of this machine; without any, one
+            is started for the time.
         group: Jobs for which it returns the same share something that takes time to prepare. They come one
-            after the other, and stay with one worker as long as others have something to do. Without it
-            every job stands alone.
+            after the other, and stay with one worker as long as others have something to do.
 
     Raises:
         UserError: No such backend or number of workers, Ray is absent or its cluster too small, or something
@@ -67,16 +65,16 @@ def finished(
     if backend == "ray":
         need("ray", "the backend ray")
     queue = JobQueue(range(len(jobs)) if group is None else [group(job) for job in jobs])
-    if not jobs or (workers == 1 and backend == "processes"):
-        return _here(jobs, work, queue)
-    return _there(jobs, work, queue, workers, _processes if backend == "processes" else _ray_actors)
+    if jobs and (workers > 1 or backend == "ray"):
+        return _there(jobs, work, queue, workers, _processes if backend == "processes" else _ray_actors)
+    return _here(jobs, work, queue)
 
 
 class JobQueue:
     """Hands out jobs: no worker waits while there is work, and jobs of a group stay together.
 
     A worker goes on with its group, then begins the first one that no worker has begun. If all are begun, it
-    helps with the group that has most left, and prepares once more what that group shares.
+    helps with the group that has most left.
     """
 
     def __init__(self, keys: Sequence[Hashable]) -> None:
@@ -98,8 +96,8 @@ class JobQueue:
 
 
 def _here(jobs: Sequence[J], work: Callable[[J], R], queue: JobQueue) -> Generator[tuple[int, R], None, None]:
-    taken = queue.take()
-    while taken:
+    taken: tuple[int, Hashable] = -1, None
+    while taken := queue.take(taken[1]):
         threads = torch.get_num_threads()
         torch.set_num_threads(1)
         try:
@@ -107,7 +105,6 @@ def _here(jobs: Sequence[J], work: Callable[[J], R], queue: JobQueue) -> Generat
         finally:
             torch.set_num_threads(threads)
         yield taken[0], result
-        taken = queue.take(taken[1])
 
 
 def _there(
@@ -115,7 +112,7 @@ def _there(
 ) -> Generator[tuple[int, R], None, None]:
     """Keep every worker busy, yield the results, show the jobs' warnings and raise their errors."""
     try:
-        payload = cloudpickle.dumps((jobs, work))
+        tasks = [cloudpickle.dumps((work, job)) for job in jobs]
     except (TypeError, AttributeError, PicklingError) as error:
         raise UserError(
             f"other processes cannot be sent these jobs or their function: {error}; use workers=1, or give "
@@ -135,12 +132,12 @@ def _there(
             error.__cause__ = death
             return None, error, []
 
-    with start(payload, count) as pool:
+    with start(count) as pool:
         idle: list[tuple[int, Hashable]] = [(worker, None) for worker in range(count)]
         while idle:
             for worker, last in idle:
                 if taken := queue.take(last):
-                    running[pool[worker].submit(taken[0])] = worker, *taken
+                    running[pool[worker].submit(taken[0], tasks[taken[0]])] = worker, *taken
             ended = [(future, *running.pop(future)) for future in wait(running, None, FIRST_COMPLETED).done]
             idle = [(worker, group) for _, worker, _, group in ended]
             outcomes = [(job, *outcome(future, worker, job)) for future, worker, job, _ in ended]
@@ -152,41 +149,28 @@ def _there(
                 yield job, cloudpickle.loads(result)
 
 
-_payload = b""  # of a worker
-
-
-def _begin(payload: bytes, folder: str = ".", path: Sequence[str] = ()) -> None:
+def _begin() -> None:
     """Prepare a worker; a process ends when its parent is gone."""
-    global _payload
-    _payload = payload
     torch.set_num_threads(1)
     if parent := parent_process():
         os.environ.pop("PYTHONSAFEPATH", None)  # it was for the start alone
         threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
-    elif Path(folder).is_dir():  # an actor may be on another machine
-        os.chdir(folder)
-    sys.path += [entry for entry in path if entry not in sys.path and Path(entry).exists()]
 
 
-@cache
-def _sent() -> tuple[Any, ...]:
-    try:
-        return cloudpickle.loads(_payload)
-    except (ImportError, AttributeError) as error:
-        raise UserError(
-            f"a worker cannot load the jobs or their function: {error}; define them in a file that "
-            "can be imported there, or in the script or notebook itself"
-        ) from error
-
-
-def _do(number: int) -> bytes:
+def _do(number: int, task: bytes) -> bytes:
     """Do a job; return its pickled result, its error, and what it warned of: text, category, file, line."""
     result, error = b"", None
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("default")
         try:
-            jobs, work = _sent()
-            result = cloudpickle.dumps(work(jobs[number]))
+            try:
+                work, job = cloudpickle.loads(task)
+            except (ImportError, AttributeError) as absent:
+                raise UserError(
+                    f"a worker cannot load the jobs or their function: {absent}; define them in a file that "
+                    "can be imported there, or in the script or notebook itself"
+                ) from absent
+            result = cloudpickle.dumps(work(job))
         except Exception as raised:  # the caller gets any error of a job
             error, note = raised, "".join(traceback.format_exception(raised)).rstrip()
             try:
@@ -198,42 +182,23 @@ def _do(number: int) -> bytes:
     return cloudpickle.dumps((result, error, warned))
 
 
-@contextmanager
-def _processes(payload: bytes, count: int) -> Iterator[list["_Process"]]:
-    """Yield executors of one process each: each job goes to a worker that is chosen here."""
-    pool: list[_Process] = []
-    try:
-        pool += [_Process(payload) for _ in range(count)]
-        yield pool
-    except BaseException:  # what they do is not wanted any more
-        for one in pool:
-            if one.process:
-                one.process.kill()
-        raise
-    finally:
-        for one in pool:
-            one.executor.shutdown(cancel_futures=True)
-            if one.process:
-                one.process.close()
-
-
 class _Process:
     """An executor with one spawned process: a forked one would inherit torch's threads."""
 
     deaths = BrokenProcessPool, SystemExit
 
-    def __init__(self, payload: bytes) -> None:
+    def __init__(self) -> None:
         with _starting():  # Python starts a process that cleans up after semaphores
-            self.executor = ProcessPoolExecutor(1, get_context("spawn"), _begin, (payload,))
+            self.executor = ProcessPoolExecutor(1, get_context("spawn"), _begin)
         self.process: Any = None
 
-    def submit(self, job: int) -> Future[bytes]:
+    def submit(self, job: int, task: bytes) -> Future[bytes]:
         try:
             if self.process:
-                return self.executor.submit(_do, job)
+                return self.executor.submit(_do, job, task)
             known = set(active_children())
             with _starting():  # an interrupt waits until the process is known
-                future = self.executor.submit(_do, job)
+                future = self.executor.submit(_do, job, task)
                 self.process = next(iter(set(active_children()) - known), None)
         except BrokenProcessPool as error:  # it died while it had no job
             future = Future()
@@ -250,11 +215,27 @@ class _Process:
 
 
 @contextmanager
-def _starting() -> Iterator[None]:
-    """Let processes start with one thread, without the caller's script and what lies beside it.
+def _processes(count: int) -> Iterator[list[_Process]]:
+    """Yield executors of one process each: each job goes to a worker that is chosen here."""
+    pool: list[_Process] = []
+    try:
+        pool += [_Process() for _ in range(count)]
+        yield pool
+    except BaseException:  # what they do is not wanted any more
+        for one in pool:
+            if one.process:
+                one.process.kill()
+        raise
+    finally:
+        for one in pool:
+            one.executor.shutdown(cancel_futures=True)
+            if one.process:
+                one.process.close()
 
-    What a terminal or Slurm sends to all processes is left to the caller's.
-    """
+
+@contextmanager
+def _starting() -> Iterator[None]:
+    """Let processes start with one thread, without the caller's script, folder and signals of a terminal."""
     given = {"PYTHONSAFEPATH": "1"} | {f"{name}_NUM_THREADS": "1" for name in ("OMP", "MKL", "OPENBLAS")}
     before, main = {name: os.environ.get(name) for name in given}, sys.modules["__main__"]
     os.environ |= given
@@ -271,13 +252,38 @@ def _starting() -> Iterator[None]:
             signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
 
 
+class _RayActor:
+    """What runs on the cluster, perhaps on another machine."""
+
+    def __init__(self, folder: str, path: Sequence[str]) -> None:
+        _begin()
+        if Path(folder).is_dir():
+            os.chdir(folder)
+        sys.path += [entry for entry in path if entry not in sys.path and Path(entry).exists()]
+
+    def do(self, job: int, task: bytes) -> bytes:
+        return _do(job, task)
+
+
+class _RayWorker:
+    def __init__(self, actor: Any, deaths: type[Exception]) -> None:
+        self.actor, self.deaths = actor, deaths
+
+    def submit(self, job: int, task: bytes) -> Future[bytes]:
+        return self.actor.do.remote(job, task).future()
+
+    def death(self, error: BaseException) -> str:
+        return f"dead: {str(error).splitlines()[0]}"
+
+
 @contextmanager
-def _ray_actors(payload: bytes, count: int) -> Iterator[list["_RayActor"]]:
-    """Yield pools of one actor each, on the cluster there is, or on one that is started for the time."""
+def _ray_actors(count: int) -> Iterator[list[_RayWorker]]:
+    """Yield one actor for each worker, on the cluster there is, or on one that is started for the time."""
     import ray  # pyright: ignore[reportMissingImports]  # optional
+    from ray.exceptions import RayError  # pyright: ignore[reportMissingImports]
 
     own = not ray.is_initialized()
-    pool: list[_RayActor] = []
+    pool: list[_RayWorker] = []
     try:
         if own:
             quiet = {"log_to_driver": False, "logging_level": "error"}
@@ -288,30 +294,11 @@ def _ray_actors(payload: bytes, count: int) -> Iterator[list["_RayActor"]]:
                 ray.init(address="local", num_cpus=count, include_dashboard=False, **quiet)
         if (processors := int(ray.cluster_resources().get("CPU", 0))) < count:
             raise UserError(f"workers {count}: the Ray cluster has {processors} processors")
-        with ThreadPoolExecutor(count) as threads:  # each waits until its actor is ready
-            pool += threads.map(_RayActor, [payload] * count)
+        actor, path = ray.remote(num_cpus=1)(_RayActor), [str(Path(entry).resolve()) for entry in sys.path]
+        pool += [_RayWorker(actor.remote(os.getcwd(), path), RayError) for _ in range(count)]
         yield pool
     finally:
         for one in pool:
-            one.actors.terminate()
+            ray.kill(one.actor)
         if own:
             ray.shutdown()
-
-
-class _RayActor:
-    """A pool of Ray with one actor."""
-
-    def __init__(self, payload: bytes) -> None:
-        from ray.exceptions import RayError  # pyright: ignore[reportMissingImports]
-        from ray.util.multiprocessing import Pool  # pyright: ignore[reportMissingImports]
-
-        begin = payload, os.getcwd(), [str(Path(entry).resolve()) for entry in sys.path]
-        self.actors, self.deaths = Pool(1, _begin, begin, ray_remote_args={"num_cpus": 1}), RayError
-
-    def submit(self, job: int) -> Future[bytes]:
-        future: Future[bytes] = Future()
-        self.actors.apply_async(_do, (job,), callback=future.set_result, error_callback=future.set_exception)
-        return future
-
-    def death(self, error: BaseException) -> str:
-        return f"dead: {str(error).splitlines()[0]}"

@@ -20,6 +20,7 @@ from importlib.util import find_spec
 from multiprocessing import resource_tracker
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import cloudpickle
 import pytest
@@ -32,6 +33,16 @@ from pedzoo.eval.parallel import JobQueue, finished
 
 needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="needs Ray")
 BACKENDS = ["processes", pytest.param("ray", marks=[needs_ray, pytest.mark.slow])]
+
+
+@pytest.fixture(scope="module")
+def ray() -> Iterator[Any]:
+    """A cluster of two processors, which takes ten seconds to start."""
+    import ray  # pyright: ignore[reportMissingImports]
+
+    ray.init(address="local", num_cpus=2, include_dashboard=False, log_to_driver=False)
+    yield ray
+    ray.shutdown()
 
 
 @pytest.fixture(autouse=True)
@@ -53,40 +64,6 @@ def is_alive(process: int) -> bool:
     except ProcessLookupError:
         return False
     return True
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_two_workers_give_what_one_gives_and_leave_nothing(
-    backend, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    resource_tracker.ensure_running()  # the first processes would leave it open
-    monkeypatch.chdir(tmp_path)
-    if backend == "processes":
-        monkeypatch.setenv("PEDZOO_HOME", "elsewhere")
-        # a worker does not look into the working directory
-        Path("multiprocessing.py").write_text("raise SystemExit(3)")
-    torch.set_num_threads(2)
-    gc.collect()  # what other tests left open is closed before it is counted
-    opened = set(os.listdir("/proc/self/fd"))
-    jobs, together = [(seed, str(tmp_path)) for seed in range(9)], {}
-    try:
-        with pytest.warns(UserWarning, match="is odd") as caught:
-            for number, result in finished(jobs, answer, 2, backend, group=lambda job: job[0] // 2):
-                time.sleep(0 if together else 0.5)  # a busy caller loses no result
-                together[number] = result
-        if backend == "processes":
-            assert set(os.listdir("/proc/self/fd")) == opened
-            assert not any(Path(file.read_text()).exists() for file in tmp_path.glob("lock*"))
-        with pytest.warns(UserWarning, match="is odd"):
-            alone = dict(finished(jobs, answer))
-        assert torch.get_num_threads() == 2
-    finally:
-        torch.set_num_threads(1)
-    assert together == alone
-    assert sorted(alone) == list(range(9)) and alone[0]["state"] == (1, str(tmp_path))
-    assert {str(one.message) for one in caught} == {f"job {seed} is odd" for seed in range(9)}
-    done = Counter((tmp_path / "done").read_text().split())
-    assert done == {str(seed): 2 for seed in range(9)}  # once alone, once together
 
 
 @pytest.mark.parametrize("how", ["closed", "ctrl-c"])
@@ -112,47 +89,25 @@ def test_a_killed_worker_is_named_while_others_are_busy() -> None:
     message = r"^worker \d of 2 is killed by SIGKILL \(in job 1, 'kill'\); .* fewer workers"
     with pytest.raises(RuntimeError, match=message):
         list(finished(["long", "kill"], fail, 2))
-    with parallel._processes(b"", 1) as (worker,):
+    with parallel._processes(1) as (worker,):
         assert worker.death(SystemExit(7)) == "gone with exit code 7"
 
 
 def test_errors_of_a_worker_can_be_sent_and_say_where_they_were(monkeypatch: pytest.MonkeyPatch) -> None:
     """In this process: `fail` is what a worker does, and a module is gone before it loads the function."""
-    jobs = ["user", "own"]
-    monkeypatch.setattr(parallel, "_payload", cloudpickle.dumps((jobs, fail)))
-    parallel._sent.cache_clear()
     expected = (UserError, "no map 'x': expected a file"), (RuntimeError, "OwnError: cannot be rebuilt")
-    for number, (kind, message) in enumerate(expected):
-        result, error, _ = cloudpickle.loads(parallel._do(number))
+    for job, (kind, message) in zip(("user", "own"), expected, strict=True):
+        result, error, _ = cloudpickle.loads(parallel._do(3, cloudpickle.dumps((fail, job))))
         assert result == b"" and type(error) is kind and str(error) == message
-        assert f"in job {number} in a worker" in error.__notes__[0] and "in fail" in error.__notes__[0]
+        assert "in job 3 in a worker" in error.__notes__[0] and "in fail" in error.__notes__[0]
     gone = ModuleType("gone")
     exec("def work(job): return job", gone.__dict__)
-    with monkeypatch.context() as patch:
-        patch.setitem(sys.modules, "gone", gone)
-        patch.setattr(parallel, "_payload", cloudpickle.dumps(gone.work))
-        patch.delitem(sys.modules, "gone")
-        parallel._sent.cache_clear()
-        with pytest.raises(UserError, match=r"cannot load the jobs or their function: No module named"):
-            parallel._sent()
-
-
-@needs_ray
-@pytest.mark.slow
-def test_ray_tells_of_errors_and_deaths_and_its_cluster_stays() -> None:
-    import ray  # pyright: ignore[reportMissingImports]
-
-    ray.init(address="local", num_cpus=2, include_dashboard=False, log_to_driver=False)
-    try:
-        with pytest.raises(UserError, match=r"^no map 'x': expected a file"):
-            list(finished(["user"], fail, 1, "ray"))
-        with pytest.raises(RuntimeError, match=r"^worker 0 of 1 is dead: .*\(in job 0, 'kill'\)"):
-            list(finished(["kill"], fail, 1, "ray"))
-        with pytest.raises(UserError, match=r"^workers 3: the Ray cluster has 2 processors"):
-            list(finished(range(3), process_of, 3, "ray"))
-        assert ray.is_initialized()
-    finally:
-        ray.shutdown()
+    monkeypatch.setitem(sys.modules, "gone", gone)
+    task = cloudpickle.dumps((gone.work, 1))
+    monkeypatch.delitem(sys.modules, "gone")
+    _, error, _ = cloudpickle.loads(parallel._do(0, task))
+    assert isinstance(error, UserError)
+    assert "cannot load the jobs or their function: No module named" in str(error)
 
 
 EARLY = """
@@ -177,10 +132,8 @@ except KeyboardInterrupt:
 
 
 def test_ctrl_c_while_workers_start_leaves_no_word() -> None:
-    command, folder = [sys.executable, "-c", EARLY], Path(__file__).parents[1]
-    done = subprocess.run(
-        command, cwd=folder, capture_output=True, text=True, timeout=100, start_new_session=True
-    )
+    command, how = [sys.executable, "-c", EARLY], {"cwd": Path(__file__).parents[1], "timeout": 100}
+    done = subprocess.run(command, capture_output=True, text=True, start_new_session=True, **how)
     assert (done.stdout, done.stderr) == ("interrupted\n", "")
 
 
@@ -225,13 +178,9 @@ def test_what_cannot_be_done_is_refused(monkeypatch: pytest.MonkeyPatch) -> None
         finished([1], process_of, 2, "ray")
 
 
-def test_one_worker_goes_from_group_to_group() -> None:
-    order = [number for number, _ in finished([5, 6, 7, 8], process_of, group=lambda job: job % 2)]
-    assert order == [0, 2, 1, 3]
-    assert list(finished([], process_of, 4)) == []
-
-
 def test_a_worker_stays_with_its_group_and_then_helps() -> None:
+    order = [number for number, _ in finished([5, 6, 7, 8], process_of, group=lambda job: job % 2)]
+    assert order == [0, 2, 1, 3] and list(finished([], process_of, 4)) == []
     queue = JobQueue(list("abacaba"))  # a: 0 2 4 6, b: 1 5, c: 3
     assert [queue.take(), queue.take(), queue.take("b")] == [(0, "a"), (1, "b"), (5, "b")]
     assert [queue.take("b"), queue.take("c")] == [(3, "c"), (2, "a")]  # nothing but a is left
@@ -248,3 +197,71 @@ def test_every_job_is_handed_out_once_whoever_asks() -> None:
             taken.append(job[0])
             last[worker] = job[1]
         assert sorted(taken) == list(range(len(keys)))
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_two_workers_give_what_one_gives_and_leave_nothing(
+    backend, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
+    resource_tracker.ensure_running()  # the first processes would leave it open
+    monkeypatch.chdir(tmp_path)
+    if backend == "ray":
+        request.getfixturevalue("ray")
+    else:
+        monkeypatch.setenv("PEDZOO_HOME", "elsewhere")
+        # a worker does not look into the working directory
+        Path("multiprocessing.py").write_text("raise SystemExit(3)")
+    torch.set_num_threads(2)
+    gc.collect()  # what other tests left open is closed before it is counted
+    opened = set(os.listdir("/proc/self/fd"))
+    jobs, together = [(seed, str(tmp_path)) for seed in range(9)], {}
+    try:
+        with pytest.warns(UserWarning, match="is odd") as caught:
+            for number, result in finished(jobs, answer, 2, backend, group=lambda job: job[0] // 2):
+                time.sleep(0 if together else 0.5)  # a busy caller loses no result
+                together[number] = result
+        if backend == "processes":
+            assert set(os.listdir("/proc/self/fd")) == opened
+            assert not any(Path(file.read_text()).exists() for file in tmp_path.glob("lock*"))
+        with pytest.warns(UserWarning, match="is odd"):
+            alone = dict(finished(jobs, answer))
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(1)
+    assert together == alone
+    assert sorted(alone) == list(range(9)) and alone[0]["state"] == (1, str(tmp_path))
+    assert {str(one.message) for one in caught} == {f"job {seed} is odd" for seed in range(9)}
+    done = Counter((tmp_path / "done").read_text().split())
+    assert done == {str(seed): 2 for seed in range(9)}  # once alone, once together
+
+
+@needs_ray
+@pytest.mark.slow
+def test_ray_tells_of_errors_and_deaths_and_its_cluster_stays(ray: Any) -> None:
+    with pytest.raises(UserError, match=r"^no map 'x': expected a file"):
+        list(finished(["user"], fail, 1, "ray"))
+    with pytest.raises(RuntimeError, match=r"^worker 0 of 1 is dead: .*\(in job 0, 'kill'\)"):
+        list(finished(["kill"], fail, 1, "ray"))
+    with pytest.raises(UserError, match=r"^workers 3: the Ray cluster has 2 processors"):
+        list(finished(range(3), process_of, 3, "ray"))
+    assert ray.is_initialized()
+
+
+@needs_ray
+def test_a_cluster_is_started_where_none_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    import ray  # pyright: ignore[reportMissingImports]
+
+    called: list[Any] = []
+
+    def init(address: str, num_cpus: int = 0, **_: Any) -> None:
+        called.append((address, num_cpus))
+        if address == "auto":
+            raise ConnectionError
+
+    monkeypatch.setattr(ray, "is_initialized", lambda: False)
+    monkeypatch.setattr(ray, "init", init)
+    monkeypatch.setattr(ray, "shutdown", lambda: called.append("shutdown"))
+    monkeypatch.setattr(ray, "cluster_resources", dict)
+    with pytest.raises(UserError, match="workers 2: the Ray cluster has 0 processors"):
+        list(finished(range(3), process_of, 2, "ray"))
+    assert called == [("auto", 0), ("local", 2), "shutdown"]
