@@ -1,13 +1,12 @@
 """Rows of a replay: what a policy made of recorded people, beside these people themselves.
 
-A replay's rollout has all scenes of the scenario, K rounds of them. People are compared with themselves in
-the recording, where both are at the same place at the same moment until the policy takes over. Intervals are
-over people, who are drawn with all that they did in all rounds and in the recording. That people who met
-depend on each other is left out, so intervals are somewhat too narrow.
+People are compared with themselves in the recording, where they are at the same place at the same moment
+until the policy takes over. Intervals are over people, who are drawn with all that they did in all rounds.
+That people who met depend on each other is left out, so intervals are somewhat too narrow.
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -15,7 +14,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.types import STEP_SECONDS
-from pedzoo.eval.scoring.rows import SPLITS, halves_row, values_row
+from pedzoo.eval.scoring.rows import halves_row, split_in_halves, values_row, weights_of
 from pedzoo.metrics.closed_loop import own_metrics
 from pedzoo.metrics.contacts import intervention_m, intervention_share
 from pedzoo.metrics.ratios import of_parts, summarised
@@ -29,7 +28,6 @@ from pedzoo.metrics.realism.crowds import (
     only,
     together,
 )
-from pedzoo.metrics.realism.distances import halves
 from pedzoo.metrics.realism.features import FEATURES, SampledRollout, every_step, surroundings
 from pedzoo.metrics.realism.walks import RecordedWalks, by_person, of_people, tracks_of, walks_of
 from pedzoo.metrics.statistics import drawn_people, wilson
@@ -40,17 +38,18 @@ from pedzoo.sim.scenarios.replay import PreparedReplay
 REAL = "real"
 """Name of the recorded people's row."""
 
+BINS = 24
+
 
 def _walked(part: Rollout, first: int, scenario: PreparedReplay) -> tuple[SampledRollout, CrowdSums]:
     """Return the steps and the crowd of episodes ``first``, ... of a replay."""
     steps, people = every_step(part), scenario.persons
-    around = surroundings(steps)
-    return steps, crowd(part, steps, around, first, scenario.scenes, people.start, people.goal)
+    return steps, crowd(part, steps, surroundings(steps), first, scenario.scenes, people.start, people.goal)
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=1)  # for the next row
 def _recorded(scenario: PreparedReplay) -> tuple[RecordedWalks, CrowdSums]:
-    """Return the real people of a replay; kept for the next row."""
+    """Return the real people of a replay."""
     parts, crowds, first = list(scenario.real_parts()), [], 0
     for part in parts:
         crowds.append(_walked(part, first, scenario)[1])
@@ -101,7 +100,7 @@ def replay_row(
     seen[walks["person"]] = True
     tables = by_person(walks, scenes, len(seen))
     mine, real, count = together(crowds), only(everybody, seen), int(seen.sum())
-    drawn = _weights(torch.cat((torch.ones(1, count, dtype=torch.float64), drawn_people(count))), seen)
+    drawn = weights_of(seen, torch.cat((torch.ones(1, count, dtype=torch.float64), drawn_people(count))))
     values = of_people(tables, tracks.seconds, drawn) | compared(mine, real, drawn, drawn)
     exact = contact_intervals(mine, real, torch.arange(len(seen)), len(seen))
     exact |= {key: wilson(float(values[key][0]), count) for key in ("success", "deadlock")}
@@ -121,23 +120,15 @@ def reference_rows(scenario: PreparedReplay, metrics: Sequence[str] = ()) -> lis
     """Return what belongs beside every policy: the real crowd, and its halves against each other.
 
     ``real`` has the recording's own rates and spreads, and distances of 0. ``real halves`` is the noise
-    floor: half of the people, drawn at random, against the other half. Its values are means over `SPLITS`
-    splits, its intervals hold 95 % of them. People are met by all others in either half: only who is counted
-    differs. ``metrics`` of ``real`` are those of `replay_row`.
+    floor: half of the people, drawn at random, against the other half. Its values are means over splits,
+    its intervals hold 95 % of them. People are met by all others in either half: only who is counted differs.
+    ``metrics`` of ``real`` are those of `replay_row`.
     """
     tracks, real = _recorded(scenario)
     seen = tracks.scene >= 0
-    first = _weights(halves(int(seen.sum()), SPLITS), seen)
-    values = compared(real, real, first, seen.double() - first, exact=False)
+    values = compared(real, real, *split_in_halves(seen), exact=False)
     floor = halves_row(int(seen.sum()), values) | {"decision_dt_s": STEP_SECONDS, "per_agent": []}
     return [replay_row(REAL, scenario.real_parts(), scenario, STEP_SECONDS, metrics), floor]
-
-
-def _weights(of_seen: Tensor, seen: Tensor) -> Tensor:
-    """Return weights (R, P) of all people, given those (R, N) of the N who were ``seen`` (P,)."""
-    weights = torch.zeros(len(of_seen), len(seen), dtype=torch.float64)
-    weights[:, seen] = of_seen.double()
-    return weights
 
 
 def _curve(mine: CrowdSums, real: CrowdSums, once: Tensor) -> list[dict[str, float | None]]:
@@ -157,49 +148,34 @@ def _curve(mine: CrowdSums, real: CrowdSums, once: Tensor) -> list[dict[str, flo
 
 
 def _listed(
-    tables: Mapping[str, Tensor], real_seconds: Tensor, people: RecordedPeople, seen: Tensor
+    tables: dict[str, Tensor], real_seconds: Tensor, people: RecordedPeople, seen: Tensor
 ) -> list[dict[str, Any]]:
-    """Return what each person did, means over rounds."""
-    means = {name: tables[name].nanmean(0) for name in ("success", "seconds", "ade", "dtw")}
-    means["real"] = real_seconds
-
-    def known(name: str, person: int) -> float | None:
-        value = float(means[name][person])
-        return None if math.isnan(value) else round(value, 4)
-
-    return [
-        {
-            "person": person,
-            "recording": int(people.recording[person]),
-            "agent": int(people.agent[person]),
-            "success": known("success", person),
-            "time_s": known("seconds", person),
-            "real_time_s": known("real", person),
-            "closed_loop_ade_m": known("ade", person),
-            "dtw_m": known("dtw", person),
-        }
-        for person in seen.nonzero()[:, 0].tolist()
-    ]
-
-
-BINS = 24
-
-OUTSIDE = 0.005
-"""Share of the real samples beyond either end, which count in the first and the last bin."""
+    """Return what each person did, means over rounds; None where a person has no such number."""
+    keys = {"success": "success", "seconds": "time_s", "real": "real_time_s"}
+    keys |= {"ade": "closed_loop_ade_m", "dtw": "dtw_m"}
+    means = {key: (real_seconds if name == "real" else tables[name].nanmean(0)) for name, key in keys.items()}
+    result = []
+    for person in seen.nonzero()[:, 0].tolist():
+        numbers = {key: float(mean[person]) for key, mean in means.items()}
+        known = {key: None if math.isnan(value) else round(value, 4) for key, value in numbers.items()}
+        where = {"recording": int(people.recording[person]), "agent": int(people.agent[person])}
+        result.append({"person": person, **where, **known})
+    return result
 
 
 def distributions(mine: CrowdSums, real: CrowdSums) -> dict[str, dict[str, Any]]:
     """Return the histograms of every feature, ready for JSON.
 
     Each has its ``unit``, the ``low`` and ``high`` end, and the shares of samples in `BINS` equal bins:
-    ``share`` of this crowd, ``real_share`` of the recorded one. Features without real samples are left out.
+    ``share`` of this crowd, ``real_share`` of the recorded one. The first and the last bin hold what lies
+    beyond the ends, half a percent of the real samples each. Features without real samples are left out.
     """
     result = {}
     for name, unit in FEATURES.items():
         theirs = real.samples[name].value.double()
         if not len(theirs):
             continue
-        ends = torch.tensor([OUTSIDE, 1 - OUTSIDE], dtype=torch.float64)
+        ends = torch.tensor([0.005, 0.995], dtype=torch.float64)
         some = theirs[:: -(-len(theirs) // 1_000_000)]  # `torch.quantile` takes no more than 16 million
         low, high = torch.quantile(some, ends).tolist()
         high = high if high > low else low + 1.0

@@ -1,7 +1,4 @@
-"""The crowds of a score: recorded people, a policy in their place, or people of a simulator's file.
-
-All become the same: what each person did every 0.4 s, as it is and over coarse positions. P people.
-"""
+"""The crowds of a score: recorded people, a policy in their place, or the people of a file; P people."""
 
 from __future__ import annotations
 
@@ -18,7 +15,6 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS
 from pedzoo.data.own_files import OwnFiles
 from pedzoo.data.tracks import WALKED, Tracks, brisk, check_walks, distance, rows_apart, say
-from pedzoo.eval.rollout import Progress, walked
 from pedzoo.metrics.realism.crowds import CrowdSums, added, crowd, main_axis, measured, together
 from pedzoo.metrics.realism.features import (
     Clips,
@@ -29,17 +25,9 @@ from pedzoo.metrics.realism.features import (
     to_millimetres,
 )
 from pedzoo.metrics.realism.walks import ScoredSteps
-from pedzoo.policies.load import load_policy
-from pedzoo.policies.walker import has_noise
 from pedzoo.sim.recorded_people import CONTROLLED, SHORT, RecordedPeople, without_goals
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.scenarios.replay import PreparedReplay, Replay
-
-BLOCKS, BLOCK_SECONDS = 20, 30.0
-"""Intervals come from at most so many blocks of time, of at least so many seconds."""
-
-SAME = 0.5
-"""Metres: a person of the file whose first place is so near to that of the recorded one is the same."""
 
 ALIKE = 0.6
 """Where no clock is stated, fast steps of the slower crowd are at least so many of those of the other one."""
@@ -57,7 +45,7 @@ class CrowdView(NamedTuple):
 
 
 class ScoredCrowd(NamedTuple):
-    """One crowd.
+    """One crowd, as it is and over coarse positions.
 
     Attributes:
         name: Its row.
@@ -93,15 +81,10 @@ def scored_crowd(
     twin: Tensor | None = None,
     rounds: int = 1,
 ) -> ScoredCrowd:
-    """Return a crowd, given as rollouts of scenes 0, 1, ... one after the other.
+    """Return a crowd, given as rollouts of scenes 0, 1, ... one after the other, ``rounds`` times.
 
-    Args:
-        name: Its row.
-        parts: Only one of them has to be in memory at a time.
-        scenario: Where they walked; lines begin where its people do.
-        goal: Their exits (P, 2), metres; None for those of the scenario.
-        twin: The recorded people that they are; None for the recorded people themselves.
-        rounds: How often the scenes are walked.
+    Only one part at a time has to be in memory. Without ``goal`` (P, 2), metres, people have the exits of the
+    scenario; without ``twin`` (P,) they are the recorded people themselves.
     """
     assert scenario.script is not None
     people, scenes, first, cat = scenario.persons, scenario.script.scenes, 0, torch.cat
@@ -133,24 +116,6 @@ def scored_crowd(
 def recorded_crowd(scenario: PreparedReplay) -> ScoredCrowd:
     """Return the recorded crowd."""
     return scored_crowd("real", scenario.real_parts(), scenario)
-
-
-def policy_crowd(
-    policy: str,
-    scenario: PreparedReplay,
-    rounds: int,
-    seed: int,
-    physics: str,
-    progress: Progress | None = None,
-) -> ScoredCrowd:
-    """Return what a policy makes of the recorded people: in ``rounds`` if it has noise, else once.
-
-    Raises:
-        UserError: Unknown policy or setting.
-    """
-    rounds = rounds if has_noise(load_policy(policy)) else 1
-    parts = walked(policy, scenario, physics, rounds * scenario.scenes, seed, progress=progress)
-    return scored_crowd(policy, parts, scenario, rounds=rounds)
 
 
 def file_crowd(path: str, real: PreparedReplay, dt: float | None = None) -> ScoredCrowd:
@@ -188,15 +153,9 @@ def file_crowd(path: str, real: PreparedReplay, dt: float | None = None) -> Scor
         )
     goal = torch.where(known.unsqueeze(1), recorded.goal[twin], people.exit)
     never = torch.where(known.unsqueeze(1), goal, torch.inf)  # strangers have arrived when they leave
+    people, place = people._replace(what=role, goal=never), slice(recording, recording + 1)
     name = Path(path).name
-    made = scenario.with_slots(
-        real.planner,
-        real.tables[recording : recording + 1],
-        real.home[recording : recording + 1],
-        people._replace(what=role, goal=never),
-        xy,
-        name,
-    )
+    made = scenario.with_slots(real.planner, real.tables[place], real.home[place], people, xy, name)
     return scored_crowd(name, made.real_parts(), made, goal, twin)
 
 
@@ -207,12 +166,7 @@ def twins(
 
     The same people have the same numbers, come at the same time (but for one offset of the clock that all of
     them share) and begin within 0.5 m of the same place. The recording is the one that has most of them.
-
-    Args:
-        people: Of the file.
-        begin: Where each of them is first (P, 2), metres.
-        recorded: Of the recording.
-        there: Where each of these is first (Q, 2), metres.
+    ``begin`` (P, 2) and ``there`` (Q, 2) are the first places of the file's and the recorded people, metres.
     """
     best = torch.full_like(people.agent, -1), 0
     for number in recorded.recording.unique().tolist():
@@ -221,8 +175,7 @@ def twins(
         order = agents.argsort()
         place = torch.searchsorted(agents[order], people.agent).clamp_max(len(mine) - 1)
         twin = mine[order[place]]
-        near = (begin - there[twin]).norm(dim=1) <= SAME
-        same = (recorded.agent[twin] == people.agent) & near
+        same = (recorded.agent[twin] == people.agent) & ((begin - there[twin]).norm(dim=1) <= 0.5)
         offset = people.first - recorded.first[twin]
         if same.any():
             same &= offset == offset[same].mode().values
@@ -238,11 +191,7 @@ def _begin(people: RecordedPeople, xy: Tensor) -> Tensor:
 
 
 def _assumed(path: str, real: PreparedReplay) -> float | None:
-    """Return the seconds between frame numbers for rows 0.4 s apart; None where the file says its own.
-
-    Raises:
-        UserError: People then walk much slower or faster than the recorded ones, or the file is refused.
-    """
+    """Return the seconds between frame numbers for rows 0.4 s apart; None where the file says its own."""
     tracks = Tracks.read(path)
     if tracks.source.seconds is not None:
         return None
@@ -266,14 +215,14 @@ def _assumed(path: str, real: PreparedReplay) -> float | None:
 def blocks_of(people: RecordedPeople) -> tuple[Tensor, int]:
     """Return the block of time in which each person is taken over (P,) long, and how many blocks there are.
 
-    A block lies within one recording.
+    Each recording has at most 20 blocks of at least 30 s.
     """
     block, before = torch.zeros_like(people.handover), 0
     for number in people.recording.unique().tolist():
         mine = people.recording == number
         taken = people.handover[mine] - people.handover[mine].min()
         frames = max(int(taken.max()) + 1, 1)
-        length = max(frames / BLOCKS, BLOCK_SECONDS / STEP_SECONDS)
+        length = max(frames / 20, 30.0 / STEP_SECONDS)
         block[mine] = before + (taken / length).long()
         before = int(block[mine].max()) + 1
     return block, before

@@ -41,17 +41,11 @@ from pedzoo.sim.script import Script, ScriptScenes, occupants_of
 STEPS = 20
 """Simulated steps of a window: 8 s."""
 
-MOST = 60
-"""Windows: of a longer recording as many, evenly spread."""
-
 BINS_FILE = "bins_v1.yaml"
 """Ends of bins, made by ``python -m tools.zoo.score_bins``; never changed, a new version is another file."""
 
 OTHERS = "real others"
 """The row of other recorded people in the most similar situations: see `others_likelihood`."""
-
-BEST_OF = 20
-"""Rollouts of which the best counts for ``min_ade_20``."""
 
 RESAMPLES = 500
 
@@ -102,8 +96,8 @@ def windows_of(real: PreparedReplay) -> JointWindows:
     for number in people.recording.unique().tolist():
         last = int(people.last[people.recording == number].max())
         begins += [(number, begin) for begin in range(OBS_LEN - 1, max(last - STEPS, OBS_LEN) + 1, STEPS)]
-    if len(begins) > MOST:
-        begins = [begins[i] for i in torch.linspace(0, len(begins) - 1, MOST).round().long().tolist()]
+    if len(begins) > 60:  # of a longer recording as many, evenly spread
+        begins = [begins[i] for i in torch.linspace(0, len(begins) - 1, 60).round().long().tolist()]
     count = people.last - people.first + 1
     of_row = torch.arange(len(count)).repeat_interleave(count)
     frame = torch.arange(len(xy)) - (count.cumsum(0) - count)[of_row] + people.first[of_row]
@@ -119,64 +113,25 @@ def windows_of(real: PreparedReplay) -> JointWindows:
     parts, places = without_goals(cut)
     parts, (number, begin) = _with_roles(parts, people), torch.tensor(kept).T
     script = Script(parts, places, *_scenes(parts, len(kept)))
-    scenario = PreparedReplay(
-        scenario=real.scenario,
-        planner=real.planner,
-        tables=real.tables[number],
-        script=script,
-        home=real.home[number],
-    )
+    where = {"planner": real.planner, "tables": real.tables[number], "home": real.home[number]}
+    scenario = PreparedReplay(scenario=real.scenario, script=script, **where)
     who = script.people_in_slots(torch.arange(len(kept)), torch.full((len(kept),), OBS_LEN - 1))
     who = torch.where((who >= 0) & parts.controlled[who], who, -1)
     return JointWindows(scenario, begin, number, who, parts.goal[who].float())
 
 
-def joint_rollouts(windows: JointWindows, parts: Iterable[Rollout]) -> JointRollouts:
-    """Return what happened in rollouts of all windows, round after round, in parts of some episodes."""
-    count, bank, first = len(windows.begin), windows.scenario.bank, 0
-    columns: dict[str, list[Tensor]] = {}
-    for part in parts:
-        window = (first + torch.arange(len(part.failed))) % count
-        first += len(window)
-        own, goal = windows.person[window].unsqueeze(2), windows.goal[window].unsqueeze(2)
-        steps = every_step(part)
-        wall = bank.signed_distance(steps.xy.flatten(1, 2), part.map_id, part.pose)
-        wall = wall.view(steps.person.shape).where((part.map_id >= 0).view(-1, 1, 1), torch.nan)
-        there = steps.person == own
-        values = {name: _full(value, torch.nan) for name, value in step_values(steps, wall).items()}
-        for name in CONTACTS:
-            values[name] = (getattr(part, name) & part.underway & (part.person == own)).any(2)
-        values["xy"] = _full(torch.where(there.unsqueeze(3), steps.xy, goal))
-        values["scored"] = _full(steps.scored & there, False)
-        for name, value in values.items():
-            columns.setdefault(name, []).append(value)
-    rounds = {name: torch.cat(value).unflatten(0, (-1, count)) for name, value in columns.items()}
-    return JointRollouts(rounds, rounds.pop("xy"), rounds.pop("scored"), windows.person >= 0)
-
-
-def _full(value: Tensor, missing: float | None = None) -> Tensor:
-    """Return values (E, A, 2 + S', ...) of S steps (E, A, S, ...); absent are ``missing``, or the last."""
-    value = value[:, :, 2 : 2 + STEPS]
-    fill = value[:, :, -1:].expand(-1, -1, STEPS - value.shape[2], *value.shape[3:])
-    return torch.cat((value, fill if missing is None else torch.full_like(fill, missing)), 2)
-
-
 def _with_roles(parts: RecordedPeople, people: RecordedPeople) -> RecordedPeople:
     """Return the people of windows with the exits that they have in the recording."""
     who = parts.agent
-    goal, role = people.goal[who], people.what[who]
+    same = {
+        key: getattr(people, key)[who] for key in ("goal", "exit", "goal_id", "path_length", "pref_speed")
+    }
     taken = (parts.first == 0) & (parts.last >= OBS_LEN)
+    role = people.what[who]
     role = torch.where(~taken & (role == CONTROLLED), SHORT, role)
-    there = (goal - parts.start).norm(dim=1) <= GOAL_RADIUS
+    there = (same["goal"] - parts.start).norm(dim=1) <= GOAL_RADIUS
     role = torch.where(there & (role == CONTROLLED), STAYED, role)
-    return parts._replace(
-        what=role,
-        goal=goal,
-        exit=people.exit[who],
-        goal_id=people.goal_id[who],
-        path_length=people.path_length[who],
-        pref_speed=people.pref_speed[who],
-    )
+    return parts._replace(what=role, **same)
 
 
 def _scenes(parts: RecordedPeople, windows: int) -> tuple[Tensor, ScriptScenes]:
@@ -189,15 +144,34 @@ def _scenes(parts: RecordedPeople, windows: int) -> tuple[Tensor, ScriptScenes]:
     return occupants, ScriptScenes(number, begin, *ends, no_lead, others)
 
 
-def bins(against: str) -> Ranges:
-    """Return the ends of bins for a recorded crowd: from all recordings but those of that fold."""
-    known = _bins()
-    return known.get(against, known["all"])
+def joint_rollouts(windows: JointWindows, parts: Iterable[Rollout]) -> JointRollouts:
+    """Return what happened in rollouts of all windows, round after round, in parts of some episodes."""
+    count, bank, first = len(windows.begin), windows.scenario.bank, 0
+    columns: dict[str, list[Tensor]] = {}
 
+    def full(value: Tensor, missing: float | None = None) -> Tensor:
+        """Return values (E, A, S, ...) of the simulated steps; absent are ``missing``, or the last."""
+        value = value[:, :, 2 : 2 + STEPS]
+        fill = value[:, :, -1:].expand(-1, -1, STEPS - value.shape[2], *value.shape[3:])
+        return torch.cat((value, fill if missing is None else torch.full_like(fill, missing)), 2)
 
-@cache
-def _bins() -> dict[str, Ranges]:
-    return yaml.safe_load((files("pedzoo.eval.scoring") / BINS_FILE).read_text())["folds"]
+    for part in parts:
+        window = (first + torch.arange(len(part.failed))) % count
+        first += len(window)
+        own, goal = windows.person[window].unsqueeze(2), windows.goal[window].unsqueeze(2)
+        steps = every_step(part)
+        wall = bank.signed_distance(steps.xy.flatten(1, 2), part.map_id, part.pose)
+        wall = wall.view(steps.person.shape).where((part.map_id >= 0).view(-1, 1, 1), torch.nan)
+        there = steps.person == own
+        values = {name: full(value, torch.nan) for name, value in step_values(steps, wall).items()}
+        for name in CONTACTS:
+            values[name] = (getattr(part, name) & part.underway & (part.person == own)).any(2)
+        values["xy"] = full(torch.where(there.unsqueeze(3), steps.xy, goal))
+        values["scored"] = full(steps.scored & there, False)
+        for name, value in values.items():
+            columns.setdefault(name, []).append(value)
+    rounds = {name: torch.cat(value).unflatten(0, (-1, count)) for name, value in columns.items()}
+    return JointRollouts(rounds, rounds.pop("xy"), rounds.pop("scored"), windows.person >= 0)
 
 
 def recorded_windows(windows: JointWindows) -> JointRollouts:
@@ -210,17 +184,25 @@ def policy_windows(
 ) -> JointRollouts:
     """Return what a policy does in them: `ROLLOUTS` times if it has noise, else once."""
     episodes = len(windows.begin) * (ROLLOUTS if has_noise(load_policy(policy)) else 1)
-    parts = walked(policy, windows.scenario, physics, episodes, seed, progress=progress)
-    return joint_rollouts(windows, parts)
+    return joint_rollouts(
+        windows, walked(policy, windows.scenario, physics, episodes, seed, progress=progress)
+    )
+
+
+@cache
+def _bins() -> dict[str, Ranges]:
+    return yaml.safe_load((files("pedzoo.eval.scoring") / BINS_FILE).read_text())["folds"]
+
+
+def bins(against: str) -> Ranges:
+    """Return the ends of bins for a recorded crowd: from all recordings but those of that fold."""
+    return _bins().get(against, _bins()["all"])
 
 
 def likelihood(mine: JointRollouts, real: JointRollouts, against: str) -> dict[str, Tensor]:
-    """Return the numbers of rollouts (1 + R,): the first of all windows, then of resamples of windows.
+    """Return the numbers (1 + R,) of rollouts beside what people really did.
 
-    Args:
-        mine: Rollouts.
-        real: What people really did.
-        against: The fold that the windows are of.
+    The first is of all windows, the others of resamples of windows. ``against`` is the fold of the windows.
     """
     ends, true = bins(against), {name: value[0] for name, value in real.values.items()}
     scored = real.people & real.scored[0].any(2)
@@ -231,7 +213,7 @@ def likelihood(mine: JointRollouts, real: JointRollouts, against: str) -> dict[s
     weights = torch.cat((torch.ones(1, windows, dtype=torch.float64), drawn_people(windows, RESAMPLES)))
     error = displacement(mine.xy, real.xy[0], real.scored[0])
     result = composite(sums, weights)
-    for name, value in (("ade_8s_m", error.mean(0)), (f"min_ade_{BEST_OF}_8s_m", error[:BEST_OF].amin(0))):
+    for name, value in (("ade_8s_m", error.mean(0)), ("min_ade_20_8s_m", error[:20].amin(0))):
         known = (~value.isnan()).sum(1).double()
         result[name] = weights @ value.nan_to_num().sum(1) / (weights @ known)
     return result

@@ -29,27 +29,18 @@ SPLITS, TESTS = 200, 5
 RESAMPLES = 500
 """Of blocks of time."""
 
-COARSE = "coarse_"
-"""Prefix of measures over coarse positions."""
+_VIEWS = {"": "fine", "coarse_": "coarse"}
+"""Prefix of measures, and the view of a crowd that they are of."""
 
-_VIEWS = {"": "fine", COARSE: "coarse"}
 _ONCE_ONLY = ("_share", "_per_min", "_excess", "speed_std", "density_speed")
 """Measures that coarse positions do not have: contacts come from the paths themselves."""
-
 
 Weights = tuple[Tensor, Tensor]
 """Of two crowds' people (1 + R, P) each: the first row counts each once, the others are resamples."""
 
 
 def row(side: ScoredCrowd, real: ScoredCrowd, more: Mapping[str, Tensor], windows: int = 0) -> dict[str, Any]:
-    """Return a crowd's row beside the recorded one.
-
-    Args:
-        side: The crowd.
-        real: The recorded crowd.
-        more: Further values (1 + R,) of resampled windows.
-        windows: How many there are.
-    """
+    """Return a crowd's row beside the recorded one; ``more`` are values (1 + R,) of resampled ``windows``."""
     drawn, block, blocks = _drawn(side, real)
     values, telling = {}, {}
     for prefix, name in _VIEWS.items():
@@ -59,10 +50,9 @@ def row(side: ScoredCrowd, real: ScoredCrowd, more: Mapping[str, Tensor], window
         values[f"{prefix}classifier_auc"] = auc(verdict, *drawn)
         telling[f"{prefix}classifier_auc"] = verdict.telling
     values |= {name: ratios(both, drawn[0]) for name, both in side.sums.items()}
-    values |= same_people(side, real, drawn[0])
+    values |= same_people(side, real, drawn[0]) | more
     exact = {name: percentile_interval(value[1:], windows) for name, value in more.items()}
-    exact |= contact_intervals(side.fine.crowd, real.fine.crowd, block, blocks) | _shares(side, block, blocks)
-    values |= more
+    exact |= _exact(side, real, block, blocks)
     values |= {name: torch.tensor([value]) for name, value in columns(side.walks, real.walks).items()}
     row = values_row(side.name, int(side.seen.sum()), side.rounds, values, blocks, exact)
     return row | {"telling": telling}
@@ -75,32 +65,29 @@ def real_rows(real: ScoredCrowd) -> list[dict[str, Any]]:
     beaten, chiefly in speed, nearest distance and lateral deviation.
     """
     drawn, block, blocks = _drawn(real, real)
+    values = _of_view(real.fine, real.fine, drawn, "") | same_people(real, real, drawn[0])
     own = {name: ratios(both, drawn[0]) for name, both in real.sums.items()}
-    values = _of_view(real.fine, real.fine, drawn, "")
-    own |= {key: values[key] for key in values if key.endswith(("_share", "_per_min"))}
-    together = same_people(real, real, drawn[0])
-    own |= {key: together[key] for key in together if key.startswith("companions")}
-    count, seen = int(real.seen.sum()), real.seen
-    first = torch.zeros(SPLITS, len(seen), dtype=torch.float64)
-    first[:, seen] = halves(count, SPLITS)
-    splits = first, seen.double() - first
-    floor: dict[str, Tensor] = {}
+    ours = "_share", "_per_min"
+    own |= {key: one for key, one in values.items() if key.endswith(ours) or key.startswith("companions")}
+    count, splits, floor = int(real.seen.sum()), split_in_halves(real.seen), {}
     for prefix, name in _VIEWS.items():
         view = getattr(real, name)
         floor |= _of_view(view, view, splits, prefix, exact=False)
-        floor[f"{prefix}classifier_auc"] = _halves_auc(view.clips, first[:TESTS], splits[1][:TESTS])
-    floor |= {name: ratios(both, first) for name, both in real.sums.items()}
-    exact = contact_intervals(real.fine.crowd, real.fine.crowd, block, blocks)
-    exact |= _shares(real, block, blocks)
+        tests = zip(*(half[:TESTS] > 0 for half in splits), strict=True)
+        floor[f"{prefix}classifier_auc"] = torch.cat(
+            [_halves_auc(view.clips, number, *halves) for number, halves in enumerate(tests)]
+        )
+    floor |= {name: ratios(both, splits[0]) for name, both in real.sums.items()}
+    exact = _exact(real, real, block, blocks)
     return [values_row(real.name, count, 1, own, blocks, exact), halves_row(count, floor)]
 
 
-def _shares(side: ScoredCrowd, block: Tensor, blocks: int) -> dict[str, Interval | None]:
-    """Return the intervals of a crowd's sums, by the block of time of each person (P,)."""
-    return {
-        name: ratio_interval(*(sums(block, value, blocks) for value in both), part=True)
-        for name, both in side.sums.items()
-    }
+def _exact(side: ScoredCrowd, real: ScoredCrowd, block: Tensor, blocks: int) -> dict[str, Interval | None]:
+    """Return the intervals of a crowd's contacts and sums, by the block of time of each person (P,)."""
+    result = contact_intervals(side.fine.crowd, real.fine.crowd, block, blocks)
+    for name, both in side.sums.items():
+        result[name] = ratio_interval(*(sums(block, value, blocks) for value in both), part=True)
+    return result
 
 
 def _of_view(
@@ -129,15 +116,11 @@ def _split(people: int, seed: int) -> Tensor:
     return torch.randperm(people, generator=torch.Generator().manual_seed(seed)) % FOLDS
 
 
-def _halves_auc(clips: Clips, first: Tensor, second: Tensor) -> Tensor:
-    """Return the AUC (R,) of classifiers for halves (R, P) of the people, split at random into parts."""
-    result = []
-    for number, (one, other) in enumerate(zip(first > 0, second > 0, strict=True)):
-        parts = _split(len(one), number)
-        mine, theirs = (Clips(*(value[half[clips.person]] for value in clips)) for half in (one, other))
-        weights = torch.ones(1, len(one))
-        result.append(auc(two_sample(mine, theirs, parts, parts), weights, weights))
-    return torch.cat(result)
+def _halves_auc(clips: Clips, seed: int, first: Tensor, second: Tensor) -> Tensor:
+    """Return the AUC (1,) of classifiers for halves (P,) bool of the people, split at random into parts."""
+    parts, weights = _split(len(first), seed), torch.ones(1, len(first))
+    mine, theirs = (Clips(*(value[half[clips.person]] for value in clips)) for half in (first, second))
+    return auc(two_sample(mine, theirs, parts, parts), weights, weights)
 
 
 def _drawn(side: ScoredCrowd, real: ScoredCrowd) -> tuple[Weights, Tensor, int]:
@@ -185,22 +168,32 @@ def same_people(side: ScoredCrowd, real: ScoredCrowd, weights: Tensor) -> dict[s
 
 def _near(side: ScoredCrowd, pairs: Tensor, weights: Tensor) -> Tensor:
     """Return ``companions_near_share`` (R,); each pair counts for both of its people."""
-    own = torch.full((int(pairs.max()) + 1,), -1)
-    known = side.twin >= 0
-    fits = known & (side.twin <= int(pairs.max()))
+    own, size = torch.full((int(pairs.max()) + 1,), -1), len(side.twin)
+    fits = (side.twin >= 0) & (side.twin < len(own))
     own[side.twin[fits]] = fits.nonzero()[:, 0]
     mine = own[pairs]
     mine = mine[(mine >= 0).all(1)].sort(1).values
-    above = torch.zeros(len(side.twin), dtype=torch.float64)
-    below = above.clone()
+    above, below = torch.zeros(2, size, dtype=torch.float64)
     for walks in side.walks.rounds():
         pair, near, count = meetings(walks)
-        size = len(side.twin)
         chosen = torch.isin(pair[:, 0] * size + pair[:, 1], mine[:, 0] * size + mine[:, 1])
         for end in (0, 1):
             above.index_add_(0, pair[chosen, end], near[chosen])
             below.index_add_(0, pair[chosen, end], count[chosen].double())
     return weights @ above / (weights @ below)
+
+
+def weights_of(seen: Tensor, of_seen: Tensor) -> Tensor:
+    """Return weights (R, P) of all people, given those (R, N) of the N who were ``seen`` (P,) bool."""
+    weights = torch.zeros(len(of_seen), len(seen), dtype=torch.float64)
+    weights[:, seen] = of_seen.double()
+    return weights
+
+
+def split_in_halves(seen: Tensor) -> Weights:
+    """Return who of those ``seen`` (P,) bool is in either half of `SPLITS` random splits (SPLITS, P)."""
+    first = weights_of(seen, halves(int(seen.sum()), SPLITS))
+    return first, seen.double() - first
 
 
 def halves_row(n: int, values: Mapping[str, Tensor]) -> dict[str, Any]:
@@ -217,15 +210,10 @@ def values_row(
     groups: int | None = None,
     exact: Mapping[str, Interval | None] | None = None,
 ) -> dict[str, Any]:
-    """Return a row of values (1 + R,): the first is the number, the others give its interval.
+    """Return the row of a crowd of ``n`` people who walked ``rounds`` times.
 
-    Args:
-        name: Of the crowd.
-        n: People.
-        rounds: How often they walked.
-        values: By the names of columns.
-        groups: See `percentile_interval`.
-        exact: Intervals that are known otherwise.
+    Of ``values`` (1 + R,) the first is the column's number. The others give its interval, as of
+    `percentile_interval`, unless that is one of the ``exact`` ones.
     """
     known = {key: value for key, value in values.items() if not value[0].isnan()}
     found = {key: percentile_interval(value[1:], groups) for key, value in known.items()} | dict(exact or {})

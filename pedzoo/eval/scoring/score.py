@@ -12,14 +12,14 @@ from torch import Tensor
 from pedzoo.core.errors import UserError, as_integer, at_least_one
 from pedzoo.data.text_format import check_dt, is_recording
 from pedzoo.eval.results import SEEN, ResultTable, cell
-from pedzoo.eval.rollout import Progress
+from pedzoo.eval.rollout import Progress, walked
 from pedzoo.eval.scoring import likelihood as joint
 from pedzoo.eval.scoring.crowds import (
     NothingToScoreError,
     ScoredCrowd,
     file_crowd,
-    policy_crowd,
     recorded_crowd,
+    scored_crowd,
 )
 from pedzoo.eval.scoring.rows import RESAMPLES, real_rows, row, values_row
 from pedzoo.eval.trained_on import for_fold, has_seen
@@ -27,6 +27,7 @@ from pedzoo.metrics.realism.features import FEATURES
 from pedzoo.metrics.realism.walks import HEADWAYS, through
 from pedzoo.metrics.realism.wosac import WEIGHTS
 from pedzoo.policies.load import load_policy
+from pedzoo.policies.walker import has_noise
 from pedzoo.sim.make import prepare_scenario
 from pedzoo.sim.scenarios.replay import PreparedReplay, Replay
 
@@ -36,14 +37,11 @@ VERSION = 3
 HEADLINE = "realism", "coarse_realism", "classifier_auc", "coarse_classifier_auc"
 """Measures whose absence is said."""
 
-LEAST = 2
-"""Recorded people: one alone varies from nobody."""
-
-CROWDES = ("density", "coverage", "population", "kinematics", "dtw", "diversity", "collision")
+_CROWDES = ("density", "coverage", "population", "kinematics", "dtw", "diversity", "collision")
 
 TABLES = {
     "how near to the real crowd": (
-        *("realism", "coarse_realism", "classifier_auc", "coarse_classifier_auc"),
+        *HEADLINE,
         *("coarse_acceleration_p95_ratio", "coarse_acceleration_p99_ratio"),
     ),
     "realism by feature, coarse positions": tuple(f"coarse_w1_{name}" for name in FEATURES),
@@ -59,7 +57,7 @@ TABLES = {
         *("opening_through_share", "specific_flow_per_m_s"),
         *(f"opening_headway_{name}_s" for name in HEADWAYS),
     ),
-    "columns of CrowdES": tuple(f"crowdes_{name}" for name in CROWDES),
+    "columns of CrowdES": tuple(f"crowdes_{name}" for name in _CROWDES),
 }
 """Columns of each table; the report has more."""
 
@@ -82,20 +80,15 @@ class Reference(NamedTuple):
     root: str | None = None
 
     def prepared(self, stops: bool = False) -> PreparedReplay:
-        """Return the recording as a replay.
-
-        Args:
-            stops: Whether people have the places where they stopped as goals, too, see `Replay`.
+        """Return the recording as a replay, in which people have their stops as goals, too, or not.
 
         Raises:
             UserError: There is no such recording, or its file is refused.
         """
-        if is_recording(self.recording):
-            files: dict[str, Any] = {"files": [self.recording], "dt": self.dt}
-            made = Replay(**files, map=self.map, homography=self.homography, stops=stops)
-        else:
-            place: dict[str, Any] = {"dt": self.dt, "map": self.map, "homography": self.homography}
-            made = Replay(self.recording, self.root, **place, stops=stops)
+        own = is_recording(self.recording)
+        source: dict[str, Any] = {"fold": self.recording, "root": self.root}
+        source = {"files": [self.recording]} if own else source
+        made = Replay(**source, dt=self.dt, map=self.map, homography=self.homography, stops=stops)
         return cast(PreparedReplay, prepare_scenario(made))
 
 
@@ -147,10 +140,10 @@ def score(
     gate = _gate(opening)
     prepared = against.prepared(stops)
     real = recorded_crowd(prepared)
-    if (people := int(real.seen.sum())) < LEAST:
+    if (people := int(real.seen.sum())) < 2:
         raise UserError(
             f"{against.recording}: {people} recorded person can be scored, too few for distances in the "
-            f"recording's own standard deviations: give --against a recording of at least {LEAST} people"
+            f"recording's own standard deviations: give --against a recording of at least 2 people"
         )
     files: dict[str, ScoredCrowd | None] = {}
     notes: list[str] = []
@@ -170,7 +163,12 @@ def score(
         rows.append(values_row(joint.OTHERS, count, 1, others, count))
     for name, weights in walks.items():
         is_file, more = is_recording(name), {}
-        side = files[name] if is_file else policy_crowd(weights, prepared, rollouts, seed, physics, progress)
+        if is_file:
+            side = files[name]
+        else:
+            rounds = rollouts if has_noise(load_policy(weights)) else 1
+            parts = walked(weights, prepared, physics, rounds * prepared.scenes, seed, progress=progress)
+            side = scored_crowd(weights, parts, prepared, rounds=rounds)
         if side is None:
             rows.append(values_row(name, 0, 1, {}))
             continue
@@ -179,7 +177,7 @@ def score(
         if windows and joined and not is_file:
             simulated = joint.policy_windows(weights, windows, seed, physics, progress)
             more = joint.likelihood(simulated, joined, fold)
-        result = row(side._replace(name=name), real, more, count)
+        rows.append(result := row(side._replace(name=name), real, more, count))
         if missing := [key for key in HEADLINE if key not in result["metrics"]]:
             notes.append(f"{name}: {result['n']} people walk too little for {', '.join(missing)}")
         if gate is not None:
@@ -189,17 +187,12 @@ def score(
         if not is_file and not own and has_seen(weights, against.recording):
             notes.append(f"{name} was trained on {against.recording}: marked *")
             result["case"][SEEN] = "yes"
-        rows.append(result)
     protocol = {"against": against.recording, "version": VERSION, "resamples": RESAMPLES, "stops": stops}
     return {"protocol": protocol, "seeds": [seed], "notes": notes, "rows": rows}
 
 
 def _gate(opening: Sequence[float]) -> Tensor | None:
-    """Return an opening as `through` takes it; None for none.
-
-    Raises:
-        UserError: It has not five numbers, no normal or no width.
-    """
+    """Return an opening as `through` takes it; None for none."""
     if not opening:
         return None
     gate = torch.tensor([*opening], dtype=torch.float32)
@@ -212,17 +205,22 @@ def _gate(opening: Sequence[float]) -> Tensor | None:
 
 
 def pages(report: Mapping[str, Any]) -> list[ResultTable]:
-    """Return the tables of a report of `pedzoo.eval.scoring.score.score`; columns without numbers are out."""
+    """Return the tables of a report of `score`; columns without numbers are out."""
     rows, result = report["rows"], []
+    # files without their folders
+    labels = [Path(row["name"]).name if is_recording(row["name"]) else row["name"] for row in rows]
     for title, columns in TABLES.items():
         known = [key for key in columns if any(key in row["metrics"] for row in rows)]
-        some = [row for row in rows if any(key in row["metrics"] for key in known)]
-        body = [[_label(row), str(row["n"]), *(cell(row, key) for key in known)] for row in some]
+        body = [
+            [label, str(row["n"]), *(cell(row, key) for key in known)]
+            for label, row in zip(labels, rows, strict=True)
+            if any(key in row["metrics"] for key in known)
+        ]
         if known:
             result.append(ResultTable(title, ["crowd", "n", *known], body, 2))
     telling = [
-        [_label(row), test, feature, f"{share:.0%}"]
-        for row in rows
+        [label, test, feature, f"{share:.0%}"]
+        for label, row in zip(labels, rows, strict=True)
         for test, features in row.get("telling", {}).items()
         for feature, share in features.items()
     ]
@@ -230,8 +228,3 @@ def pages(report: Mapping[str, Any]) -> list[ResultTable]:
         head = ["crowd", "test", "feature", "share of gain"]
         result.append(ResultTable("what the classifier goes by", head, telling, 3))
     return result
-
-
-def _label(row: Mapping[str, Any]) -> str:
-    """Return what tables call a crowd: files without their folders."""
-    return Path(row["name"]).name if is_recording(row["name"]) else row["name"]
