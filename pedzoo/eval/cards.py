@@ -2,9 +2,10 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, NotRequired, get_args
+from itertools import product
+from typing import Any, NamedTuple, get_args
 
-from typing_extensions import TypedDict
+from msgspec import defstruct
 
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.forms import check, refuse_code
@@ -46,15 +47,10 @@ class RepeatedReport(NamedTuple):
 
 
 class ComparedNumber(NamedTuple):
-    """A number of a card beside the same one of today.
+    """A number of a card beside the same one of today, None if there is none.
 
-    Attributes:
-        case: Whose number it is: the fold and its part, or the suite.
-        metric: Its name.
-        card: As the card has it.
-        now: As it is today; None if there is none.
-        interval: The card's 95 % interval, where being inside it is being the same.
-        same: Whether they agree; None where they differ and nothing says how much chance would.
+    ``case`` says whose it is: the fold and its part, or the suite. ``interval`` is the card's 95 % interval,
+    where being inside it is being the ``same``; that is None where nothing says how much chance would differ.
     """
 
     case: str
@@ -75,9 +71,8 @@ def measure(
     """Return the reports for a model's card.
 
     Forecast errors are those of the windows that the weights did not see, under the model's own goal
-    protocol. Weights that left no scene out get those of their validation windows. The same follows for the
-    embedded recordings, which ship with pedzoo. The closed loop is that at the door, from goal to goal and in
-    encounters.
+    protocol: of validation windows where no scene was left out. The embedded recordings follow, and the door,
+    goals and encounters in closed loop.
 
     Args:
         model: What `pedzoo.load` accepts of saved models.
@@ -93,8 +88,8 @@ def measure(
     if not trained:
         raise UserError(f"{model!r} does not say on what it was trained: its numbers would have no protocol")
     own: Report = {key: trained[key] for key in PROTOCOL}
-    own |= {"goal": load(model).goal_protocol or "none", "samples": SAMPLES}
     fold = find_fold(own["fold"])
+    own |= {"goal": load(model).goal_protocol or "none", "samples": SAMPLES}
     own["split"] = "val" if fold and fold.whole else "test"
     embedded = own | {"fold": EMBEDDED, "split": "test"}
     wanted = [("forecast", own), ("forecast", embedded)][own["fold"] == EMBEDDED :]
@@ -150,8 +145,8 @@ def again(
 def compare(before: Report, now: Report) -> list[ComparedNumber]:
     """Return every number of a card's report, ``before``, beside today's.
 
-    Numbers are the same within `RELATIVE` or `ABSOLUTE`. Those of the closed loop are also the same inside
-    the card's interval: on another machine a rounded digit sends an episode another way.
+    Numbers are the same within `RELATIVE` or `ABSOLUTE`, or of walks inside the card's interval: on another
+    machine a rounded digit sends an episode another way.
     """
     walks = before["command"] == "evaluate"
     today, result = {_case(row): row for row in now["rows"]}, []
@@ -160,13 +155,10 @@ def compare(before: Report, now: Report) -> list[ComparedNumber]:
         others = {"n": other["n"], **other["metrics"]} if other else {}
         for metric, card in {"n": row["n"], **row["metrics"]}.items():
             value, interval = others.get(metric), row["ci95"].get(metric) if walks else None
-            same: bool | None = False
-            if value is not None and math.isclose(card, value, rel_tol=RELATIVE, abs_tol=ABSOLUTE):
-                same = True
-            elif value is not None and interval:
-                same = interval[0] <= value <= interval[1]
-            elif value is not None and walks and metric != "n":
-                same = None
+            same: bool | None = value is not None
+            if value is not None and not math.isclose(card, value, rel_tol=RELATIVE, abs_tol=ABSOLUTE):
+                unknown_spread = None if walks and metric != "n" else False
+                same = interval[0] <= value <= interval[1] if interval else unknown_spread
             result.append(ComparedNumber(_case(row), metric, card, value, interval, same))
     return result
 
@@ -202,7 +194,7 @@ class Job(NamedTuple):
 
 
 def report_of(command: str, job: Job) -> Report:
-    """Return the report of ``forecast`` or ``evaluate`` on one model; of the latter, the rows of its tables.
+    """Return the report of ``forecast`` on one model, or the tables' rows of ``evaluate``.
 
     Raises:
         UserError: The recordings are absent, or the protocol asks for something unknown.
@@ -213,8 +205,8 @@ def report_of(command: str, job: Job) -> Report:
     check(job.protocol, form, f"protocol of {command}")
     refuse_code(job.protocol, f"protocol of {command}", f"name it yourself, with pedzoo {command}")
     protocol, rows = make(job)
-    content = {"protocol": protocol, "seeds": list(job.seeds), "versions": versions(), "rows": rows}
-    return {"command": command, **content}
+    where = {"command": command, "protocol": protocol, "seeds": list(job.seeds)}
+    return where | {"versions": versions(), "rows": rows}
 
 
 def about(protocol: Mapping[str, Any]) -> str:
@@ -237,15 +229,8 @@ def _forecasts(job: Job) -> tuple[Report, list[Report]]:
         if protocol[key] not in known:
             raise unknown(key, protocol[key], known)
     data = TrajectoryDataModule(root=job.root, **only(protocol, PROTOCOL))
-    row = forecast_row(
-        job.model,
-        load(job.model),
-        data,
-        samples=protocol["samples"],
-        seed=job.seeds[0],
-        split=protocol["split"],
-        progress=job.progress,
-    )
+    how = {"seed": job.seeds[0], "progress": job.progress, **only(protocol, ("samples", "split"))}
+    row = forecast_row(job.model, load(job.model), data, **how)
     row["case"] = only(protocol, ("fold", "split")) | row["case"]
     return dict(protocol), [row]
 
@@ -269,29 +254,11 @@ def _walks(job: Job) -> tuple[Report, list[Report]]:
     return known | lists, rows
 
 
-class _Forecast(TypedDict):
-    fold: str
-    goal: str
-    clock: str
-    keep_people: str
-    split: str
-    obs_len: int
-    pred_len: int
-    min_people: int
-    samples: int
+_TEXTS, _NUMBERS = "fold goal clock keep_people split", "obs_len pred_len min_people samples"
+_FORECAST = defstruct("forecast", [*product(_TEXTS.split(), [str]), *product(_NUMBERS.split(), [int])])
+_OPTIONAL = {"quick": bool, "deterministic": bool, "physics": str, "maps": list, "episodes": int}
+_OPTIONAL |= {"rollouts": int, "people": list, "robot": str}
+_WALKS = defstruct("evaluate", [("suites", list), *((*one, None) for one in _OPTIONAL.items())])
 
-
-class _Walks(TypedDict):
-    suites: list
-    quick: NotRequired[bool]
-    deterministic: NotRequired[bool]
-    physics: NotRequired[str]
-    maps: NotRequired[list]
-    episodes: NotRequired[int]
-    rollouts: NotRequired[int]
-    people: NotRequired[list]
-    robot: NotRequired[str]
-
-
-_MAKERS = {"forecast": (_Forecast, _forecasts), "evaluate": (_Walks, _walks)}
-"""By the command: the type of its protocol, and the function that makes the report."""
+_MAKERS = {"forecast": (_FORECAST, _forecasts), "evaluate": (_WALKS, _walks)}
+"""By the command: the form of its protocol, and the function that makes the report."""

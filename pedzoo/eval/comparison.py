@@ -68,13 +68,12 @@ class Comparison:
         named(metrics)
         if keep_episodes < 0:
             raise UserError(f"keep_episodes {keep_episodes}: expected 0 or more")
-        self._metrics, self._kept = metrics, keep_episodes
         self.refusal: UserError | None = None
-        settings = {"warm_start": "orca", "clearance": CLEARANCE, "device": "cpu"} | {
-            key: value for key, value in settings.items() if value is not None
-        }
-        self._prepared: dict[str, tuple[Policy | Walker, PedestrianEnv]] = {}
         self.walked: list[PolicyRollout] = []
+        self._metrics, self._kept, self._seed = metrics, keep_episodes, seed
+        usual = {"warm_start": "orca", "clearance": CLEARANCE, "device": "cpu"}
+        settings = usual | {key: value for key, value in settings.items() if value is not None}
+        self._prepared: dict[str, tuple[Policy | Walker, PedestrianEnv]] = {}
         made: Scenario | PreparedScenario = make_scenario(scenario)
         physics, recorded = physics or usual_physics(), {}
         for name in dict.fromkeys(policies):
@@ -82,10 +81,9 @@ class Comparison:
             self._prepared[name], made = (policy, env), env.prepared  # planned once
             if env.prepared.script is not None or env.prepared.scenario.begun:
                 recorded = {"warm_start": "recorded"}
-        self._episodes, self._seed, self._deterministic = episodes, seed, deterministic
+        self._walking = episodes, deterministic
         where = {"scenario": scenario, "physics": physics, "episodes": episodes}
-        noise = {"noise": "none" if deterministic else "sampled"}
-        self._protocol = where | noise | settings | recorded
+        self._protocol = where | {"noise": "none" if deterministic else "sampled"} | settings | recorded
 
     def __enter__(self) -> Comparison:
         return self
@@ -99,7 +97,7 @@ class Comparison:
         for name, (policy, env) in self._prepared.items():
             parts: list[Rollout] = []
             try:
-                for part in walk(policy, env, self._episodes, self._deterministic, progress):
+                for part in walk(policy, env, *self._walking, progress):
                     parts.append(part)
             finally:
                 if parts:
@@ -112,21 +110,18 @@ class Comparison:
         """
         rows, plans = [], {}
         for one in self.walked:
-            rows.append(row(one.name, one.rollout, self._own(one.rollout)))
+            own: dict[str, Ratio] = {}
+            for metric in self._metrics:
+                try:
+                    own |= own_metrics(one.rollout, [metric])
+                except UserError as error:
+                    self.refusal = self.refusal or error
+            rows.append(row(one.name, one.rollout, own))
             if self._kept:
                 rows[-1]["episodes"], its = packed_episodes(one.rollout, one.env.bank, self._kept, self._seed)
                 plans |= its
         report = {"protocol": self._protocol, "seeds": [self._seed], "rows": rows}
         return report | ({"plans": plans} if self._kept else {})
-
-    def _own(self, rollout: Rollout) -> dict[str, Ratio]:
-        result: dict[str, Ratio] = {}
-        for metric in self._metrics:
-            try:
-                result |= own_metrics(rollout, [metric])
-            except UserError as error:
-                self.refusal = self.refusal or error
-        return result
 
 
 def row(
@@ -134,14 +129,9 @@ def row(
 ) -> dict[str, Any]:
     """Return the metrics of a policy with their 95 % intervals, and what each person did.
 
-    ``n`` are episodes, intervals are over episodes; what the metrics are `pedzoo.metrics.closed_loop` says;
-    ``time_ratio_median`` is beside them. In a replay slots are not people: see `pedzoo.eval.realism`.
-
-    Args:
-        name: The policy as it was given.
-        rollout: Its episodes.
-        more: Metrics of the same episodes beside those of every rollout.
-        metrics: Likewise, as ``path/to/file.py:f``.
+    ``n`` are episodes, intervals are over episodes. Metrics are those of `pedzoo.metrics.closed_loop`,
+    ``time_ratio_median``, ``more`` of the same episodes, and ``metrics`` as ``path/to/file.py:f``. In a
+    replay slots are not people: see `pedzoo.eval.realism`.
     """
     values, intervals = summarised({**closed_loop(rollout, metrics), **(more or {})})
     if not rollout.replayed:
@@ -163,7 +153,7 @@ def _per_agent(walked: Rollout) -> list[dict[str, Any]]:
     arrived, seconds = arrived_in_time(walked), finish_seconds(walked.reached, walked.goals)
     both = walked.agent_contact, walked.wall_contact
     agents, walls = (contact_events(contact & walked.scored) for contact in both)
-    least = least_distance(walked)
+    least, known = least_distance(walked), walked.mask.nonzero().tolist()
     return [
         {
             "episode": at[0],
@@ -171,14 +161,10 @@ def _per_agent(walked: Rollout) -> list[dict[str, Any]]:
             "pref_speed_m_per_s": round(walked.pref_speed[at].item(), 4),
             "success": arrived[at].item(),
             "goals": walked.reached[(*at, -1)].item(),
-            "time_s": _known(seconds[at].item(), 1),
+            "time_s": round(seconds[at].item(), 1) if seconds[at].isfinite() else None,
             "agent_contacts": agents[at].item(),
             "wall_contacts": walls[at].item(),
-            "least_distance_m": _known(least[at].item(), 4),
+            "least_distance_m": round(least[at].item(), 4) if least[at].isfinite() else None,
         }
-        for at in map(tuple, walked.mask.nonzero().tolist())
+        for at in map(tuple, known)
     ]
-
-
-def _known(value: float, digits: int) -> float | None:
-    return round(value, digits) if value != float("inf") else None

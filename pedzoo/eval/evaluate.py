@@ -46,8 +46,8 @@ def evaluate(
     """Evaluate policies in closed loop and return the report that ``pedzoo evaluate`` prints and writes.
 
     Args:
-        policies: Names with settings, or mixed crowds, as of `pedzoo.policies.load.load_policy`; for the
-            suite ``robots`` as of `pedzoo.policies.load.load_robot_policy`.
+        policies: Names with settings, or mixed crowds, as of `pedzoo.policies.load.load_policy`; of robots
+            for the suite ``robots``.
         suites: ``door``, ``goals``, ``encounters`` and ``replay``; ``robots``; or ``file.py:Class``.
         seeds: Of the scenes. Their episodes count as one sample.
         deterministic: Models walk with noise zero.
@@ -96,14 +96,14 @@ class Evaluation:
         resume: str | Path | None = None,
     ) -> None:
         """Say what is to be done; wrong names are refused here. Arguments and errors as of `evaluate`."""
-        self.options = options = _checked(options or EvaluationOptions())
+        options = options or EvaluationOptions()
         self._policies = _names("policies", policies, "['orca', 'go_to_goal']")
         self._seeds = tuple(dict.fromkeys(as_integer("seeds", seed) for seed in seeds))
         if not self._seeds:
             raise UserError("no seeds: expected at least one")
         self._deterministic = deterministic
         self._suites = [_suite(name) for name in _names("suites", suites, "['door', 'goals']")]
-        _check_use(options, self._suites)
+        self.options = options = _checked(options, self._suites)
         given = {"device": options.device, "metrics": options.metrics, "keep_episodes": options.keep_episodes}
         self._columns = (*(name for name in options.metrics if name in NAMES), *named(options.metrics))
         for suite, policy in product(self._suites, self._policies):
@@ -165,52 +165,37 @@ class Evaluation:
         rows = [dict(row) for number in sorted(self._rows) for row in self._rows[number]]
         plans = {name: plan for row in rows for name, plan in row.pop("plans", {}).items()}
         options = self.options
-        protocol = {
-            "suites": [suite.name for suite in self._suites],
-            **{key: value for key, value in options._asdict().items() if key not in _IF_GIVEN or value},
-            **({"own": options.own._asdict()} if options.own else {}),
-            "deterministic": self._deterministic,
-            "warm_start": {suite.name: suite.warm_start for suite in self._suites},
-        }
-        return {
-            "protocol": protocol,
-            "seeds": list(self._seeds),
-            "notes": [note for suite in self._suites for note in suite.notes(options, self._policies)],
-            "summary": summary(rows),
-            "rows": rows,
-            **({"plans": plans} if plans else {}),
-        }
+        protocol: dict[str, Any] = {"suites": [suite.name for suite in self._suites]}
+        protocol |= {key: value for key, value in options._asdict().items() if key not in _IF_GIVEN or value}
+        if options.own:
+            protocol["own"] = options.own._asdict()
+        protocol["deterministic"] = self._deterministic
+        protocol["warm_start"] = {suite.name: suite.warm_start for suite in self._suites}
+        notes = [note for suite in self._suites for note in suite.notes(options, self._policies)]
+        result = {"protocol": protocol, "seeds": list(self._seeds), "notes": notes}
+        return result | {"summary": summary(rows), "rows": rows} | ({"plans": plans} if plans else {})
 
     @property
     def shown(self) -> dict[str, SuiteColumns]:
         """What tables show of each suite."""
-        return {
-            suite.name: SuiteColumns(
-                suite.headline,
-                list(dict.fromkeys((*suite.columns, *self._columns))),
-                suite.counted,
-                suite.legend,
-            )
-            for suite in self._suites
-        }
+        result = {}
+        for suite in self._suites:
+            columns = list(dict.fromkeys((*suite.columns, *self._columns)))
+            result[suite.name] = SuiteColumns(suite.headline, columns, suite.counted, suite.legend)
+        return result
 
 
 def _names(what: str, given: Sequence[str], example: str) -> list[str]:
     """Return ``given`` without repetitions; a single name need not be in a list."""
-    names = [given] if isinstance(given, str) else given
-    if not isinstance(names, Iterable):
-        raise UserError(f"{what} {given!r}: expected a name, or a list of names, as {example}")
-    names = list(names)
+    names = [given] if isinstance(given, str) else [*given] if isinstance(given, Iterable) else [None]
     if not names:
         raise UserError(f"no {what}: expected at least one")
-    for name in names:
-        if not isinstance(name, str):
-            raise UserError(f"{what}: {name!r} is no name: expected one list of names, as {example}")
-    return list(dict.fromkeys(names))
+    if not all(isinstance(name, str) for name in names):
+        raise UserError(f"{what} {given!r:.200}: expected a name, or one list of names, as {example}")
+    return list(dict.fromkeys(map(str, names)))
 
 
 def _suite(name: str) -> Suite:
-    """Return a suite by its name; errors as of `evaluate`."""
     cls = SUITES.get(name, Suite)
     if isabstract(cls):
         raise UserError(f"suite {name!r} has no cases: write its method cases(self, options)")
@@ -220,7 +205,7 @@ def _suite(name: str) -> Suite:
 
 
 def _cases(suite: Suite, options: EvaluationOptions) -> list[EvaluationCase]:
-    """Return the cases of a suite; errors as of `evaluate`, also for what a suite in a file returns."""
+    """Return the cases of a suite; one in a file may return anything."""
     cases = suite.cases(options)
     is_list = isinstance(cases, list) and bool(cases)
     if not is_list or not all(isinstance(case, EvaluationCase) for case in cases):
@@ -237,8 +222,8 @@ def _cases(suite: Suite, options: EvaluationOptions) -> list[EvaluationCase]:
     return cases
 
 
-def _checked(options: EvaluationOptions) -> EvaluationOptions:
-    """Return options whose numbers are Python's own; errors as of `evaluate`."""
+def _checked(options: EvaluationOptions, suites: Sequence[Suite]) -> EvaluationOptions:
+    """Return options that are of use to the suites, with Python's own numbers; errors as of `evaluate`."""
     usable(options.device)
     if options.own and options.folds:
         raise UserError("--data.files are instead of --data.fold: leave one of them out")
@@ -246,16 +231,11 @@ def _checked(options: EvaluationOptions) -> EvaluationOptions:
         raise UserError(f"keep_episodes {kept}: expected 0 or more")
     numbers = {"episodes": options.episodes, "rollouts": options.rollouts}
     known = {key: at_least_one(key, number) for key, number in numbers.items() if number is not None}
-    return options._replace(keep_episodes=kept, **known)
-
-
-def _check_use(options: EvaluationOptions, suites: Sequence[Suite]) -> None:
-    """Refuse options that no suite takes; errors as of `evaluate`."""
-    robots = any("robot" in suite.accepted_options for suite in suites)
-    if robots and options.clearance is not None:
-        raise UserError("clearance: ways beside robots keep that of the bodies: leave it or robots out")
-    if robots and options.deadline is not None:
-        raise UserError("deadline: robots have their own times: leave it or robots out")
+    if any("robot" in suite.accepted_options for suite in suites):
+        if options.clearance is not None:
+            raise UserError("clearance: ways beside robots keep that of the bodies: leave it or robots out")
+        if options.deadline is not None:
+            raise UserError("deadline: robots have their own times: leave it or robots out")
     if options.clearance is not None and options.clearance < 0:
         raise UserError(f"clearance {options.clearance}: expected at least 0 m")
     if options.deadline is not None:
@@ -266,3 +246,4 @@ def _check_use(options: EvaluationOptions, suites: Sequence[Suite]) -> None:
             users = ", ".join(name for name, accepted in others.items() if key in accepted)
             given = ", ".join(suite.name for suite in suites)
             raise UserError(f"{key}: no use for them in {given}; {users} would have")
+    return options._replace(keep_episodes=kept, **known)

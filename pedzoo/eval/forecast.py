@@ -62,19 +62,10 @@ def forecast(
     wanted = [name for name in BASELINES if data.goal != "none" or name == BASELINES[0]]
     models = {name: load(name, cast("GoalProtocol", data.goal)) for name in [wanted[0], *names, *wanted[1:]]}
     if samples > 1 and FLOOR not in models:
-        models[FLOOR] = floor(data, samples)
+        models[FLOOR] = MODELS.get(FLOOR, Forecaster).of(steps=data.pred_len, modes=samples).eval()
+        models[FLOOR].prepare(data.recorded("train"))
     rows = [forecast_row(name, model, data, samples, seed, split, progress) for name, model in models.items()]
     return {"protocol": data.protocol | {"split": split, "samples": samples}, "seeds": [seed], "rows": rows}
-
-
-def floor(data: TrajectoryDataModule, modes: int) -> Forecaster:
-    """Return centroids of the training futures of some data, as many as samples are compared.
-
-    They are of the training windows alone, with the seed 0, and no part of a validation or test is looked at.
-    """
-    model = MODELS.get(FLOOR, Forecaster).of(steps=data.pred_len, modes=modes).eval()
-    model.prepare(data.recorded("train"))
-    return model
 
 
 def forecast_row(
@@ -104,24 +95,18 @@ def forecast_row(
             progress(name, i + 1, len(loader))
     own = model.goal_protocol
     other = own not in (None, data.goal) and "goal" in model.needs
-    note = f"trained for {own} goals" if other else ""
-    return {
-        "name": name,
-        "case": {"note": note} if note else {},
-        "n": people,
-        "metrics": score.compute(),
-        "ci95": sums.intervals(),
-    }
+    case = {"note": f"trained for {own} goals"} if other else {}
+    return {"name": name, "case": case, "n": people, "metrics": score.compute(), "ci95": sums.intervals()}
 
 
 class BlockSums:
     """Sums of errors over blocks of time, which give 95 % intervals of their means.
 
-    A window begins at every frame and shares nearly all of its frames with the next one. Taken as
-    independent, windows would give intervals several times too narrow. A block is as many windows in a row as
-    a window has frames, within one recording, so that only neighbouring blocks share frames (the block
-    jackknife: Künsch, "The jackknife and the bootstrap for general stationary observations", Annals of
-    Statistics 17, 1989). What differs between scenes and between trainings is not in these intervals.
+    Windows share nearly all of their frames with the next one: taken as independent, intervals would be
+    several times too narrow. A block is as many windows in a row as a window has frames, within one
+    recording, so that only neighbouring blocks share frames (the block jackknife: Künsch, "The jackknife and
+    the bootstrap for general stationary observations", Annals of Statistics 17, 1989). What differs between
+    scenes and between trainings is not in these intervals.
 
     Attributes:
         block: Of each window (S,) long.
@@ -140,13 +125,11 @@ class BlockSums:
 
     def add(self, scenes: Tensor, errors: Mapping[str, tuple[Tensor, Tensor]]) -> None:
         """Add the sums and numbers of people (B,) of each error in some scenes (B,)."""
-        block = self.block[scenes]
         for name, result in errors.items():
-            if name not in self._sums:
-                nothing = torch.zeros(self.count, dtype=torch.float64)
-                self._sums[name] = nothing, nothing.clone()
-            for total, value in zip(self._sums[name], result, strict=True):
-                total.index_add_(0, block, value.double().cpu())
+            nothing = torch.zeros(self.count, dtype=torch.float64)
+            totals = self._sums.setdefault(name, (nothing, nothing.clone()))
+            for total, value in zip(totals, result, strict=True):
+                total.index_add_(0, self.block[scenes], value.double().cpu())
 
     def intervals(self) -> dict[str, Interval]:
         """Return the interval of every mean; see `ratio_interval` for when there is none."""
@@ -157,8 +140,7 @@ class BlockSums:
 def blocks(windows: list[int], length: int) -> Tensor:
     """Return the number of each window's block (S,): ``length`` windows in a row, of one recording.
 
-    ``windows`` are those of each recording, which come one after the other. What is left at the end of a
-    recording joins its last block, unless it is the only one.
+    ``windows`` are those of each recording. What is left at its end joins its last block, if there is one.
     """
     result, before = [], 0
     for number in windows:

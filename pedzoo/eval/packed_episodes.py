@@ -47,10 +47,9 @@ def packed_episodes(
 def packed_episode(rollout: Rollout, episode: int, seed: int = 0) -> dict[str, Any]:
     """Return one episode; point 0 is where it begins.
 
-    ``people`` has one entry for every stay of a person in the scene: ``slot``, ``person``, ``robot``,
-    ``radius`` (m) and ``first`` point. ``goals`` are [point, x, y] wherever they change; ``touch`` and
-    ``wall`` are runs of points [first, last]. ``xy`` has the positions of all people one after the other,
-    ``counts`` says how many each has. ``values`` are numbers by which episodes are looked for.
+    ``people`` has one entry for every stay of a person in the scene. ``goals`` are [point, x, y] wherever
+    they change; ``touch`` and ``wall`` are runs of points [first, last]. ``xy`` has the positions of all
+    people, ``counts`` says how many each has. ``values`` are numbers by which episodes are looked for.
     """
     one = rollout.episodes(slice(episode, episode + 1))
     points = min(int(one.length[0]), round(LONGEST / TRACE_SECONDS))
@@ -76,6 +75,9 @@ def packed_episode(rollout: Rollout, episode: int, seed: int = 0) -> dict[str, A
                 "wall": _runs(one.wall_contact[0, slot, while_here], while_here.start + 1),
             }
         )
+    touches = {"agent_contacts": one.agent_contact, "wall_contacts": one.wall_contact}
+    values = {key: int(contact_events(touch & one.scored).sum()) for key, touch in touches.items()}
+    success = float(arrived_in_time(one)[one.mask].sum()) / (int(one.mask.sum()) or 1)
     return {
         "episode": episode,
         "seed": seed,
@@ -85,7 +87,7 @@ def packed_episode(rollout: Rollout, episode: int, seed: int = 0) -> dict[str, A
         "people": people,
         "counts": [len(track) for track in tracks],
         "xy": _text(np.concatenate([_differences(track) for track in tracks])) if tracks else "",
-        "values": _values(one),
+        "values": {"success": round(success, 4), **values, "failed": int(one.failed[0])},
     }
 
 
@@ -103,17 +105,6 @@ def packed_plan(grid: OccupancyGrid) -> dict[str, Any]:
         "rows": grid.cells.shape[0],
         "columns": grid.cells.shape[1],
         "runs": _text(4 * lengths + cells[starts]),
-    }
-
-
-def _values(one: Rollout) -> dict[str, float]:
-    there = int(one.mask.sum()) or 1
-    arrived = arrived_in_time(one)
-    return {
-        "success": round(float(arrived[one.mask].sum()) / there, 4),
-        "agent_contacts": int(contact_events(one.agent_contact & one.scored).sum()),
-        "wall_contacts": int(contact_events(one.wall_contact & one.scored).sum()),
-        "failed": int(one.failed[0]),
     }
 
 

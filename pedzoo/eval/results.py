@@ -104,7 +104,14 @@ class ResultTable(NamedTuple):
 def pages(report: Mapping[str, Any], shown: Mapping[str, SuiteColumns]) -> list[ResultTable]:
     """Return the headline, and for each table of a suite its metrics, and the cases where it has several."""
     rows, summary = report["rows"], report["summary"]
-    result = [_headline(summary, shown)]
+    texts = {(row["name"], row["table"], key): cell(row, key) for row in summary for key in row["metrics"]}
+    names = _labels(summary)
+    columns = dict.fromkeys(
+        (row["table"], key) for row in summary for key in shown[row["case"]["suite"]].headline
+    )
+    columns = [column for column in columns if any((name, *column) in texts for name in names)]
+    body = [[label, *(texts.get((name, *one), "-") for one in columns)] for name, label in names.items()]
+    result = [ResultTable("all suites", ["policy", *map(" ".join, columns)], body, 1)]
     for table in dict.fromkeys(row["table"] for row in summary):
         mine = [row for row in summary if row["table"] == table]
         headline, columns, *_ = shown[mine[0]["case"]["suite"]]
@@ -119,6 +126,25 @@ def pages(report: Mapping[str, Any], shown: Mapping[str, SuiteColumns]) -> list[
         if cases > 1:
             result += [_by_case([row for row in rows if row["table"] == table], key) for key in headline]
     return result
+
+
+def _by_case(rows: Sequence[Mapping[str, Any]], key: str) -> ResultTable:
+    """Return one metric: policies as rows, cases as columns."""
+    texts = {(row["name"], case_label(row)): cell(row, key) for row in rows}
+    names, cases = dict.fromkeys(name for name, _ in texts), dict.fromkeys(case for _, case in texts)
+    body = [[name, *(texts.get((name, case), "-") for case in cases)] for name in names]
+    table = rows[0]["table"]
+    shorter = [" ".join(word for word in case.split() if word not in table.split()) for case in cases]
+    return ResultTable(f"{table}: {key} in each case", ["policy", *shorter], body, 1)
+
+
+def _labels(summary: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Return the policies with their labels in tables, which mark those with means of fewer cases."""
+    cases: dict[str, int] = {}
+    for row in summary:
+        cases[row["table"]] = max(row["cases"], cases.get(row["table"], 0))
+    fewer = {row["name"] for row in summary if row["cases"] < cases[row["table"]]}
+    return {row["name"]: row["name"] + " (not all cases)" * (row["name"] in fewer) for row in summary}
 
 
 def protocol_line(report: Mapping[str, Any], shown: Mapping[str, SuiteColumns]) -> str:
@@ -178,46 +204,12 @@ def cell(row: Mapping[str, Any], key: str) -> str:
 
 def case_label(row: Mapping[str, Any]) -> str:
     """Return what distinguishes a row within its suite."""
-    case = {key: value for key, value in row["case"].items() if key not in _NO_CASE}
+    case = {
+        key: text for key, text in row["case"].items() if key not in ("suite", "physics", "weights", SEEN)
+    }
     if {"people", "goals"} <= case.keys():  # as in Table II
         case["people"] = f"{case['people']}/{case.pop('goals')}"
     return " ".join(case.values())
-
-
-_NO_CASE = ("suite", "physics", "weights", SEEN)
-"""Keys that do not distinguish the cases of a suite."""
-
-
-def _labels(summary: Sequence[Mapping[str, Any]]) -> dict[str, str]:
-    """Return the policies with their labels in tables, which mark those with means of fewer cases."""
-    cases: dict[str, int] = {}
-    for row in summary:
-        cases[row["table"]] = max(row["cases"], cases.get(row["table"], 0))
-    fewer = {row["name"] for row in summary if row["cases"] < cases[row["table"]]}
-    return {row["name"]: row["name"] + " (not all cases)" * (row["name"] in fewer) for row in summary}
-
-
-def _headline(summary: Sequence[Mapping[str, Any]], shown: Mapping[str, SuiteColumns]) -> ResultTable:
-    texts = {(row["name"], row["table"], key): cell(row, key) for row in summary for key in row["metrics"]}
-    names = _labels(summary)
-    columns = dict.fromkeys(
-        (row["table"], key) for row in summary for key in shown[row["case"]["suite"]].headline
-    )
-    columns = [column for column in columns if any((name, *column) in texts for name in names)]
-    body = [
-        [label, *(texts.get((name, *column), "-") for column in columns)] for name, label in names.items()
-    ]
-    return ResultTable("all suites", ["policy", *map(" ".join, columns)], body, 1)
-
-
-def _by_case(rows: Sequence[Mapping[str, Any]], key: str) -> ResultTable:
-    """Return one metric: policies as rows, cases as columns."""
-    texts = {(row["name"], case_label(row)): cell(row, key) for row in rows}
-    names, cases = dict.fromkeys(name for name, _ in texts), dict.fromkeys(case for _, case in texts)
-    body = [[name, *(texts.get((name, case), "-") for case in cases)] for name in names]
-    table = rows[0]["table"]
-    shorter = [" ".join(word for word in case.split() if word not in table.split()) for case in cases]
-    return ResultTable(f"{table}: {key} in each case", ["policy", *shorter], body, 1)
 
 
 def _number(value: float) -> str:

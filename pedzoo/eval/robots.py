@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import product
 from typing import Any, cast
 
 import torch
@@ -67,15 +68,10 @@ def robot_rollout(
     settings |= {"people": people, "physics": physics, "seed": seed, "num_envs": -(-episodes // runs)}
     joined, alone = (make_robot_env(one, **settings) for one in (prepared, alone))
     joined.policy_name = robot_policy
-    policy = policy.to(joined.device)
-
-    def ended(done: int) -> None:
-        if tell:
-            tell(done / episodes)
-
+    run = partial(run_robots, policy.to(joined.device), joined, alone)
+    share = tell or (lambda _: None)
     try:
-        run = partial(run_robots, policy, joined, alone)
-        parts = list(in_parts(run, episodes, deterministic, ended))
+        parts = list(in_parts(run, episodes, deterministic, lambda done: share(done / episodes)))
     finally:
         alone.physics.close()
     return joined_robots(parts), joined
@@ -84,7 +80,7 @@ def robot_rollout(
 def prepared_scenes(scenario: str | Spec, bodies: Sequence[str], robot_goals: int = 1) -> PreparedScenario:
     """Return the scenes of a scenario with robots, their ways found; errors as of `robot_rollout`.
 
-    The latest ones are cached: all policies of a case use them, one after the other.
+    The latest ones are kept: all policies of a case use them, one after the other.
     """
     key = repr((scenario, bodies, robot_goals))
     if key not in _kept:
@@ -115,7 +111,12 @@ def run_robots(
         if ended:
             ended(int((~recorder.alive).sum()))
         now = step_mdp(result)
-    others = _walk_alone(alone, decisions)
+    now = alone.reset()
+    others, action = Recorder(alone), alone.action_spec.zero()
+    for number in range(1, int(decisions.max()) + 1):  # for as many decisions
+        result = alone.step(now.update(action))
+        others.add(result["next"], decisions <= number)
+        now = step_mdp(result)
     return RobotRollout(
         walked=recorder.rollout(),
         alone=others.rollout(),
@@ -127,15 +128,10 @@ def run_robots(
     )
 
 
-def _walk_alone(env: RobotEnv, decisions: Tensor) -> Recorder:
-    """Return what people do without robots in so many ``decisions`` (B,)."""
-    now = env.reset()
-    recorder, action = Recorder(env), env.action_spec.zero()
-    for number in range(1, int(decisions.max()) + 1):
-        result = env.step(now.update(action))
-        recorder.add(result["next"], decisions <= number)
-        now = step_mdp(result)
-    return recorder
+_CONTACTS = dict.fromkeys(("person_contact", "robot_contact"), "agent_contact") | {
+    "wall_contact": "wall_contact"
+}
+"""What `RobotRollout` calls contacts, and where the environment says when they were."""
 
 
 class _RobotRecorder:
@@ -143,8 +139,8 @@ class _RobotRecorder:
 
     def __init__(self, env: RobotEnv) -> None:
         self._env = env
-        self._heading = [env.state.heading[:, -env.robots :].unsqueeze(-1)]
-        self._contacts: dict[str, list[Tensor]] = {name: [] for name in _CONTACTS}
+        self._parts = {"heading": [env.state.heading[:, -env.robots :].unsqueeze(-1)]}
+        self._parts |= {name: [] for name in _CONTACTS}
         none = torch.zeros_like(env.state.mask[:, -env.robots :])
         self._ends = dict.fromkeys(("success", "timeout", "failed"), none)
 
@@ -153,48 +149,28 @@ class _RobotRecorder:
         robots, runs = self._env.robots, alive.view(-1, 1, 1)
         flags, info = after["robots", "info"], after["agents", "info"]
         for name, where in _CONTACTS.items():
-            self._contacts[name].append(info[where][:, -robots:] & flags[name].unsqueeze(-1) & runs)
+            self._parts[name].append(info[where][:, -robots:] & flags[name].unsqueeze(-1) & runs)
         for name, before in self._ends.items():
             self._ends[name] = before | (flags[name] & alive.unsqueeze(1))
-        last = self._heading[-1][..., -1:]
+        last = self._parts["heading"][-1][..., -1:]
         turned = self._env.state.heading[:, -robots:].unsqueeze(-1) - last
         turned = torch.where(runs, torch.atan2(turned.sin(), turned.cos()), 0.0)
         points = round(self._env.decision_dt / TRACE_SECONDS)
-        self._heading.append(last + turned * torch.arange(1, points + 1, device=last.device) / points)
+        part = last + turned * torch.arange(1, points + 1, device=last.device) / points
+        self._parts["heading"].append(part)
 
     def fields(self) -> dict[str, Tensor]:
         """Return the fields of a `RobotRollout`."""
-        parts = self._contacts | {"heading": self._heading}
-        result = self._ends | {name: torch.cat(some, -1) for name, some in parts.items()}
+        result = self._ends | {name: torch.cat(some, -1) for name, some in self._parts.items()}
         return {name: value.cpu() for name, value in result.items()}
-
-
-_CONTACTS = dict.fromkeys(("person_contact", "robot_contact"), "agent_contact") | {
-    "wall_contact": "wall_contact"
-}
-"""What `RobotRollout` calls contacts, and where the environment says when they were."""
 
 
 def robot_row(name: str, rollout: RobotRollout) -> dict[str, Any]:
     """Return the metrics of a robot's policy with their 95 % intervals, and what became of each robot.
 
-    ``n`` are episodes, intervals are over episodes; what the metrics are says
-    `pedzoo.metrics.robots.LEGEND`.
+    ``n`` are episodes, intervals are over episodes; `pedzoo.metrics.robots.LEGEND` says what metrics are.
     """
     metrics, intervals = summarised(robot_metrics(rollout))
-    return {
-        "name": name,
-        "case": {},
-        "decision_dt_s": rollout.walked.decision_dt,
-        "n": len(rollout.walked.failed),
-        "metrics": metrics,
-        "ci95": intervals,
-        "per_agent": _per_robot(rollout),
-    }
-
-
-def _per_robot(rollout: RobotRollout) -> list[dict[str, Any]]:
-    """Return what became of each robot, robots of one episode after the other."""
     flags = {
         "success": rollout.success,
         "collision_person": rollout.person_contact.any(-1),
@@ -203,14 +179,11 @@ def _per_robot(rollout: RobotRollout) -> list[dict[str, Any]]:
         "timeout": rollout.timeout,
         "failed": rollout.failed,
     }
-    seconds = rollout.there.sum(-1) * TRACE_SECONDS
-    return [
-        {
-            "episode": episode,
-            "robot": robot,
-            **{key: bool(value[episode, robot]) for key, value in flags.items()},
-            "duration_s": round(float(seconds[episode, robot]), 1),
-        }
-        for episode in range(len(seconds))
-        for robot in range(rollout.robots)
-    ]
+    seconds, each = rollout.there.sum(-1) * TRACE_SECONDS, []
+    for episode, robot in product(range(len(seconds)), range(rollout.robots)):
+        known = {key: bool(value[episode, robot]) for key, value in flags.items()}
+        known |= {"duration_s": round(float(seconds[episode, robot]), 1)}
+        each.append({"episode": episode, "robot": robot, **known})
+    where = {"name": name, "case": {}, "decision_dt_s": rollout.walked.decision_dt}
+    numbers = {"n": len(rollout.walked.failed), "metrics": metrics, "ci95": intervals}
+    return where | numbers | {"per_agent": each}

@@ -6,7 +6,6 @@ from functools import partial
 from typing import Any, TypeVar, cast
 
 import torch
-from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
@@ -46,7 +45,7 @@ def rollout(
     progress: Progress | None = None,
     **settings: Any,
 ) -> tuple[Rollout, PedestrianEnv]:
-    """Return what ``policy`` did in the first ``episodes`` scenes of a seed, and the environment.
+    """Return what a policy did in the first scenes of a seed, and the environment.
 
     Its physics, ``env.physics``, is still open: pictures are taken there.
 
@@ -107,12 +106,8 @@ def walk(
     progress: Progress | None = None,
 ) -> Iterator[Rollout]:
     """Yield the episodes of ``env``, as many at once as it has scenes, until there are ``episodes``."""
-
-    def tell(done: int) -> None:
-        if progress:
-            progress(env.policy_name, done, episodes)
-
-    return in_parts(partial(run, policy, env), episodes, deterministic, tell)
+    tell = partial(progress, env.policy_name) if progress else lambda *_: None
+    return in_parts(partial(run, policy, env), episodes, deterministic, lambda done: tell(done, episodes))
 
 
 def walked(
@@ -141,8 +136,7 @@ def in_parts(
 ) -> Iterator[Episodes]:
     """Yield what ``run`` returns without gradients, until there are ``episodes``, the last part cut.
 
-    ``run`` takes a function to call with the number of its episodes that are over; ``tell`` is called with
-    that of all.
+    ``run`` gets a function to call with the number of its episodes that are over, ``tell`` that of all.
     """
     done = 0
     while done < episodes:
@@ -158,32 +152,23 @@ def in_parts(
 
 
 def run(policy: Policy | Walker, env: PedestrianEnv, ended: Callable[[int], None] | None = None) -> Rollout:
-    """Return one episode of every scene of ``env``, from its reset to the end of the last one.
-
-    ``ended`` is called after every decision with the number of episodes that are over.
-    """
+    """Return one episode of every scene of ``env``; ``ended`` gets the number of those that are over."""
     now = env.reset()
     recorder = Recorder(env)
     while recorder.alive.any():
         result = env.step(policy(now))
-        recorder.add(result["next"], changed=_changed(result, env.decision_dt))
+        changed, agents = None, agents_of(result)
+        if "unconstrained_action" in agents.keys():  # by how much a safety layer changed possible steps
+            wanted, pref_speed = (
+                cast("Tensor", agents[key]) for key in ("unconstrained_action", "pref_speed")
+            )
+            possible = limit_speed(wanted, TOP_SPEED_RATIO * pref_speed[..., 0])
+            changed = env.decision_dt * (cast("Tensor", agents["action"]) - possible).norm(dim=-1)
+        recorder.add(result["next"], changed=changed)
         if ended:
             ended(int((~recorder.alive).sum()))
         now = step_mdp(result)
     return recorder.rollout()
-
-
-def _changed(scenes: TensorDictBase, decision_dt: float) -> Tensor | None:
-    """Return by how many metres a safety layer changed steps (B, A), as far as agents could have walked them.
-
-    None where there is no layer.
-    """
-    agents = agents_of(scenes)
-    if "unconstrained_action" not in agents.keys():
-        return None
-    asked, pref_speed = cast("Tensor", agents["unconstrained_action"]), cast("Tensor", agents["pref_speed"])
-    possible = limit_speed(asked, TOP_SPEED_RATIO * pref_speed[..., 0])
-    return decision_dt * (cast("Tensor", agents["action"]) - possible).norm(dim=-1)
 
 
 class Recorder:
@@ -205,10 +190,10 @@ class Recorder:
         self._steps: list[dict[str, Tensor]] = []
 
     def add(self, after: Any, done: Tensor | None = None, changed: Tensor | None = None) -> None:
-        """Keep a decision; scenes that were over before it stay as they ended.
+        """Keep a decision; scenes that were over stay as they ended.
 
         Args:
-            after: What it led to: ``next`` of the environment's step.
+            after: ``next`` of the environment's step.
             done: Which episodes end with it (B,) bool; None for what the environment says.
             changed: Metres by which a safety layer changed it (B, A); None without one.
         """
@@ -237,14 +222,9 @@ class Recorder:
     def rollout(self) -> Rollout:
         """Return the episodes, on the CPU."""
         stored = [{key: value.cpu() for key, value in step.items()} for step in self._steps]
-        return rollout_of(
-            self._env.scenario,
-            self._start.to("cpu"),
-            stored,
-            overdue=self._overdue.cpu(),
-            failed=self._failed.cpu(),
-            decision_dt=self._env.decision_dt,
-        )
+        ends = {"overdue": self._overdue.cpu(), "failed": self._failed.cpu()}
+        start, decision_dt = self._start.to("cpu"), self._env.decision_dt
+        return rollout_of(self._env.scenario, start, stored, **ends, decision_dt=decision_dt)
 
 
 def _progress(state: State) -> Tensor:

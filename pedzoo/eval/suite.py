@@ -18,9 +18,6 @@ from pedzoo.sim.scenario import PreparedScenario
 QUICK = 10
 """A quick run has one in so many episodes."""
 
-KEPT = 6
-"""Scenarios that a process keeps; more than the cases that share a floor plan."""
-
 _kept: dict[tuple[str, str, float], PreparedScenario] = {}
 
 
@@ -86,13 +83,12 @@ class EvaluationOptions(NamedTuple):
 
 
 class EvaluationCase(NamedTuple):
-    """Scenes that policies are compared on.
+    """Scenes that policies are compared on; ``physics``, ``clearance``, ``deadline`` as of the options.
 
     Attributes:
         suite: Its name.
         name: What tables call it.
         scenario: With settings: a text, or a name and values where one of them is given by a user.
-        physics: ``compiled``, ``torch``, ``bullet`` or ``file.py:Class``.
         episodes: Of every seed.
         case: What tells its rows from others.
         inputs: Digest of the files that it reads.
@@ -101,8 +97,6 @@ class EvaluationCase(NamedTuple):
         shares: Names what takes time to prepare and serves several cases, such as the ways on a floor plan.
         people: Policy of people beside a robot; empty where there is none, or people are played back.
         robot: The robot's body; empty where there is none.
-        clearance: Metres that planned ways keep from walls.
-        deadline: Seconds for every goal; None as `pedzoo.make_env` says.
     """
 
     suite: str
@@ -124,15 +118,8 @@ class EvaluationCase(NamedTuple):
 class WorkUnit(NamedTuple):
     """One policy on one case: the smallest part that is repeated, stored and sent to workers.
 
-    Attributes:
-        policy: As it was given: the row's name.
-        walks: What walks; the same, but for models with other weights for this case.
-        case: Where.
-        seeds: Of the scenes.
-        deterministic: Without noise.
-        device: Where scenes and policy are.
-        metrics: Names of metrics, or ``path/to/file.py:f``.
-        keep_episodes: Of how many episodes the row keeps positions.
+    ``policy`` is its name as it was given. ``walks`` is the same, but for models with other weights for this
+    case. ``deterministic`` is without noise; the rest is as of `EvaluationOptions`.
     """
 
     policy: str
@@ -248,35 +235,25 @@ def with_seeds(row: dict[str, Any], seeds: Sequence[int], episodes: int) -> None
 def prepared(name: str | Spec, inputs: str = "", clearance: float = CLEARANCE) -> PreparedScenario:
     """Return the prepared scenario of a name with settings; errors as of `pedzoo.make_env`.
 
-    Its ways keep ``clearance`` metres from walls.
-
-    One that was made before is returned again, and one whose paths were planned for another takes those. It
-    is made anew where ``inputs``, the digest of the files that it reads, has changed.
+    One that was made before is returned again, unless ``inputs``, the digest of the files that it reads, has
+    changed. A new one takes the ways of another one on the same floor plans.
     """
     key = repr(name), inputs, clearance
-    result = _kept.pop(key, None)
-    if result is None:
+    if (result := _kept.pop(key, None)) is None:
         made = make_scenario(name)
         alike = (kept for kept in _kept.values() if kept.planner.clearance == clearance)
-        adapted = next(filter(None, map(made.adapted, alike)), None)  # with the plans and ways of one
+        adapted = next(filter(None, map(made.adapted, alike)), None)
         result = adapted or prepare_scenario(made, clearance)
     _kept[key] = result  # the latest is the last
-    if len(_kept) > KEPT:
+    if len(_kept) > 6:  # more than the cases that share a floor plan
         del _kept[next(iter(_kept))]
     return result
 
 
 def walk_unit(
-    unit: WorkUnit,
-    scenario: PreparedScenario,
-    seeds: Sequence[int],
-    episodes: int,
-    tell: ShareDone | None = None,
+    unit: WorkUnit, scenario: PreparedScenario, seeds: Sequence[int], episodes: int, tell: ShareDone | None
 ) -> Iterator[Rollout]:
-    """Yield episodes in parts: large crowds do not fit into memory at once.
-
-    ``episodes`` are those of every seed; ``tell`` is called with the share that is done.
-    """
+    """Yield the ``episodes`` of every seed in parts: large crowds do not fit into memory at once."""
     case, still = unit.case, unit.deterministic
     where = {"device": unit.device, "clearance": case.clearance, "deadline": case.deadline}
     for number, seed in enumerate(seeds):
@@ -289,13 +266,7 @@ def walk_unit(
 
 
 def kept_episodes(unit: WorkUnit, rollout: Rollout, bank: MapBank) -> dict[str, Any]:
-    """Return the positions of a row's first episodes; nothing where none were asked for.
-
-    Args:
-        unit: Says how many.
-        rollout: Of its first seed.
-        bank: Its floor plans.
-    """
+    """Return the positions of a row's first episodes, of its first seed; nothing where none are kept."""
     if not unit.keep_episodes:
         return {}
     episodes, plans = packed_episodes(rollout, bank, unit.keep_episodes, unit.seeds[0])

@@ -50,10 +50,8 @@ def _has_seen(policy: str, fold: str) -> bool:
 def _held_out(name: str) -> str | None:
     """Return the fold that weights were trained for, which is what they did not see; None without weights."""
     config: dict[str, Any] = {}
-    if file := weight_files().get(name):
-        config = read_config(file)
-    elif name.endswith(".safetensors"):
-        config = read_config(name)
+    if (file := weight_files().get(name)) or name.endswith(".safetensors"):
+        config = read_config(file or name)
     elif name.endswith(".ckpt"):
         config = read_checkpoint(name)["pedzoo"]
     # pedzoo fit writes down its data, the zoo also the training

@@ -37,14 +37,14 @@ _IGNORED_PACKAGES = ("cli", "train", "viz", "configs")
 def work(unit: WorkUnit, tell: ShareDone | None = None) -> Rows:
     """Do a unit and return its rows, as they are in JSON; ``tell`` gets the share that is done."""
     wall, cpu = time.perf_counter(), time.process_time()
-    rows = SUITES.get(unit.case.suite)(unit.case.suite).rows(unit, tell)
+    case = unit.case
+    rows = SUITES.get(case.suite)(case.suite).rows(unit, tell)
     spent = {"wall": time.perf_counter() - wall, "cpu": time.process_time() - cpu}
-    where = {"suite": unit.case.suite, "physics": unit.case.physics, **unit.case.case}
+    where = {"suite": case.suite, "physics": case.physics, **case.case}
     if unit.walks != unit.policy:
         where["weights"] = unit.walks
     for row in rows:
-        row["table"] = unit.case.table or unit.case.suite
-        row["case"] = where | row["case"]
+        row["table"], row["case"] = case.table or case.suite, where | row["case"]
         row["seconds"] = {key: round(value, 2) for key, value in spent.items()}
     return json.loads(json.dumps(rows, allow_nan=False))
 
@@ -56,7 +56,12 @@ def digest(unit: WorkUnit) -> str:
     unit names. These are weights, or a policy, suite, scenario or physics from a file.
     """
     case, known = unit.case, {**unit._asdict(), "case": unit.case._asdict()}
-    walking = [_model_sum(policy) for who in (unit.walks, case.people) for policy in parts(who)]
+    walking = []
+    for policy in (*parts(unit.walks), *parts(case.people)):
+        name, settings = parse(policy)
+        entry = find(name)
+        own = _file_sum(unquoted(settings["weights"])) if names_code(name) and "weights" in settings else ""
+        walking.append(entry.card.sha256 if entry else _file_sum(policy) + own)
     named = case.suite, case.scenario, case.physics, case.robot, *unit.metrics
     return fingerprint(known, [*walking, *map(_file_sum, named)])
 
@@ -67,23 +72,15 @@ def fingerprint(*known: Any) -> str:
     return _sum_of([*known, _code_sum(), used])
 
 
+_versions = cache(versions)
+
+
 def _sum_of(value: Any) -> str:
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
 
-def _model_sum(policy: str) -> str:
-    """Return the sha256 of the weights or the file that walk, nothing where that is pedzoo's own code."""
-    name, settings = parse(policy)
-    entry = find(name)
-    own = _file_sum(unquoted(settings["weights"])) if names_code(name) and "weights" in settings else ""
-    return entry.card.sha256 if entry else _file_sum(policy) + own
-
-
 def _file_sum(what: str | Spec) -> str:
-    """Return the digest of the file that a name with settings stands for, nothing where there is none.
-
-    That of a file of code is its own and that of the user's modules which it imports, and these import.
-    """
+    """Return the digest of the file that a name with settings stands for, and of all user code it imports."""
     name = parse(what).name if isinstance(what, str) else what.name
     path = Path(name.rpartition(":")[0] if names_code(name) else name)
     if not path.is_file() or path.suffix != ".py":
@@ -118,20 +115,21 @@ def _imported(file: Path, content: bytes) -> Iterator[Path]:
     except (SyntaxError, ValueError):
         return
     for node in nodes:
+        names: list[tuple[str, int]] = []
         match node:
-            case ast.Import(names=names):
-                for one in names:
-                    yield from _files_of(one.name, file)
-            case ast.ImportFrom(module=module, names=names, level=level):
-                for one in names:
-                    yield from _files_of(".".join(filter(None, (module, one.name))), file, level)
-            case ast.Call(args=args) if ast.unparse(node.func).endswith(("import_module", "__import__")):
-                for one in (one.value for one in args if isinstance(one, ast.Constant)):
-                    if isinstance(one, str):
-                        yield from _files_of(one.lstrip("."), file, len(one) - len(one.lstrip(".")))
+            case ast.Import():
+                names = [(one.name, 0) for one in node.names]
+            case ast.ImportFrom(module=module, level=level):
+                names = [(".".join(filter(None, (module, one.name))), level) for one in node.names]
+            case ast.Call() if ast.unparse(node.func).endswith(("import_module", "__import__")):
+                texts = [one.value for one in node.args if isinstance(one, ast.Constant)]
+                given = [text for text in texts if isinstance(text, str)]
+                names = [(text.lstrip("."), len(text) - len(text.lstrip("."))) for text in given]
+        for name, level in names:
+            yield from _files_of(name, file, level)
 
 
-def _files_of(name: str, importer: Path, level: int = 0) -> Iterator[Path]:
+def _files_of(name: str, importer: Path, level: int) -> Iterator[Path]:
     """Yield the files of a module and of the packages around it, if it is a user's."""
     names = name.split(".") if name else []
     places = [importer.parents[max(0, min(level, len(importer.parents)) - 1)]]
@@ -141,7 +139,7 @@ def _files_of(name: str, importer: Path, level: int = 0) -> Iterator[Path]:
         except (ImportError, ValueError, AttributeError):
             spec = None
         if spec:
-            found = spec.submodule_search_locations or ([spec.origin] if spec.origin else [])
+            found = spec.submodule_search_locations or filter(None, [spec.origin])
             places += [Path(one).parent for one in found]
     for place in places:
         for depth in range(len(names) + 1):
@@ -163,21 +161,6 @@ def _code_sum() -> str:
                 content = code_sum(content).encode() if path.suffix == ".py" else content
                 result.update(f"{place.as_posix()}\0".encode() + content)
     return result.hexdigest()
-
-
-_versions = cache(versions)
-
-
-def _entry(line: bytes) -> tuple[str, Rows] | None:
-    """Return the unit and the rows of a line, None for one that was not written whole."""
-    try:
-        entry = json.loads(line) if line.endswith(b"\n") else None
-    except (ValueError, RecursionError):
-        return None
-    match entry:
-        case {"unit": str(unit), "rows": [*rows]} if all(isinstance(row, dict) for row in rows):
-            return unit, rows
-    return None
 
 
 class Journal:
@@ -203,7 +186,7 @@ class Journal:
         except OSError as error:
             raise UserError(f"cannot read {str(path)!r}: {error.strerror}") from error
         lines = content.splitlines(keepends=True)
-        whole = [line for line in lines if (entry := _entry(line)) and not self.done.update([entry])]
+        whole = [line for line in lines if self._take(line)]
         if not whole and not content.startswith(b'{"unit": "'[: len(content)]):
             raise UserError(
                 f"{str(path)!r} holds no finished parts of an evaluation: name another file, or remove it"
@@ -215,6 +198,18 @@ class Journal:
                 write_atomically(path, b"".join(whole))
             except OSError as error:
                 raise UserError(f"cannot write {str(path)!r}: {error.strerror}") from error
+
+    def _take(self, line: bytes) -> bool:
+        """Keep the unit of a line, if it was written whole."""
+        try:
+            entry = json.loads(line) if line.endswith(b"\n") else None
+        except (ValueError, RecursionError):
+            return False
+        match entry:
+            case {"unit": str(unit), "rows": [*rows]} if all(isinstance(row, dict) for row in rows):
+                self.done[unit] = rows
+                return True
+        return False
 
     def add(self, digest: str, rows: Rows) -> None:
         """Append a finished unit; a `UserError` if the file cannot be written."""
@@ -232,15 +227,10 @@ class Journal:
 
 
 class ProgressReport(NamedTuple):
-    """How far an evaluation is.
+    """How far an evaluation is: ``units`` of ``total`` are finished, a share ``done`` of the expected work.
 
-    Attributes:
-        label: What has just been done, or is going on.
-        done: Share of the whole, by the work that it is expected to be.
-        units: Finished ones.
-        total: All of them.
-        seconds: That the unit took; None while it is going on.
-        left: Seconds that the rest is expected to take; None while that is unknown.
+    ``seconds`` is what the part ``label`` took, None while it is going on; ``left`` what the rest is expected
+    to take, None while that is unknown.
     """
 
     label: str

@@ -14,6 +14,7 @@ from pedzoo.eval.realism import REAL, reference_rows, replay_row
 from pedzoo.eval.results import SEEN
 from pedzoo.eval.scoring.rows import HALVES, SPLITS
 from pedzoo.eval.suite import (
+    QUICK,
     EvaluationCase,
     EvaluationOptions,
     OwnRecordings,
@@ -44,18 +45,12 @@ SIMULATED = ("all", "one")
 ROLLOUTS = 3
 """Of a policy with noise, if all are simulated; where every person has a scene, one of each is enough."""
 
-QUICK_SHARE = 0.1
-"""A quick run simulates the people of this first part of the recordings."""
-
 
 class Replay(Suite):
     """Two cases for every fold, and rows of the real crowd in each.
 
-    Weights of the zoo walk on a fold that they have not seen. For a name ``ARCH.FOLD`` these are the weights
-    of the fold that is walked, where there are any.
-
-    Attributes:
-        simulated: Some of `SIMULATED`.
+    Weights ``ARCH.FOLD`` of the zoo are exchanged for those that have not seen the fold that is walked, where
+    there are any. ``simulated`` is some of `SIMULATED`.
     """
 
     simulated: ClassVar[tuple[str, ...]] = SIMULATED
@@ -85,33 +80,32 @@ class Replay(Suite):
             given = options.own._asdict() | {"files": [*options.own.files], "speed": "estimated"}
             settings = {key: value for key, value in given.items() if value is not None}
             sources = [(OWN, OWN, settings, _digest_of_own(options.own), 1.0)]
-        for fold, known in {} if options.own else _folds(options).items():
+        for fold, known in _folds(options).items():
             where = {} if options.root is None or fold == EMBEDDED else {"root": options.root}
-            inputs, share = digest_of(fold, options.root), _share(known)
-            sources.append((known.name, fold, {"fold": fold} | where, inputs, share))
+            settings, inputs = {"fold": fold} | where, digest_of(fold, options.root)
+            sources.append((known.name, fold, settings, inputs, _share(known)))
         result = []
         for (name, together, settings, inputs, share_of_one), simulated in product(sources, self.simulated):
             share = share_of_one if simulated == "one" else 1.0
-            share = round(share * QUICK_SHARE, 3) if options.quick else share
+            share = round(share / QUICK, 3) if options.quick else share
             first = {"share": share} if share < 1 else {}
-            case = EvaluationCase(
-                suite=self.name,
-                name=f"{name} {simulated}",
-                scenario=Spec("replay", settings | {"simulated": simulated} | first),
-                physics=options.physics or "compiled",
-                episodes=_rounds(options)[simulated],
-                case={"fold": name, "simulated": simulated},
+            case = self.case(
+                options,
+                f"{name} {simulated}",
+                Spec("replay", settings | {"simulated": simulated} | first),
+                1,
+                {"fold": name, "simulated": simulated},
                 inputs=inputs,
                 effort=100.0 * share,
                 table=f"{self.name} {simulated}",
                 shares=together,
             )
-            result.append(case)
+            result.append(case._replace(episodes=_rounds(options)[simulated]))
         return result
 
     def notes(self, options: EvaluationOptions, policies: Sequence[str]) -> list[str]:
         """Return what the real rows are, what is missing, and which weights walk where."""
-        folds, rounds = {} if options.own else _folds(options), _rounds(options)
+        folds, rounds = _folds(options), _rounds(options)
         each = {"all": f"{rounds['all']} x where all are simulated", "one": f"{rounds['one']} x where one is"}
         often = ", ".join(each[simulated] for simulated in self.simulated)
         result = [
@@ -125,12 +119,9 @@ class Replay(Suite):
             )
             folds = {}
         if "one" in self.simulated and not options.quick:
-            shares = {fold: _share(known) for fold, known in folds.items()}
-            result += [
-                f"one of those who come in the first {share:.0%} of {fold}"
-                for fold, share in shares.items()
-                if share < 1
-            ]
+            for fold, known in folds.items():
+                if (share := _share(known)) < 1:
+                    result.append(f"one of those who come in the first {share:.0%} of {fold}")
         for policy in policies:
             walks = {fold: for_fold(policy, fold) for fold in folds}
             if others := [name for name in dict.fromkeys(walks.values()) if name != policy]:
@@ -152,26 +143,25 @@ class Replay(Suite):
         case = unit.case
         scenario = cast(PreparedReplay, prepared(case.scenario, case.inputs, case.clearance))
         if unit.walks == REAL:
-            real, halves = reference_rows(scenario, unit.metrics)
+            rows = reference_rows(scenario, unit.metrics)
             if unit.keep_episodes:
-                real |= kept_episodes(unit, next(iter(scenario.real_parts())), scenario.bank)
-            return [row | {"people": scenario.persons.counts} for row in (real, halves)]
-        model = load_policy(unit.walks)
-        noise = has_noise(model) and not unit.deterministic
-        seeds, rounds = (unit.seeds, case.episodes) if noise else (unit.seeds[:1], 1)
-        parts = walk_unit(unit, scenario, seeds, rounds * scenario.scenes, tell)
-        first = next(parts)
-        kept = kept_episodes(unit, first, scenario.bank)
-        row = replay_row(unit.policy, chain([first], parts), scenario, model.decision_dt, unit.metrics) | kept
-        if has_seen(unit.walks, _walked_fold(case)):
-            row["case"] = row["case"] | {SEEN: "yes"}
-        return [row | {"people": scenario.persons.counts}]
+                rows[0] |= kept_episodes(unit, next(iter(scenario.real_parts())), scenario.bank)
+        else:
+            model = load_policy(unit.walks)
+            noise = has_noise(model) and not unit.deterministic
+            seeds, rounds = (unit.seeds, case.episodes) if noise else (unit.seeds[:1], 1)
+            parts = walk_unit(unit, scenario, seeds, rounds * scenario.scenes, tell)
+            kept = kept_episodes(unit, first := next(parts), scenario.bank)
+            walks = chain([first], parts)
+            rows = [replay_row(unit.policy, walks, scenario, model.decision_dt, unit.metrics) | kept]
+            if has_seen(unit.walks, _walked_fold(case)):
+                rows[0]["case"] = rows[0]["case"] | {SEEN: "yes"}
+        return [row | {"people": scenario.persons.counts} for row in rows]
 
 
 def _rounds(options: EvaluationOptions) -> dict[str, int]:
     """Return how often a policy with noise walks, by who is simulated."""
-    usual = 1 if options.quick else ROLLOUTS
-    return {"all": options.rollouts or usual, "one": options.rollouts or 1}
+    return {"all": options.rollouts or (1 if options.quick else ROLLOUTS), "one": options.rollouts or 1}
 
 
 def _share(fold: Fold) -> float:
@@ -180,11 +170,9 @@ def _share(fold: Fold) -> float:
 
 
 def _folds(options: EvaluationOptions) -> dict[str, Fold]:
-    """Return the folds that were asked for, else those of which there are recordings, else the embedded one.
-
-    Raises:
-        UserError: An unknown fold, or the folder of recordings has none.
-    """
+    """Return the folds that were asked for, else those that are there, else the embedded one; no files."""
+    if options.own:
+        return {}
     result, missing = dict.fromkeys(options.folds), []
     for fold in result:
         open_fold(fold, options.root, "true")
@@ -208,11 +196,7 @@ def _walked_fold(case: EvaluationCase) -> str:
 
 
 def _digest_of_own(own: OwnRecordings) -> str:
-    """Return what tells files of one's own, and their floor plan, from any others.
-
-    Raises:
-        UserError: A file is not there.
-    """
+    """Return what tells files of one's own, and their floor plan, from any others."""
     result = hashlib.sha256()
     for file in (*own.files, *filter(None, (own.homography,))):
         if not Path(file).is_file():

@@ -62,7 +62,7 @@ class Robots(Suite):
         load_robot_policy(policy)
 
     def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
-        """Return a case for each scene and kind of people.
+        """Return a case for each scene and kind of people; recorded people give their places one by one.
 
         Raises:
             UserError: An unknown body, policy or recording.
@@ -71,45 +71,25 @@ class Robots(Suite):
         build(ROBOTS, robot, RobotBody)
         result: list[EvaluationCase] = []
         for people in options.people or PEOPLE:
+            common: dict[str, Any] = {"table": f"{self.name} {people}", "robot": robot}
             if name_of(people) == REPLAY:
-                result.append(self._replayed(options, people, robot))
+                settings: dict[str, Any] = dict(parse(people).settings) | {"simulated": "one"}
+                fold = settings.setdefault("fold", "embedded")
+                if options.root is not None and fold != "embedded":
+                    settings.setdefault("root", options.root)
+                common["inputs"] = "" if "files" in settings else digest_of(fold, settings.get("root"))
+                scenario = cast("Spec", parse(people)._replace(settings=settings))
+                common |= {"effort": 1000.0, "shares": people, "case": {"scene": REPLAY, "people": people}}
+                case = self.case(options, people, scenario, episodes=0, **common)
+                result.append(case._replace(episodes=0))  # as many as there are
                 continue
             load_policy(people)
             for name, (scenario, effort) in SCENES.items():
-                case = self.case(
-                    options,
-                    name=f"{name} {people}",
-                    scenario=scenario,
-                    episodes=EPISODES,
-                    case={"scene": name, "people": people},
-                    effort=effort,
-                    table=f"{self.name} {people}",
-                    shares=name,
-                    people=people,
-                    robot=robot,
+                common |= {"effort": effort, "shares": name, "case": {"scene": name, "people": people}}
+                result.append(
+                    self.case(options, f"{name} {people}", scenario, EPISODES, people=people, **common)
                 )
-                result.append(case)
         return result
-
-    def _replayed(self, options: EvaluationOptions, people: str, robot: str) -> EvaluationCase:
-        """Return the case of recorded people: every person's place is taken once."""
-        settings: dict[str, Any] = dict(parse(people).settings) | {"simulated": "one"}
-        fold = settings.setdefault("fold", "embedded")
-        if options.root is not None and fold != "embedded":
-            settings.setdefault("root", options.root)
-        case = self.case(
-            options,
-            name=people,
-            scenario=cast("Spec", parse(people)._replace(settings=settings)),
-            episodes=0,
-            case={"scene": REPLAY, "people": people},
-            inputs="" if "files" in settings else digest_of(fold, settings.get("root")),
-            effort=1000.0,
-            table=f"{self.name} {people}",
-            shares=people,
-            robot=robot,
-        )
-        return case._replace(episodes=0)  # as many as there are
 
     def notes(self, options: EvaluationOptions, policies: Sequence[str]) -> list[str]:
         """Return which robot drives, and what people of recordings do."""
@@ -131,6 +111,8 @@ class Robots(Suite):
             script = prepared_scenes(case.scenario, (case.robot,)).script
             assert script is not None
             episodes = len(script.scenes.table)
+        how = {"robot": case.robot, "people": case.people or "orca", "physics": case.physics}
+        how |= {"episodes": episodes, "deterministic": unit.deterministic, "device": unit.device}
         for number, seed in enumerate(unit.seeds):
 
             def share(done: float, number: int = number) -> None:
@@ -138,18 +120,7 @@ class Robots(Suite):
                     tell((number + done) / len(unit.seeds))
 
             try:
-                part, env = robot_rollout(
-                    unit.walks,
-                    case.scenario,
-                    robot=case.robot,
-                    people=case.people or "orca",
-                    physics=case.physics,
-                    episodes=episodes,
-                    seed=seed,
-                    deterministic=unit.deterministic,
-                    tell=share,
-                    device=unit.device,
-                )
+                part, env = robot_rollout(unit.walks, case.scenario, seed=seed, tell=share, **how)
             except UserError as error:
                 raise UserError(f"{case.name}: robot {case.robot}: {error}") from error
             env.physics.close()

@@ -1,7 +1,8 @@
 """Suites of scenes that need no recordings: doors, buildings, encounters, indoor crowds and queues."""
 
+from itertools import product
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 
@@ -31,9 +32,6 @@ GIVEN = "given"
 POOL = 12
 """Places among which goals are drawn, per floor plan: more of them cost seconds and change little."""
 
-QUEUES, WIDTHS = (20, 75, 150), (0.5, 0.7, 0.85, 1.2, 2.0)
-"""People of a queue, and metres of its door."""
-
 
 class Door(Suite):
     """The narrow door: two people meet at it from both sides."""
@@ -62,11 +60,7 @@ class Encounters(Suite):
 
 
 class Goals(Suite):
-    """From goal to goal through buildings: every cell of Table II on drawn floor plans, and on given ones.
-
-    The episodes of a cell are spread over its floor plans, so that as many people walk at once. What they do
-    on large plans, whose ways take minutes, is waited for once.
-    """
+    """From goal to goal through buildings: every cell of Table II on drawn floor plans, and on given ones."""
 
     accepted_options = ("episodes", "maps")
 
@@ -81,22 +75,15 @@ class Goals(Suite):
             plans[Path(options.maps[0]).stem if len(options.maps) == 1 else GIVEN] = list(options.maps)
         result = []
         for name, files in plans.items():
-            inputs = " ".join(load_plan(file).digest for file in files)
+            common: dict[str, Any] = {"inputs": " ".join(load_plan(file).digest for file in files)}
+            common |= {"physics": usual_physics(), "table": f"{self.name} {name}", "shares": name}
             for people, goals in CELLS:
-                settings = {"map": files, "people": people, "goals": goals, "pool": POOL}
-                case = self.case(
-                    options,
-                    name=f"{name} {people}/{goals}",
-                    scenario=Spec("goals", settings),
-                    episodes=EPISODES,
-                    case={"map": name, "people": str(people), "goals": str(goals)},
-                    physics=usual_physics(),
-                    inputs=inputs,
-                    effort=people * goals,
-                    table=f"{self.name} {name}",
-                    shares=name,
+                scenario = Spec("goals", {"map": files, "people": people, "goals": goals, "pool": POOL})
+                where = {"map": name, "people": str(people), "goals": str(goals)}
+                common["effort"] = people * goals
+                result.append(
+                    self.case(options, f"{name} {people}/{goals}", scenario, EPISODES, where, **common)
                 )
-                result.append(case)
         return result
 
 
@@ -142,17 +129,12 @@ class Queues(Suite):
 
     def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
         """Return a case for each width and each number of people, who leave a room by its only door."""
-        return [
-            self.case(
-                options,
-                name=f"{people} at {width:g} m",
-                scenario=f"room_exit:people={people},entering=0,width={width:g}",
-                episodes=EPISODES,
-                case={"people": str(people), "width": f"{width:g}"},
-                effort=float(people**2),
-                table=f"{self.name} of {people}",
-                clearance=0.2,  # metres: less than half of the narrowest door
-            )
-            for people in QUEUES
-            for width in WIDTHS
-        ]
+        result = []
+        for people, width in product((20, 75, 150), (0.5, 0.7, 0.85, 1.2, 2.0)):
+            scenario = f"room_exit:people={people},entering=0,width={width:g}"
+            where = {"people": str(people), "width": f"{width:g}"}
+            # metres: less than half of the narrowest door
+            common: dict[str, Any] = {"clearance": 0.2, "table": f"{self.name} of {people}"}
+            name, common["effort"] = f"{people} at {width:g} m", float(people**2)
+            result.append(self.case(options, name, scenario, EPISODES, where, **common))
+        return result
