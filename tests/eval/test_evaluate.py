@@ -509,7 +509,12 @@ def test_tables_and_pages_show_the_same_cells(small: str) -> None:
     ):
         assert cell({"case": case, "metrics": metrics, "ci95": ci95}, "x") == text
     evaluation = Evaluation(["go_to_goal", "constant_velocity"], [small], EvaluationOptions(episodes=2))
-    evaluation.run()
+    steps: list[ProgressReport] = []
+    evaluation.run(progress=steps.append)
+    done = [step.done for step in steps]
+    assert (done[0], steps[0].label) == (0.0, f"{small} circle: go_to_goal")
+    assert done == sorted(done) and math.isclose(done[-1], 1.0)
+    assert (steps[-1].units, steps[-1].total, steps[-1].left) == (4, 4, pytest.approx(0.0, abs=1e-6))
     report = {**evaluation.report(), "versions": {"pedzoo": "0", "torch": "0"}}
     shown = {small: SuiteColumns(("success",), ("success", "failed", "no_row_has_it"), "episodes")}
     head, own, each = pages(report, shown)
@@ -531,15 +536,6 @@ def test_tables_fit_the_terminal(
     plain = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
     assert max(map(len, plain.splitlines())) <= columns
     assert ("[0.34," in plain or "[0.34, 1.00]" in plain) and "…" not in plain
-
-
-def test_progress_goes_up_to_the_end(small: str) -> None:
-    steps: list[ProgressReport] = []
-    pedzoo.evaluate("go_to_goal", small, episodes=2, progress=steps.append)
-    done = [step.done for step in steps]
-    assert (done[0], steps[0].label) == (0.0, f"{small} circle: go_to_goal")
-    assert done == sorted(done) and math.isclose(done[-1], 1.0)
-    assert (steps[-1].units, steps[-1].total, steps[-1].left) == (2, 2, pytest.approx(0.0, abs=1e-6))
 
 
 def test_density_and_speed_of_a_replay_are_drawn(tmp_path: Path) -> None:
