@@ -96,8 +96,9 @@ class JobQueue:
 
 
 def _here(jobs: Sequence[J], work: Callable[[J], R], queue: JobQueue) -> Generator[tuple[int, R], None, None]:
-    taken: tuple[int, Hashable] = -1, None
-    while taken := queue.take(taken[1]):
+    last: Hashable = None
+    while taken := queue.take(last):
+        last = taken[1]
         threads = torch.get_num_threads()
         torch.set_num_threads(1)
         try:

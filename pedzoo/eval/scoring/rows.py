@@ -50,7 +50,7 @@ def row(side: ScoredCrowd, real: ScoredCrowd, more: Mapping[str, Tensor], window
         values[f"{prefix}classifier_auc"] = auc(verdict, *drawn)
         telling[f"{prefix}classifier_auc"] = verdict.telling
     values |= {name: ratios(both, drawn[0]) for name, both in side.sums.items()}
-    values |= same_people(side, real, drawn[0]) | more
+    values |= {**same_people(side, real, drawn[0]), **more}
     exact = {name: percentile_interval(value[1:], windows) for name, value in more.items()}
     exact |= _exact(side, real, block, blocks)
     values |= {name: torch.tensor([value]) for name, value in columns(side.walks, real.walks).items()}

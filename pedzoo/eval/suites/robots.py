@@ -111,7 +111,7 @@ class Robots(Suite):
             script = prepared_scenes(case.scenario, (case.robot,)).script
             assert script is not None
             episodes = len(script.scenes.table)
-        how = {"robot": case.robot, "people": case.people or "orca", "physics": case.physics}
+        how: dict[str, Any] = {"robot": case.robot, "people": case.people or "orca", "physics": case.physics}
         how |= {"episodes": episodes, "deterministic": unit.deterministic, "device": unit.device}
         for number, seed in enumerate(unit.seeds):
 
