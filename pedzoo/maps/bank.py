@@ -17,7 +17,7 @@ from torch.nn import functional as F
 
 from pedzoo.core.adapters import assert_on_device
 from pedzoo.core.errors import UserError, unknown
-from pedzoo.core.geometry import turn_matrix
+from pedzoo.core.geometry import identity_pose, turn_matrix
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.segments import Segments
 from pedzoo.maps.walls import LocalWalls, Walls
@@ -101,6 +101,9 @@ class Atlas:
 
 MAX_DISTANCE = 5.0
 """Metres at which signed distances are cut off: agents do not react to walls farther away."""
+
+FASTEST = 4.0
+"""m/s: walls are looked up as far as they matter to agents of this speed, so that no tensor has to say it."""
 
 
 class MapBank:
@@ -292,7 +295,34 @@ class MapBank:
 
     def walls_on_map(self, row: Tensor) -> LocalWalls:
         """Return the walls as they lie on the maps ``row`` (N,) long of this bank, -1 for none."""
-        return LocalWalls.on_map(self.walls, row)
+        return LocalWalls.around(self.walls, row, identity_pose(len(row), row.device))
+
+    def segments_near(
+        self,
+        points: Tensor,
+        map_id: Tensor,
+        pose: Tensor,
+        reach: Tensor | float,
+        most: int = 16,
+        farthest: float = 2 * FASTEST,
+    ) -> Segments:
+        """Return the nearest segments of walls that N people are outside of, nearest first.
+
+        Args:
+            points: Scene positions (N, 2), metres.
+            map_id: Floor plan of each (N,) long, -1 for none: nothing is near.
+            pose: Scene poses (N, 4).
+            reach: Metres (N,), or one number, within which a segment has to come.
+            most: Segments of one person at most.
+            farthest: The greatest reach that is ever asked for: tables are made, and kept, up to it.
+
+        Raises:
+            UserError: A ``map_id`` is of another bank.
+        """
+        bank = self.to(points.device)
+        table = bank.walls.segments(farthest, most, dtype=points.dtype)
+        reach = torch.as_tensor(reach, dtype=points.dtype, device=points.device).expand(len(points))
+        return table.near(points, bank.index(map_id), pose, reach)
 
 
 _ALIVE: WeakValueDictionary[tuple[Any, ...], MapBank] = WeakValueDictionary()
@@ -305,57 +335,3 @@ def _restored(content: tuple[Any, ...], grids: Any, ids: dict[str, int], *settin
         bank = MapBank(grids, *settings)
         bank._ids = ids  # a floor plan may have two names
     return bank
-
-
-FASTEST = 4.0
-"""m/s: walls are looked up as far as they matter to agents of this speed, so that no tensor has to say it."""
-
-
-class WallSegments:
-    """The segments of a bank's walls that matter to each person; made at no cost, the bank keeps the tables.
-
-    Attributes:
-        bank: The floor plans; their unknown cells count as it says.
-        most: Segments that are returned for one person at most.
-        reach: Metres up to which segments are found.
-    """
-
-    def __init__(self, bank: MapBank, most: int = 16, reach: float = 2 * FASTEST) -> None:
-        """Take the floor plans; nothing is computed before the first look-up."""
-        self.bank, self.most, self.reach = bank, most, reach
-
-    def near(self, points: Tensor, map_id: Tensor, pose: Tensor, reach: Tensor | float) -> Segments:
-        """Return the nearest segments of each person that they are outside of, nearest first.
-
-        Without a map there are none.
-
-        Args:
-            points: Scene positions (N, 2), metres.
-            map_id: Floor plan of each (N,) long, -1 for none.
-            pose: Scene poses (N, 4).
-            reach: Metres (N,) or one number within which a segment has to come; at most that of the look-up.
-
-        Raises:
-            UserError: A ``map_id`` is of another bank.
-        """
-        reach = torch.as_tensor(reach, dtype=points.dtype, device=points.device).expand(len(points))
-        bank = self.bank.to(points.device)
-        table = bank.walls.segments(self.reach, self.most, dtype=points.dtype)
-        cos, sin, mirror, shift = pose[:, 0].cos(), pose[:, 0].sin(), pose[:, 1], pose[:, 2:]
-        x, y = (points - shift).unbind(1)
-        place = torch.stack((cos * x + sin * y, (cos * y - sin * x) * mirror))
-        number, valid = table.nearest(place, bank.index(map_id), reach)
-        parts = table.segments[:11].index_select(1, number.flatten()).unflatten(1, number.shape)
-        start, along, length, legs, convex = parts.split((2, 2, 1, 4, 2))
-        from_x, from_y = place[:, None] - start
-        x, y = along[0], along[1] * mirror
-        return Segments(
-            along=from_x * along[0] + from_y * along[1],
-            line_distance=from_x * along[1] - from_y * along[0],
-            length=length[0],
-            direction=torch.stack((cos * x - sin * y, sin * x + cos * y)),
-            side=mirror[None],
-            neighbor=legs.unflatten(0, (2, 2)).transpose(0, 1),
-            convex=convex,
-            valid=valid,
-        )

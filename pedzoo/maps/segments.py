@@ -1,4 +1,4 @@
-"""Outlines of walls as line segments, and the few of them that matter to each person."""
+"""Borders of walls as line segments, and the few of them that matter to each person."""
 
 from __future__ import annotations
 
@@ -18,49 +18,18 @@ from pedzoo.maps.constants import BUCKET, HALF, ROUNDED
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 
 Floats = NDArray[np.float64]
+Numbers = NDArray[np.int64]
 
-# directions of unit steps along cell edges: right, up, left, down; a left turn adds one
-_STEPS = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
+_STEPS = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])  # right, up, left, down: a left turn adds one
 
 
-def outlines(occupied: NDArray[np.bool_], tolerance: float = 0.5) -> list[Floats]:
-    """Return the borders between occupied and free cells (H, W) as polygons (V, 2), x and y in cells.
+def borders(occupied: NDArray[np.bool_]) -> list[Numbers]:
+    """Return the borders between occupied and free cells (H, W): corners between straight runs (V, 2).
 
-    Walls lie to the left of every edge: solids run counter-clockwise, free spaces inside them clockwise. The
-    world outside the map is free, so walls that touch its border are closed there. Solids that touch at a
-    corner only are polygons of their own: OpenCV's contours would join them. A simplified border (Douglas
-    and Peucker, Cartographica 10, 1973) departs from the exact one by ``tolerance`` cells at most, unless it
-    would lose its area.
+    They are columns and rows in whole cells. Walls lie to the left: solids run counter-clockwise, free spaces
+    inside them clockwise. The world outside the map is free, so walls that touch its border are closed there.
+    Solids that touch at a corner only are polygons of their own: OpenCV's contours would join them.
     """
-    import cv2
-
-    result = []
-    for traced in _trace(occupied):
-        exact = short = np.asarray(traced, dtype=np.float64)
-        if tolerance > 0:
-            corners = exact.astype(np.float32)[:, None]
-            short = np.asarray(cv2.approxPolyDP(corners, tolerance, closed=True), dtype=np.float64)[:, 0]
-        # thin and tiny walls may collapse or turn inside out
-        result.append(short if len(short) > 2 and signed_area(short) * signed_area(exact) > 0 else exact)
-    return result
-
-
-def without_hollows(grid: OccupancyGrid, unknown: Unknown) -> NDArray[np.bool_]:
-    """Return the walls (H, W) of a floor plan, filled up where no body fits between walls.
-
-    Scanned walls are often two thin lines with nothing between; the far one would push through the near one.
-    """
-    from scipy.ndimage import label, maximum
-
-    # the world around the map is free and wide
-    distance = np.pad(grid.signed_distance(unknown), 1, constant_values=np.inf)
-    parts, count = cast("tuple[NDArray[np.int32], int]", label(distance > 0))
-    widest = np.asarray(maximum(distance, parts, np.arange(count + 1)))
-    return grid.occupied(unknown) | (widest < BODY_RADIUS)[parts][1:-1, 1:-1]
-
-
-def _trace(occupied: NDArray[np.bool_]) -> list[NDArray[np.int64]]:
-    """Return the exact borders as corners between straight runs (V, 2)."""
     solid = np.pad(occupied, 1).astype(np.int8)
     up, right = np.diff(solid, axis=0)[:, 1:-1], np.diff(solid, axis=1)[1:-1]
     width = occupied.shape[1] + 1
@@ -97,10 +66,42 @@ def _trace(occupied: NDArray[np.bool_]) -> list[NDArray[np.int64]]:
     return polygons
 
 
+def outlines(occupied: NDArray[np.bool_], tolerance: float = 0.5) -> list[Floats]:
+    """Return the `borders` (V, 2) of walls, simplified by Douglas and Peucker (Cartographica 10, 1973).
+
+    They depart from the exact ones by ``tolerance`` cells at most. Walls that would lose their area, or turn
+    inside out, stay exact.
+    """
+    import cv2
+
+    result = []
+    for border in borders(occupied):
+        exact = short = border.astype(np.float64)
+        if tolerance > 0:
+            corners = exact.astype(np.float32)[:, None]
+            short = np.asarray(cv2.approxPolyDP(corners, tolerance, closed=True), dtype=np.float64)[:, 0]
+        result.append(short if len(short) > 2 and signed_area(short) * signed_area(exact) > 0 else exact)
+    return result
+
+
 def signed_area(polygon: Floats) -> float:
     """Return the area inside a polygon (V, 2), positive if it runs counter-clockwise."""
     x, y = polygon.T
     return float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
+
+
+def without_hollows(grid: OccupancyGrid, unknown: Unknown) -> NDArray[np.bool_]:
+    """Return the walls (H, W) of a floor plan, filled up where no body fits between walls.
+
+    Scanned walls are often two thin lines with nothing between; the far one would push through the near one.
+    """
+    from scipy.ndimage import label, maximum
+
+    # the world around the map is free and wide
+    distance = np.pad(grid.signed_distance(unknown), 1, constant_values=np.inf)
+    parts, count = cast("tuple[NDArray[np.int32], int]", label(distance > 0))
+    widest = np.asarray(maximum(distance, parts, np.arange(count + 1)))
+    return grid.occupied(unknown) | (widest < BODY_RADIUS)[parts][1:-1, 1:-1]
 
 
 class Segments(NamedTuple):
@@ -139,72 +140,45 @@ class Segments(NamedTuple):
         return Segments(*(part[..., :most, :] for part in self))
 
 
-NOWHERE = np.array([[0.0, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 1, 1]])
-"""Stands for no segment; it could be one, so that sums with it stay finite."""
+_NO_SEGMENT = np.array([[0.0, 0, 1, 0, 1, -1, 0, -1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1]])
+"""It could be one, so that sums with it stay finite."""
 
-_NUMBER = (1 << 31) - 1
-"""The bits of a key that tell which segment it is of."""
-
-_FAR = 1e30
-"""Squared metres, beyond any floor plan."""
+_NUMBER = (1 << 31) - 1  # the bits of a key that tell which segment it is of
+_FAR = 1e30  # squared metres, beyond any floor plan
 
 
-class Outlines:
-    """The outlines of the walls of floor plans, simplified by half a cell at most, and tables of them."""
+def edges(corner: Floats, convex_from: float = 0.0, *neighbors: Numbers) -> Floats:
+    """Return the segments (V, 18) that begin at the corners (V, 2) of an outline, in the map's frame, metres.
 
-    def __init__(self, grids: Sequence[OccupancyGrid], unknown: Unknown) -> None:
-        """Take the floor plans; nothing is computed before the first question."""
-        self.grids = grids
-        self.unknown: Unknown = unknown
-        self._polygons: dict[bool, list[list[Floats]]] = {}
-        self._tables: dict[tuple[object, ...], SegmentTable] = {}
+    Of each: start (2), unit direction (2) and length. In its own frame, x along it and y to its left, where
+    the wall is: unit directions of the segment before, backwards, and of the one after (2 each). Their x is
+    turned round: both lead away from it to the left. Whether its corners are convex, 1 or 0 (2). In the map's
+    frame again: end (2), unit directions of the segments before and after (2 each), length of the one before.
 
-    def polygons(self, hollows: bool = True) -> list[list[Floats]]:
-        """Return the outlines (V, 2) of each floor plan in its frame, metres, walls to the left.
-
-        Args:
-            hollows: Whether hollows that no body fits in have outlines, too.
-        """
-        if hollows not in self._polygons:
-            walls = [grid.occupied(self.unknown) for grid in self.grids]
-            if not hollows:
-                plain, walls = walls, [without_hollows(grid, self.unknown) for grid in self.grids]
-                if all(map(np.array_equal, plain, walls)):
-                    return self._polygons.setdefault(False, self.polygons())
-            self._polygons[hollows] = [
-                [grid.cells_to_map(polygon - 0.5) for polygon in outlines(cells)]
-                for grid, cells in zip(self.grids, walls, strict=True)
-            ]
-        return self._polygons[hollows]
-
-    def table(
-        self, reach: float, most: int | None, hollows: bool, device: torch.device, dtype: torch.dtype
-    ) -> SegmentTable:
-        """Return the table of the outlines; see `SegmentTable.build`."""
-        polygons = self.polygons(hollows)
-        exact = id(polygons), reach, most
-        if exact not in self._tables:
-            segments = [np.concatenate([NOWHERE[:0], *map(edges, own)]) for own in polygons]
-            self._tables[exact] = SegmentTable.build(segments, reach, most)
-        key = *exact, device, dtype
-        if key not in self._tables:
-            self._tables[key] = self._tables[exact].to(device, dtype)
-        return self._tables[key]
+    Args:
+        corner: Of a closed polygon, walls to the left.
+        convex_from: Sine of the turn from which on a corner is convex.
+        neighbors: Which corners follow and precede (V,); none for those of one polygon.
+    """
+    number = np.arange(len(corner))
+    following, previous = neighbors or (np.roll(number, -1), np.roll(number, 1))
+    end = corner[following]
+    length = np.linalg.norm(end - corner, axis=1)
+    way = (end - corner) / length[:, None]
+    before, after = way[previous], way[following]
+    convex = before[:, 0] * way[:, 1] - before[:, 1] * way[:, 0] >= convex_from
+    left = np.column_stack((-way[:, 1], way[:, 0]))
+    legs = [-(before * way).sum(1), -(before * left).sum(1), -(after * way).sum(1), (after * left).sum(1)]
+    columns = corner, way, length, *legs, convex, convex[following], end, before, after, length[previous]
+    return np.column_stack(columns)
 
 
 @dataclass(frozen=True, eq=False)
 class SegmentTable:
     """All segments of R maps, and which of them can matter in each bucket; row -1 means "no map".
 
-    What is seen from a segment is in its own frame: x along it, y to its left, where the wall is.
-
     Attributes:
-        segments: Of each (18, S + 1), rows in this order. In the map's frame, metres: start (2), unit
-            direction (2) and length (1). In its own frame: unit directions of the segment before, backwards,
-            and of the one after (2 each). Their x is turned round: both lead away from it to the left.
-            Whether its corners are convex, 1 or 0 (2). In the map's frame: end (2), unit directions of
-            the segments before and after (2 each), length of the one before (1). The last one stands for
-            none.
+        segments: Columns of `edges` in rows (18, S + 1). The last one stands for none.
         candidates: Numbers of segments, bucket after bucket, those nearest to its middle first (C,) int32.
         offset: Where each bucket's candidates begin (buckets + 2,) int32; the last bucket is empty.
         corner: Smallest x and y of each map's buckets (2, R + 1), metres.
@@ -225,8 +199,8 @@ class SegmentTable:
 
     @classmethod
     def build(cls, maps: Sequence[Floats], reach: float, most: int | None) -> SegmentTable:
-        """Return the table of the segments (S, 13) of each map; see `edges` and `Walls.segments`."""
-        segments = _seen_from_themselves(np.concatenate([*maps, NOWHERE]))
+        """Return the table of the segments (S, 18) of each map; see `edges` and `Walls.segments`."""
+        segments = np.concatenate([*maps, _NO_SEGMENT]).T.copy()
         lists, counts, lows, sizes, before = [np.zeros(0, np.int32)], [np.zeros(0, np.int64)], [], [], 0
         for own in maps:
             low = own[:, :2].min(0) - reach if len(own) else np.zeros(2)
@@ -254,16 +228,36 @@ class SegmentTable:
 
     def to(self, device: torch.device, dtype: torch.dtype) -> SegmentTable:
         """Return the table for positions of a dtype on a device."""
-        whole = {name: getattr(self, name).to(device) for name in ("candidates", "offset", "buckets")}
-        return replace(
-            self, **whole, segments=self.segments.to(device, dtype), corner=self.corner.to(device, dtype)
+        moved = {name: getattr(self, name).to(device) for name in ("candidates", "offset", "buckets")}
+        measured = {name: getattr(self, name).to(device, dtype) for name in ("segments", "corner")}
+        return replace(self, **moved, **measured)
+
+    def near(self, points: Tensor, row: Tensor, pose: Tensor, reach: Tensor) -> Segments:
+        """Return the `nearest` segments of scene positions (N, 2) on maps ``row``, in poses (N, 4)."""
+        cos, sin, mirror, shift = pose[:, 0].cos(), pose[:, 0].sin(), pose[:, 1], pose[:, 2:]
+        x, y = (points - shift).unbind(1)
+        place = torch.stack((cos * x + sin * y, (cos * y - sin * x) * mirror))
+        number, valid = self.nearest(place, row, reach)
+        parts = self.segments[:11].index_select(1, number.flatten()).unflatten(1, number.shape)
+        start, along, length, legs, convex = parts.split((2, 2, 1, 4, 2))
+        from_x, from_y = place[:, None] - start
+        x, y = along[0], along[1] * mirror
+        return Segments(
+            along=from_x * along[0] + from_y * along[1],
+            line_distance=from_x * along[1] - from_y * along[0],
+            length=length[0],
+            direction=torch.stack((cos * x - sin * y, sin * x + cos * y)),
+            side=mirror[None],
+            neighbor=legs.unflatten(0, (2, 2)).transpose(0, 1),
+            convex=convex,
+            valid=valid,
         )
 
     @torch.no_grad()
     def nearest(self, place: Tensor, row: Tensor, reach: Tensor) -> tuple[Tensor, Tensor]:
         """Return the nearest segments (K, N) long that positions (2, N) are outside of and within reach.
 
-        The nearest are first; others are `NOWHERE`, and the second answer says which of the K there are (K,
+        The nearest are first; others stand for none, and the second answer says which of the K there are (K,
         N), 1 or 0. ``reach`` (N,) is at most the table's, metres. Nothing is read back to the host. On the
         CPU single precision is looked up by compiled loops.
         """
@@ -276,19 +270,9 @@ class SegmentTable:
             arrays = [part.numpy() for part in (place.detach(), row, reach, *tables, number, squared)]
             used = nearest(*arrays)
             return number[:used], torch.lt(squared[:used], _FAR, out=torch.empty(0))
-        key = self._keys(place, row)
-        distance2 = (key >> 31).int().view(torch.float32)
-        valid = distance2 < (reach * reach).float()
-        return torch.where(valid, key & _NUMBER, self.segments.shape[1] - 1), valid.to(place.dtype)
-
-    def _keys(self, place: Tensor, row: Tensor) -> Tensor:
-        """Return numbers (K, N) in the order of the distances of the nearest candidates, ascending.
-
-        The lower bits tell the segment, the upper ones the squared distance: floats that are not negative are
-        ordered as their bits are.
-        """
-        first, columns, rows = self.buckets.index_select(1, row % self.buckets.shape[1])
-        cell = ((place - self.corner.index_select(1, row % self.buckets.shape[1])) / BUCKET).floor()
+        row = row % self.buckets.shape[1]
+        first, columns, rows = self.buckets.index_select(1, row)
+        cell = ((place - self.corner.index_select(1, row)) / BUCKET).floor()
         inside = (cell[0] >= 0) & (cell[1] >= 0) & (cell[0] < columns) & (cell[1] < rows)
         x, y = torch.where(inside, cell, 0).int()
         bucket = torch.where(inside, first + y * columns + x, len(self.offset) - 2)
@@ -303,13 +287,17 @@ class SegmentTable:
         beyond = along - along.minimum(length).clamp_min(0)
         counts = (column < self.offset.index_select(0, bucket + 1) - begin) & (line_distance > 0)
         distance2 = torch.where(counts, beyond * beyond + line_distance * line_distance, _FAR).float()
+        # The upper bits of a key are the squared distance, the lower ones tell the segment: floats that are
+        # not negative are ordered as their bits are.
         bits = distance2.view(torch.int32).bitwise_and(ROUNDED).long().bitwise_left_shift(31)
-        return (bits + segment.view(bits.shape)).sort(dim=0)[0][: self.most]
+        key = (bits + segment.view(bits.shape)).sort(dim=0)[0][: self.most]
+        valid = (key >> 31).int().view(torch.float32) < (reach * reach).float()
+        return torch.where(valid, key & _NUMBER, self.segments.shape[1] - 1), valid.to(place.dtype)
 
 
 def _bucket_lists(
-    segments: Floats, low: Floats, size: NDArray[np.int64], reach: float, most: int | None
-) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    segments: Floats, low: Floats, size: Numbers, reach: float, most: int | None
+) -> tuple[NDArray[np.int32], Numbers]:
     """Return which segments (5, S) matter in each bucket, nearest to its middle first, and how many (M,).
 
     ``low`` are the smallest x and y of the buckets, metres, and ``size`` says how many lie along x and y.
@@ -342,30 +330,3 @@ def _bucket_lists(
         keep = gap <= limit[bucket]
         number, count = number[keep], np.bincount(bucket[keep], minlength=len(count))
     return number.astype(np.int32), count
-
-
-def edges(polygon: Floats) -> Floats:
-    """Return the segments (V, 13) of an outline (V, 2) as `SegmentTable.build` takes them.
-
-    Of each: start, end and unit direction; directions of the segments before and after. Then whether the
-    corners at start and end are convex, and the length of the segment before.
-    """
-    end = np.roll(polygon, -1, axis=0)
-    length = np.linalg.norm(end - polygon, axis=1)
-    direction = (end - polygon) / length[:, None]
-    before, after = np.roll(direction, 1, axis=0), np.roll(direction, -1, axis=0)
-    convex = before[:, 0] * direction[:, 1] - before[:, 1] * direction[:, 0] >= 0
-    return np.column_stack(
-        (polygon, end, direction, before, after, convex, np.roll(convex, -1), np.roll(length, 1))
-    )
-
-
-def _seen_from_themselves(segments: Floats) -> Floats:
-    """Return segments (S, 13) of `edges` in the form of the table (18, S)."""
-    start, end, direction, before, after = (segments[:, at : at + 2] for at in range(0, 10, 2))
-    left = np.column_stack((-direction[:, 1], direction[:, 0]))
-    legs = [(way * axis).sum(1) for way in (before, after) for axis in (direction, left)]
-    back_x, back_y, ahead_x, ahead_y = legs
-    length = np.linalg.norm(end - start, axis=1)
-    columns = (start, direction, length, -back_x, -back_y, -ahead_x, ahead_y, segments[:, 10:12])
-    return np.column_stack((*columns, end, before, after, segments[:, 12])).T.copy()

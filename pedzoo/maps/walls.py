@@ -8,47 +8,147 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.core.geometry import turn_matrix
 from pedzoo.core.machine import compiles
 from pedzoo.core.types import BODY_RADIUS
-from pedzoo.maps.boxes import nearest_boxes
-from pedzoo.maps.constants import CANDIDATES, INTO, NO_WALL, WALL
+from pedzoo.maps.constants import CANDIDATES, INTO, WALL
 from pedzoo.maps.grid import OccupancyGrid, Unknown
-from pedzoo.maps.segments import Outlines, SegmentTable
+from pedzoo.maps.segments import Floats, Numbers, SegmentTable, borders, edges, outlines, without_hollows
 
-_ROUNDING = 1e-4
-"""Cells that single precision may err by."""
+_ROUNDING = 1e-4  # cells that single precision may err by
+
+
+_NOWHERE = 1e9  # cells: where the walls of a map without walls are
+_CHUNK = 1 << 16
+
+
+def nearest_edges(walls: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.int32], NDArray[np.float32]]:
+    """Return which edges of the borders can be the nearest one of each quarter of a cell (H, W).
+
+    Edges and quarters lie on one lattice, so a quarter is wholly beside, before or at a corner of every edge.
+    The difference of the squared distances to two edges is then a monotonic function of x plus one of y,
+    largest and smallest at the quarter's corners. So an edge that is no nearer than another at all four
+    corners is no nearer anywhere between.
+
+    * The edge nearest to all four corners is the nearest of the whole quarter.
+    * Otherwise those nearest to one of the sixteen corners of the quarter and its neighbours compete, less
+      those that another beats at all four. An edge is missed if its region lies between corners of two
+      quarters in a row without holding any; tests count how rare that is.
+
+    Returns:
+        Sets of edges that compete (S, CANDIDATES, 4), repeated where they are fewer: x0, y0, x1, y1 in cells.
+        Then the set of each quarter (2H, 2W), -1 less the set inside walls; and what any place in a quarter
+        is away from the border, at least, negative inside walls, in cells.
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    sides = [np.hstack((border, np.roll(border, -1, axis=0))) for border in borders(walls)]
+    edge = np.concatenate([np.zeros((0, 4), dtype=np.int64), *sides])
+    edge = np.hstack((np.minimum(edge[:, :2], edge[:, 2:]), np.maximum(edge[:, :2], edge[:, 2:])))
+    size = [2 * side + 1 for side in walls.shape]
+    if len(edge):
+        edge = edge[np.lexsort(edge.T[::-1])]
+        label = np.full(size, -1, dtype=np.int32)
+        for number, (x0, y0, x1, y1) in enumerate(2 * edge):
+            label[y0 : y1 + 1, x0 : x1 + 1] = number
+        row, column = np.asarray(
+            distance_transform_edt(label < 0, return_distances=False, return_indices=True)
+        )
+        y = (row - np.arange(size[0], dtype=np.int32)[:, None]).astype(np.float32)
+        x = (column - np.arange(size[1], dtype=np.int32)).astype(np.float32)
+        label, gap = label[row, column], np.hypot(x, y, out=x) / 2
+    else:
+        edge, label = np.full((1, 4), int(_NOWHERE)), np.zeros(size, dtype=np.int32)
+        gap = np.full(size, math.hypot(_NOWHERE, _NOWHERE), dtype=np.float32)
+
+    corners, gaps = ([part[:-1, :-1], part[:-1, 1:], part[1:, :-1], part[1:, 1:]] for part in (label, gap))
+    mixed = np.nonzero(np.any([corner != corners[0] for corner in corners[1:]], axis=0))
+    around, sets = np.pad(label, 1, mode="edge"), [np.repeat(np.arange(len(edge))[:, None], CANDIDATES, 1)]
+    for start in range(0, len(mixed[0]), _CHUNK):
+        row, column = (axis[start : start + _CHUNK] for axis in mixed)
+        near = np.stack([around[row + i, column + j] for i in range(4) for j in range(4)], axis=1)
+        sets.append(_unbeaten(near, edge, row, column))
+    choice = corners[0].copy()
+    choice[mixed] = len(edge) + np.arange(len(mixed[0]))
+    every = np.concatenate(sets)
+    order = np.lexsort(every.T)
+    differs, number = np.diff(every[order], axis=0, prepend=-1).any(axis=1), np.empty(len(every), np.int32)
+    number[order] = differs.cumsum() - 1
+    choice = number[choice]
+    inside = walls.repeat(2, axis=0).repeat(2, axis=1)
+    # distances are least at a corner; inside walls a place is at most half a quarter's diagonal deeper
+    deepest = -np.max(gaps, axis=0) - np.float32(math.sqrt(0.125))
+    least = np.where(inside, deepest, np.min(gaps, axis=0))
+    return edge[every[order[differs]]].astype(np.float64), np.where(inside, -1 - choice, choice), least
+
+
+def _unbeaten(near: NDArray[np.int32], edge: Numbers, row: Numbers, column: Numbers) -> Numbers:
+    """Return the edges (N, CANDIDATES) among ``near`` (N, 16) that no other beats all over each quarter."""
+    near = np.sort(near, axis=1)
+    again = np.diff(near, axis=1, prepend=-1) == 0
+    near = np.take_along_axis(near, np.argsort(again, axis=1, kind="stable"), axis=1)
+    number = near.shape[1] - again.sum(axis=1)
+    result = np.empty((len(near), CANDIDATES), dtype=np.int64)
+    done = 0
+    for width in (2, 4, 8, 16):  # most quarters have few different edges around: no work for sixteen there
+        rows = np.nonzero((number > done) & (number <= width))[0]
+        done = width
+        keep = np.arange(width) < number[rows, None]
+        some = np.where(keep, near[rows, :width], near[rows, :1])
+        # squared distances to the four corners, in half cells
+        ends = (2 * edge)[some]
+        squared = []
+        for low, high, place in ((0, 2, column[rows]), (1, 3, row[rows])):
+            at = place[:, None, None] + np.arange(2)
+            gap = np.maximum(ends[..., low, None] - at, at - ends[..., high, None])
+            squared.append(np.maximum(gap, 0) ** 2)
+        corner = (squared[0][..., None] + squared[1][..., None, :]).reshape(len(rows), width, 4)
+        for best in corner.argmin(axis=1).T:
+            rival = corner[np.arange(len(rows)), best][:, None]
+            as_near, equal = (rival <= corner).all(axis=2), (rival == corner).all(axis=2)
+            # of equal edges the first stays
+            keep &= ~(as_near & (~equal | (best[:, None] < np.arange(width))))
+        order = np.argsort(np.where(keep, corner.sum(axis=2), np.iinfo(np.int64).max), axis=1)
+        order = order[:, :CANDIDATES]
+        chosen = np.take_along_axis(some, order, axis=1)
+        chosen = np.where(np.take_along_axis(keep, order, axis=1), chosen, chosen[:, :1])
+        result[rows] = chosen[:, np.minimum(np.arange(CANDIDATES), width - 1)]
+    return result
 
 
 @dataclass(frozen=True, eq=False)
 class Walls:
-    """Boxes of wall and of free space of R maps, and for each quarter of a cell those that may be nearest.
+    """The borders of the walls of R maps, and for each quarter of a cell those edges that may be nearest.
 
-    Each map is padded by ``max_distance`` and cut into quarters of cells. Which boxes contend in a
-    quarter says `pedzoo.maps.boxes`. The contending boxes of a position's quarter are compared.
+    Each map is padded by ``max_distance`` and cut into quarters of cells. Which edges compete in a quarter
+    says `nearest_edges`.
 
     Attributes:
-        option: Sets of contending boxes in columns (4 * CANDIDATES + 1, O) float32: all their x0, then all
-            their y0, x1 and y1, in half cells from the padded map's outer corner; last, plus one where they
-            are walls and minus one where they are free space.
-        choice: Which set contends in each quarter, row by row, one map after another (Q,) int32.
+        grids: The maps.
+        unknown: Meaning of their unknown cells.
+        option: Sets of competing edges in columns (4 * CANDIDATES, O) float32: all their x0, then all their
+            y0, x1 and y1, in half cells from the padded map's outer corner.
+        choice: The set of each quarter, -1 less the set inside walls, row by row, one map after another (Q,)
+            int32.
         least: What any position in a quarter is away from the nearest wall, at least (Q,) float32, metres.
         affine: Map frame in metres to half cells of the padded map: column by column a matrix's two rows and
             two shifts (6, R + 1) float64; row -1 means "no map".
         place: Columns and rows of quarters of each padded map, and where they begin (3, R + 1) int32.
         side: Of half a cell in metres (R + 1,) float64.
         limit: Distances are clipped to plus and minus this, metres.
-        outlines: The same walls as line segments, on the CPU.
     """
 
+    grids: Sequence[OccupancyGrid]
+    unknown: Unknown
     option: Tensor
     choice: Tensor
     least: Tensor
@@ -56,7 +156,7 @@ class Walls:
     place: Tensor
     side: Tensor
     limit: float
-    outlines: Outlines
+    _made: dict[Any, Any] = field(default_factory=dict)
 
     @classmethod
     def of(cls, grids: Sequence[OccupancyGrid], unknown: Unknown, max_distance: float) -> Walls:
@@ -69,15 +169,10 @@ class Walls:
         sides = [*(grid.resolution for grid in grids), 1.0]
         option, choice, least, options = [], [], [], 0
         for cells, side in zip(plans, sides, strict=True):
-            nearest = nearest_boxes(cells)
-            sets = np.concatenate(
-                (np.repeat(np.arange(len(nearest.box))[:, None], CANDIDATES, 1), nearest.sets)
-            )
-            boxes = (2 * nearest.box)[sets].transpose(2, 1, 0).reshape(4 * CANDIDATES, -1)
-            option.append(np.concatenate((boxes, nearest.sign[sets[:, 0]][None])).astype(np.float32))
-            choice.append((nearest.choice + options).astype(np.int32).ravel())
-            bound = (nearest.least - _ROUNDING) * side
-            least.append(np.minimum(bound, max_distance).astype(np.float32).ravel())
+            sets, chosen, bound = nearest_edges(cells)
+            option.append((2 * sets).transpose(2, 1, 0).reshape(4 * CANDIDATES, -1).astype(np.float32))
+            choice.append(np.where(chosen < 0, chosen - options, chosen + options).astype(np.int32).ravel())
+            least.append(np.minimum((bound - _ROUNDING) * side, max_distance).astype(np.float32).ravel())
             options += len(sets)
         begin = np.cumsum([0, *(4 * cells.size for cells in plans[:-1])])
         height, width = (2 * np.array([cells.shape for cells in plans])).T
@@ -87,6 +182,8 @@ class Walls:
             to_cell = grid.map_to_cell()
             affine[:, row] = 2 * np.array([*to_cell[0, :2], *to_cell[1, :2], *(to_cell[:, 2] + pad + 0.5)])
         return cls(
+            grids,
+            unknown,
             option=torch.from_numpy(np.concatenate(option, axis=1)),
             choice=torch.from_numpy(np.concatenate(choice)),
             least=torch.from_numpy(np.concatenate(least)),
@@ -94,7 +191,6 @@ class Walls:
             place=torch.from_numpy(np.stack((width, height, begin)).astype(np.int32)),
             side=torch.tensor(sides, dtype=torch.float64) / 2,
             limit=max_distance,
-            outlines=Outlines(grids, unknown),
         )
 
     def to(self, device: torch.device | str) -> Walls:
@@ -121,6 +217,23 @@ class Walls:
         clear = np.packbits(self.least.numpy() >= BODY_RADIUS, bitorder="little")
         return self.affine.numpy(), self.place.numpy(), self.side.numpy(), clear
 
+    def polygons(self, hollows: bool = True) -> list[list[Floats]]:
+        """Return the outlines (V, 2) of each map in its frame, metres, walls to the left; made once.
+
+        They are simplified by half a cell at most. Without ``hollows``, those that no body fits in are walls.
+        """
+        if hollows not in self._made:
+            walls = [grid.occupied(self.unknown) for grid in self.grids]
+            if not hollows:
+                plain, walls = walls, [without_hollows(grid, self.unknown) for grid in self.grids]
+                if all(map(np.array_equal, plain, walls)):
+                    return self._made.setdefault(False, self.polygons())
+            self._made[hollows] = [
+                [grid.cells_to_map(polygon - 0.5) for polygon in outlines(cells)]
+                for grid, cells in zip(self.grids, walls, strict=True)
+            ]
+        return self._made[hollows]
+
     def segments(
         self,
         reach: float,
@@ -128,19 +241,26 @@ class Walls:
         hollows: bool = True,
         dtype: torch.dtype = torch.float32,
     ) -> SegmentTable:
-        """Return the walls' outlines as segments in buckets, on the device of the walls, made once.
+        """Return the `polygons` as segments in buckets, on the device of the walls, made once.
 
         Args:
             reach: Metres up to which segments are asked for.
             most: How many segments one position gets; None for all.
-            hollows: Whether hollows that no body fits in have outlines, too.
+            hollows: As of `polygons`.
             dtype: Of the positions.
         """
-        return self.outlines.table(reach, most, hollows, self.choice.device, dtype)
+        polygons = self.polygons(hollows)
+        exact = id(polygons), reach, most
+        if exact not in self._made:
+            maps = [np.concatenate([np.zeros((0, 18)), *map(edges, own)]) for own in polygons]
+            self._made[exact] = SegmentTable.build(maps, reach, most)
+        key = *exact, self.choice.device, dtype
+        if key not in self._made:
+            self._made[key] = self._made[exact].to(self.choice.device, dtype)
+        return self._made[key]
 
 
-_STEPS = 16
-"""Of all rays, before it is asked whether one goes on: that waits for the device."""
+_STEPS = 16  # of all rays, before it is asked whether one goes on: that waits for the device
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,16 +283,8 @@ class LocalWalls:
     place: Tensor
 
     @classmethod
-    def on_map(cls, walls: Walls, row: Tensor) -> LocalWalls:
-        """Return the walls as they lie on the maps ``row`` (N,) long, -1 for none, in single precision."""
-        row = row % walls.place.shape[1]
-        xx, xy, yx, yy, x, y = walls.affine
-        frame = torch.stack((xx, yx, xy, yy, x, y, walls.side)).float()
-        return cls(walls, frame.index_select(1, row), walls.place.index_select(1, row))
-
-    @classmethod
     def around(cls, walls: Walls, row: Tensor, pose: Tensor) -> LocalWalls:
-        """Return the walls as N entries on maps ``row`` (N,) in poses (N, 4) see them."""
+        """Return the walls as N entries on maps ``row`` (N,), -1 for none, in poses (N, 4) see them."""
         row = row % walls.place.shape[1]
         pose = pose.double()
         # pose and map together are one affine from the scene to cells; see `pedzoo.core.geometry.move_to_map`
@@ -196,22 +308,13 @@ class LocalWalls:
         x_axis, y_axis, shift = self._single if points.dtype == torch.float32 else self._parts
         return torch.addcmul(torch.addcmul(shift, x_axis, points[0]), y_axis, points[1])
 
-    def number(self, cells: Tensor) -> Tensor:
-        """Return the numbers (K, *E) int32 of the quarters of positions (2, K, *E) in half cells."""
-        column, row = cells.int().clamp(*self._ends)
-        return torch.addcmul(column + self.place[2], row, self.place[0])
-
-    def least(self, points: Tensor) -> Tensor:
-        """Return how far from the nearest wall positions (2, K, *E) are at least (K, *E), quickly.
-
-        That is the exact distance less up to 0.71 cells, 1.06 in walls, float32, at a tenth of the price;
-        anything where a position is not a number.
-        """
-        return self.least_at(self.cells(points))
-
     def least_at(self, cells: Tensor) -> Tensor:
-        """Return the same at positions (2, K, *E) in half cells."""
-        number = self.number(cells)
+        """Return how far from the nearest wall positions (2, K, *E) in half cells are at least (K, *E).
+
+        That is the exact distance in metres less up to 0.71 cells, 1.06 in walls, float32, at a tenth of the
+        price; anything where a position is not a number.
+        """
+        number = self._number(cells)
         return self.walls.least.index_select(0, number.reshape(-1)).view(number.shape)
 
     def closest(self, points: Tensor) -> tuple[Tensor, Tensor]:
@@ -230,36 +333,33 @@ class LocalWalls:
         return gap, away
 
     @torch.no_grad()
-    def look(self, points: Tensor, edges: bool = True) -> tuple[Tensor, Tensor]:
+    def look(self, points: Tensor, on_edges: bool = True) -> tuple[Tensor, Tensor]:
         """Return distances (K, *E) and directions (2, K, *E) at points (2, K, *E), as `closest` does.
 
-        Without ``edges`` the direction is zero on the very edge of a wall.
+        Unless asked for ``on_edges``, the direction is zero on the very edge of a wall.
         """
-        walls, side, place = self.walls, self.frame[6], self.cells(points)
-        index = self.number(place)
-        shape = index.shape
-        choice = walls.choice.index_select(0, index.reshape(-1))
-        option = walls.option.index_select(1, choice).to(place.dtype)
-        corners, sign = option[:-1].view(2, 2, CANDIDATES, *shape), option[-1].view(shape)
-        offset = place.unsqueeze(1) - place.unsqueeze(1).clamp(corners[0], corners[1])
+        walls, cells = self.walls, self.cells(points)
+        number = self._number(cells)
+        choice, shape = walls.choice.index_select(0, number.reshape(-1)), number.shape
+        sign = 1 - 2 * (choice < 0).to(cells.dtype).view(shape)
+        option = walls.option.index_select(1, choice.maximum(-1 - choice)).to(cells.dtype)
+        low, high = option.view(2, 2, CANDIDATES, *shape)
+        offset = cells.unsqueeze(1) - cells.unsqueeze(1).clamp(low, high)
         squared, best = torch.addcmul(offset[0] * offset[0], offset[1], offset[1]).min(dim=0)
-        offset = offset.gather(1, best.expand(2, 1, *shape))[:, 0]
-        depth = squared.sqrt()
-        distance = depth * side.to(place.dtype)
-        toward = sign * (distance < walls.limit)
-        if edges:  # on the very edge of a box the direction is square to that edge
-            edge = depth == 0
-            low, high = corners.gather(2, best.expand(2, 2, 1, *shape))[:, :, 0]
-            beyond = torch.maximum(low - place, place - high)
-            square = torch.stack((beyond[0] >= beyond[1], beyond[0] < beyond[1]))
-            offset = torch.where(edge, square * (2 * place - low - high).sign(), offset)
-            depth = torch.where(edge, 1, depth)
+        best = best.expand(2, 1, *shape)
+        offset, depth = offset.gather(1, best)[:, 0], squared.sqrt()
+        distance = depth * self.frame[6].to(cells.dtype)
+        if on_edges:  # there the direction is square to the edge, from or to the middle of the quarter
+            square = (low == high).gather(1, best)[:, 0] * (cells.floor() + 0.5 - cells).sign()
+            offset = torch.where(depth == 0, square, offset)
+            depth = torch.where(depth == 0, 1, depth)
         else:
             depth = depth.clamp_min(1e-9)
         # the way back from cells to the scene is the transposed one
-        axes = (self._single if place.dtype == torch.float32 else self._parts)[:2]
-        scaled = offset * (toward * side.to(place.dtype) / depth)
-        away = torch.stack([torch.addcmul(axis[0] * scaled[0], axis[1], scaled[1]) for axis in axes])
+        axes = (self._single if cells.dtype == torch.float32 else self._parts)[:2]
+        scale = sign * (distance < walls.limit) * self.frame[6].to(cells.dtype) / depth
+        offset = offset * scale
+        away = torch.stack([torch.addcmul(axis[0] * offset[0], axis[1], offset[1]) for axis in axes])
         return distance.clamp_max(walls.limit) * sign, away
 
     def half_planes(self, points: Tensor, within: Tensor) -> Tensor:
@@ -276,9 +376,10 @@ class LocalWalls:
             from pedzoo.maps.walls_numba import look
 
             result = points.new_empty(4, *points.shape[1:])
-            look(points.numpy(), within.numpy(), *self.arrays, result.numpy())
+            lies = self.frame.numpy(), self.place.numpy()
+            look(points.numpy(), within.numpy(), *lies, *self.walls.arrays, result.numpy())
         else:
-            gap, away = self.look(points, edges=False)
+            gap, away = self.look(points, on_edges=False)
             result = torch.cat((torch.stack((gap, (points * away).sum(0) - gap)), away))
         return result.view(4, *shape[1:])
 
@@ -330,77 +431,13 @@ class LocalWalls:
     def _single(self) -> tuple[Tensor, ...]:
         return self.frame[:6].float().view(3, 2, 1, *self.frame.shape[1:]).unbind()
 
-    @cached_property
-    def arrays(self) -> tuple[Any, ...]:
-        """What compiled look-ups read: frames of scenes (7, B, 1), places (3, B, 1), and tables."""
-        return self.frame.numpy(), self.place.numpy(), *self.walls.arrays
+    def _number(self, cells: Tensor) -> Tensor:
+        """Return the numbers (K, *E) int32 of the quarters of positions (2, K, *E) in half cells."""
+        column, row = cells.int().clamp(*self._ends)
+        return torch.addcmul(column + self.place[2], row, self.place[0])
 
     @cached_property
     def _ends(self) -> tuple[Tensor, Tensor]:
         """The first and last column and row, (2, 1, *E) each."""
         last = self.place[:2].unsqueeze(1) - 1
         return torch.zeros_like(last), last
-
-
-@dataclass(frozen=True)
-class Keeping:
-    """What agents keep from walls.
-
-    Attributes:
-        reach: Metres (B, A). An agent that begins nearer to a wall may only move out.
-        within: Metres (B, A) up to where walls matter in a stride.
-        rounding: Metres by which an agent may be nearer than allowed where a stride ends.
-        creep: Metres of a stride of an agent that is inside a wall.
-    """
-
-    reach: Tensor
-    within: Tensor
-    rounding: float
-    creep: float
-
-
-class WallsAhead:
-    """The walls around agents (B, A) that go in strides from one place to the next.
-
-    No gradient flows through the walls themselves.
-    """
-
-    def __init__(self, walls: LocalWalls, place: Tensor, keeping: Keeping) -> None:
-        """Look at the places where agents begin (2, B, A), metres."""
-        self._walls, self._keeping = walls, keeping
-        # half-planes of the nearest wall and of that which the last stride ran into: see `half_planes`
-        self._nearest = walls.half_planes(place, keeping.within)
-        self._allowed = self._nearest[0].minimum(keeping.reach)
-        self._nearest[1].add_(self._allowed)
-        self._no_wall = self._nearest.new_zeros(4, 1, 1)
-        self._no_wall[1] = -NO_WALL
-        self._blocking = self._no_wall.expand_as(self._nearest)
-
-    def target(self, place: Tensor, step: Tensor, length: Tensor) -> Tensor:
-        """Return where agents at a place get by steps (2, B, A) of some lengths (B, A), metres.
-
-        Near a wall a step is shortened, because a straight line must not cut a corner. Then it is projected
-        on what the nearest wall leaves, and on what the wall leaves that the last stride ran into.
-        """
-        most = self._allowed.clamp_min(self._keeping.creep)
-        place = torch.addcmul(place, step, (most / length).clamp_max(1))
-        for wall in (self._nearest, self._blocking):
-            bound, normal = wall[1], wall[2:]
-            place = torch.addcmul(place, (bound - (place * normal).sum(0)).relu(), normal)
-        return place
-
-    def arrive(self, place: Tensor) -> Tensor:
-        """Look around where a stride ends (2, B, A).
-
-        Returns:
-            1 for agents that may be there, 0 for those that are too near to a wall and go back (B, A).
-        """
-        keeping, allowed = self._keeping, self._allowed
-        wall = self._walls.half_planes(place, keeping.within)
-        gap = wall[0]
-        stuck = gap < allowed - keeping.rounding
-        self._allowed = gap.clamp(allowed, keeping.reach)
-        wall[1].add_(self._allowed)
-        self._blocking = torch.where(stuck, wall, self._no_wall)
-        self._nearest = torch.where(stuck, self._nearest, wall)
-        return (~stuck).to(place.dtype)

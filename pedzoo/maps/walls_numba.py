@@ -38,6 +38,9 @@ def wall_gap(x, y, frame, place, choice, option, limit):
     """Return the distance to the nearest wall and the direction in which it grows (gap, x, y)."""
     cell_x, cell_y, index = quarter(x, y, frame, place)
     chosen = choice[index]
+    sign = 1.0
+    if chosen < 0:
+        sign, chosen = -1.0, -1 - chosen
     best, off_x, off_y = 1e300, 0.0, 0.0
     for k in range(CANDIDATES):
         dx = cell_x - min(max(cell_x, option[chosen, k]), option[chosen, 2 * CANDIDATES + k])
@@ -45,7 +48,7 @@ def wall_gap(x, y, frame, place, choice, option, limit):
         squared = dx * dx + dy * dy
         if squared < best:
             best, off_x, off_y = squared, dx, dy
-    sign, depth, side = option[chosen, 4 * CANDIDATES], math.sqrt(best), frame[6]
+    depth, side = math.sqrt(best), frame[6]
     distance = depth * side
     if distance >= limit:
         return limit * sign, 0.0, 0.0

@@ -13,7 +13,8 @@ from torch import Tensor
 
 from pedzoo.core.bodies import HOLONOMIC, speed_and_turn
 from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
-from pedzoo.maps.walls import Keeping, LocalWalls, WallsAhead
+from pedzoo.maps.constants import NO_WALL
+from pedzoo.maps.walls import LocalWalls
 from pedzoo.sim.state import State
 
 SKIN = 0.01
@@ -97,9 +98,9 @@ def integrate(
     reach, strides = radius - SKIN, steps // STRIDE
     wanted = velocity * (TRACE_SECONDS / strides)
     length = (wanted.square().sum(0) + 1e-12).sqrt()
-    keeping = Keeping(reach, radius + reach, ROUNDING, CREEP)  # no stride is longer than the reach
     here, places = position, [position]
-    ahead = WallsAhead(walls, here, keeping)
+    # no stride is longer than the reach
+    ahead = WallsAhead(walls, here, reach, radius + reach)
     for tick_wanted, tick_length in zip(wanted.unbind(1), length.unbind(), strict=True):
         for _ in range(strides):
             target = ahead.target(here, tick_wanted, tick_length)
@@ -108,3 +109,52 @@ def integrate(
     ends = torch.stack(places, dim=1)
     middle = 0.5 * (ends[:, :-1] + ends[:, 1:])
     return torch.stack((middle, ends[:, 1:]), dim=2).flatten(1, 2)
+
+
+class WallsAhead:
+    """The walls around agents (B, A) that go in strides from one place to the next.
+
+    No gradient flows through the walls themselves.
+    """
+
+    def __init__(self, walls: LocalWalls, place: Tensor, reach: Tensor, within: Tensor) -> None:
+        """Look at the places where agents begin (2, B, A), metres.
+
+        An agent that begins nearer to a wall than its ``reach`` (B, A), metres, may only move out. Walls
+        matter in a stride up to ``within`` (B, A), metres.
+        """
+        self._walls, self._reach, self._within = walls, reach, within
+        # half-planes of the nearest wall and of that which the last stride ran into: see `half_planes`
+        self._nearest = walls.half_planes(place, within)
+        self._allowed = self._nearest[0].minimum(reach)
+        self._nearest[1].add_(self._allowed)
+        self._no_wall = self._nearest.new_zeros(4, 1, 1)
+        self._no_wall[1] = -NO_WALL
+        self._blocking = self._no_wall.expand_as(self._nearest)
+
+    def target(self, place: Tensor, step: Tensor, length: Tensor) -> Tensor:
+        """Return where agents at a place get by steps (2, B, A) of some lengths (B, A), metres.
+
+        Near a wall a step is shortened, because a straight line must not cut a corner. Then it is projected
+        on what the nearest wall leaves, and on what the wall leaves that the last stride ran into.
+        """
+        place = torch.addcmul(place, step, (self._allowed.clamp_min(CREEP) / length).clamp_max(1))
+        for wall in (self._nearest, self._blocking):
+            bound, normal = wall[1], wall[2:]
+            place = torch.addcmul(place, (bound - (place * normal).sum(0)).relu(), normal)
+        return place
+
+    def arrive(self, place: Tensor) -> Tensor:
+        """Look around where a stride ends (2, B, A).
+
+        Returns:
+            1 for agents that may be there, 0 for those that are too near to a wall and go back (B, A).
+        """
+        wall = self._walls.half_planes(place, self._within)
+        gap = wall[0]
+        stuck = gap < self._allowed - ROUNDING
+        self._allowed = gap.clamp(self._allowed, self._reach)
+        wall[1].add_(self._allowed)
+        self._blocking = torch.where(stuck, wall, self._no_wall)
+        self._nearest = torch.where(stuck, self._nearest, wall)
+        return (~stuck).to(place.dtype)

@@ -15,7 +15,6 @@ from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.geometry import TURNS_FROM, heading_of, identity_pose
 from pedzoo.core.randomness import Draws, signed
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS, TRACE_SECONDS
-from pedzoo.maps.bank import WallSegments
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.policies.rule_based.orca import OrcaSettings, orca_velocity
 from pedzoo.sim import kernel
@@ -62,7 +61,6 @@ class Episodes:
         self._rules, self._device = rules, torch.device(device)
         # episodes begin alike in all backends
         self._physics = Compiled(prepared.bank, physics.body_radius)
-        self._walls = WallSegments(prepared.bank, most=ORCA.max_obstacles)
 
     @torch.no_grad()
     def begin(self, draws: Draws) -> State:
@@ -183,7 +181,8 @@ class Episodes:
         radius = ORCA.radii(state.radius, state.kind == ROBOT, state.controlled)
         for _ in range(OBS_LEN - 1):
             reach = ORCA.wall_reach(top_speed, radius).flatten()
-            near = self._walls.near(state.position.flatten(0, 1), map_id, poses, reach)
+            place = state.position.flatten(0, 1)
+            near = self._prepared.bank.segments_near(place, map_id, poses, reach, ORCA.max_obstacles)
             wanted = torch.where(walks.unsqueeze(2), guidance.desired_velocity, 0.0)
             action = orca_velocity(
                 state.position, state.velocity, wanted, top_speed, state.mask, ORCA, near, None, radius

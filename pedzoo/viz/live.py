@@ -21,7 +21,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.eval.packed_episodes import packed_episodes
 from pedzoo.eval.rollout import Recorder, prepare
-from pedzoo.maps.boxes import boxes
+from pedzoo.maps.grid import boxes
 from pedzoo.sim.drawing import as_array, headings_along, moved, scene_to_grid
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.physics._pybullet import BulletLooks, Figure, disconnect

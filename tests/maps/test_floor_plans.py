@@ -13,9 +13,8 @@ from scipy.spatial.distance import pdist
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.boxes import boxes
 from pedzoo.maps.formats import read_igibson, read_image, read_plan, read_ros, write_ros
-from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, free_points, spread_points
+from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, boxes, free_points, spread_points
 from pedzoo.maps.plans import flat, rectangles, room, wall
 
 

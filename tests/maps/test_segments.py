@@ -13,8 +13,8 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose, move_to_scene
-from pedzoo.maps import segments as segment_table
-from pedzoo.maps.bank import MapBank, WallSegments
+from pedzoo.maps import walls as stored_walls
+from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.segments import Segments, outlines, signed_area
 
@@ -35,24 +35,19 @@ def canonical(polygon: NDArray[np.float64]) -> list[tuple[float, ...]]:
     return corners[first:] + corners[:first]
 
 
-def test_a_block_runs_counter_clockwise_along_its_cells_edges() -> None:
-    (block,) = outlines(draw(".....", ".###.", ".###.", "....."))
-    assert canonical(block) == [(1, 1), (4, 1), (4, 3), (1, 3)]
-
-
-def test_a_hole_runs_clockwise_and_border_walls_are_closed() -> None:
-    outer, inner = sorted(outlines(draw("####", "#..#", "####")), key=signed_area)[::-1]
-    assert canonical(outer) == [(0, 0), (4, 0), (4, 3), (0, 3)]
-    assert canonical(inner) == [(1, 1), (1, 2), (3, 2), (3, 1)]
-
-
-def test_solids_that_touch_at_a_corner_stay_apart() -> None:
-    result = sorted(canonical(polygon) for polygon in outlines(draw("#.", ".#")))
-    assert result == [[(0, 1), (1, 1), (1, 2), (0, 2)], [(1, 0), (2, 0), (2, 1), (1, 1)]]
-
-
-def test_no_walls_no_outlines() -> None:
-    assert outlines(np.zeros((3, 4), dtype=bool)) == []
+@pytest.mark.parametrize(
+    ("drawing", "expected"),
+    [
+        (["....", "...."], []),
+        ([".....", ".###.", ".###.", "....."], [[(1, 1), (4, 1), (4, 3), (1, 3)]]),  # counter-clockwise
+        # a hole runs clockwise, and walls at the map's border are closed
+        (["####", "#..#", "####"], [[(0, 0), (4, 0), (4, 3), (0, 3)], [(1, 1), (1, 2), (3, 2), (3, 1)]]),
+        # solids that touch at a corner stay apart
+        (["#.", ".#"], [[(0, 1), (1, 1), (1, 2), (0, 2)], [(1, 0), (2, 0), (2, 1), (1, 1)]]),
+    ],
+)
+def test_outlines_have_walls_on_the_left(drawing: list[str], expected: list) -> None:
+    assert sorted(canonical(polygon) for polygon in outlines(draw(*drawing))) == expected
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
@@ -88,13 +83,13 @@ def test_thin_walls_keep_their_area() -> None:
 @pytest.fixture
 def exact(monkeypatch: pytest.MonkeyPatch) -> None:
     """Outlines run along the cells' edges."""
-    monkeypatch.setattr(segment_table, "outlines", lambda cells: outlines(cells, 0.0))
+    monkeypatch.setattr(stored_walls, "outlines", lambda cells: outlines(cells, 0.0))
 
 
 def brute_force(bank: MapBank, row: int, point: Tensor, pose: Tensor, reach: float) -> list:
     """Return distance, start and end of all segments in reach that a point is outside of, nearest first."""
     result = []
-    for polygon in bank.walls.outlines.polygons()[row]:
+    for polygon in bank.walls.polygons()[row]:
         there = move_to_scene(torch.as_tensor(polygon)[None], pose[None].double())[0]
         if pose[1] < 0:
             there = there.flip(0)
@@ -126,7 +121,6 @@ def distances(near: Segments) -> Tensor:
 def test_nearest_segments_are_those_of_brute_force(dtype: torch.dtype) -> None:
     grids = [random_grid(0), random_grid(1, "other")]
     bank = MapBank(grids)
-    walls = WallSegments(bank, most=6)
     torch.manual_seed(0)
     count = 60
     which = torch.randint(2, (count,))
@@ -137,7 +131,7 @@ def test_nearest_segments_are_those_of_brute_force(dtype: torch.dtype) -> None:
     points = move_to_scene(places, pose)
     reach = 0.5 + 2 * torch.rand(count)
     ids = torch.tensor([grid.map_id for grid in grids])[which]
-    near = walls.near(points.to(dtype), ids, pose.to(dtype), reach.to(dtype))
+    near = bank.segments_near(points.to(dtype), ids, pose.to(dtype), reach.to(dtype), most=6)
     assert near.valid.amax(0).mean() > 0.5
     for i in range(count):
         expected = brute_force(bank, int(which[i]), points[i], pose[i], float(reach[i]))[:6]
@@ -158,9 +152,8 @@ def test_walls_are_on_the_left_and_neighbours_fit(mirror: float, exact: None) ->
     bank = MapBank([grid])
     pose = torch.tensor([[0.4, mirror, 1.0, -2.0]])
     middle = torch.tensor([[3.0 + 5 * math.cos(0.7) - 3.5 * math.sin(0.7), -2 + 5 * math.sin(0.7) + 2.7]])
-    near = WallSegments(bank, most=500, reach=30.0).near(
-        move_to_scene(middle, pose), torch.tensor([grid.map_id]), pose, 30.0
-    )
+    ids = torch.tensor([grid.map_id])
+    near = bank.segments_near(move_to_scene(middle, pose), ids, pose, 30.0, most=500, farthest=30.0)
     start, end = (part[..., 0] for part in ends(near, move_to_scene(middle, pose)))
     direction, valid = near.direction[..., 0], near.valid[..., 0]
     assert valid.sum() > 50
@@ -180,19 +173,13 @@ def test_walls_are_on_the_left_and_neighbours_fit(mirror: float, exact: None) ->
 
 def test_only_so_many_and_only_in_reach() -> None:
     grid = random_grid()
-    walls = WallSegments(MapBank([grid]), most=3)
-    at = torch.tensor([[6.0, 3.0]]), torch.tensor([grid.map_id]), identity_pose(1)
-    assert walls.near(*at, 5.0).valid.sum() == 3
-    assert walls.near(*at, 1e-3).valid.shape == (0, 1)
-    everything = WallSegments(MapBank([grid]), most=100).near(*at, 5.0)
-    assert torch.equal(walls.near(*at, 5.0).along, everything.nearest(3).along)
-
-
-def test_a_farther_look_up_finds_the_same_within_a_reach() -> None:
-    grid = random_grid()
-    at = torch.tensor([[6.0, 3.0]]), torch.tensor([grid.map_id]), identity_pose(1)
-    bank = MapBank([grid])
-    near, far = (WallSegments(bank, most=100, reach=reach).near(*at, 4.0) for reach in (4.0, 9.0))
+    bank, at = MapBank([grid]), (torch.tensor([[6.0, 3.0]]), torch.tensor([grid.map_id]), identity_pose(1))
+    assert bank.segments_near(*at, 5.0, most=3).valid.sum() == 3
+    assert bank.segments_near(*at, 1e-3, most=3).valid.shape == (0, 1)
+    everything = bank.segments_near(*at, 5.0, most=100)
+    assert torch.equal(bank.segments_near(*at, 5.0, most=3).along, everything.nearest(3).along)
+    # a table that reaches farther finds the same
+    near, far = (bank.segments_near(*at, 4.0, most=100, farthest=reach) for reach in (4.0, 9.0))
     assert torch.equal(near.along, far.along) and near.valid.sum() > 10
 
 
@@ -204,14 +191,11 @@ def test_compiled_loops_find_what_torch_finds() -> None:
     for most in (3, 16, None):
         table = MapBank(grids).walls.segments(3.0, most)
         number, valid = table.nearest(place, row, reach)
-        wanted, there = (part[: len(number)] for part in table.nearest(*_double(place, row, reach)))
+        exact = table.nearest(place.double(), row, reach.double())
+        wanted, there = (part[: len(number)] for part in exact)
         assert torch.equal(valid.double(), there)
         same = (number == wanted).float().mean()  # some are equally near in single precision
         assert same > 0.995
-
-
-def _double(place: Tensor, row: Tensor, reach: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    return place.double(), row, reach.double()
 
 
 def test_outlines_are_shared_where_no_hollow_is_filled() -> None:
@@ -225,27 +209,23 @@ def test_outlines_are_shared_where_no_hollow_is_filled() -> None:
 def test_people_without_walls() -> None:
     grid = random_grid()
     empty = OccupancyGrid(np.zeros((4, 4), np.uint8), 1.0, name="empty")
-    walls = WallSegments(MapBank([empty, grid]))
     points = torch.tensor([[6.0, 3.0], [6.0, 3.0], [1e4, -1e4], [math.nan, 0.0], [6.0, 3.0]])
     ids = torch.tensor([-1, empty.map_id, grid.map_id, grid.map_id, grid.map_id])
-    near = walls.near(points, ids, identity_pose(5), 2.0)
+    near = MapBank([empty, grid]).segments_near(points, ids, identity_pose(5), 2.0)
     assert (near.valid > 0).any(0).tolist() == [False, False, False, False, True]
     for bank in (MapBank(), MapBank([grid])):
-        alone = WallSegments(bank).near(points[:1], torch.tensor([-1]), identity_pose(1), 2.0)
+        alone = bank.segments_near(points[:1], torch.tensor([-1]), identity_pose(1), 2.0)
         assert alone.direction.shape == (2, 0, 1)
-        no_points = WallSegments(bank).near(points[:0], ids[:0], identity_pose(0), 2.0)
+        no_points = bank.segments_near(points[:0], ids[:0], identity_pose(0), 2.0)
         assert no_points.direction.shape == (2, 0, 0)
-
-
-def test_a_map_of_another_bank_is_an_error() -> None:
     with pytest.raises(UserError, match="is not of this bank"):
-        WallSegments(MapBank()).near(torch.zeros(1, 2), torch.tensor([7]), identity_pose(1), 1.0)
+        MapBank().segments_near(torch.zeros(1, 2), torch.tensor([7]), identity_pose(1), 1.0)
 
 
 def test_people_selected_keep_their_segments() -> None:
     grid = random_grid()
     points = torch.tensor([[6.0, 3.0], [5.0, 2.0], [7.0, 1.0]])
-    near = WallSegments(MapBank([grid])).near(points, torch.full((3,), grid.map_id), identity_pose(3), 2.0)
+    near = MapBank([grid]).segments_near(points, torch.full((3,), grid.map_id), identity_pose(3), 2.0)
     some = near.select(torch.tensor([2, 0]))
     assert torch.equal(some.direction, near.direction[..., [2, 0]])
     assert torch.equal(some.valid, near.valid[:, [2, 0]])

@@ -1,4 +1,4 @@
-"""Walls as boxes and exact distances to them, against brute force over all cells."""
+"""Walls as boxes, exact distances to them and rays, against brute force over all cells."""
 
 from __future__ import annotations
 
@@ -12,11 +12,9 @@ from torch import Tensor
 
 from pedzoo.core.geometry import identity_pose, move_to_map, move_to_scene, turn_to_map, turn_to_scene
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.boxes import boxes, merge_cells
 from pedzoo.maps.formats import read_plan, read_ros
-from pedzoo.maps.grid import OCCUPIED, UNKNOWN, OccupancyGrid
-from pedzoo.maps.plans import load_plan, rectangles, wall
-from pedzoo.maps.walls import Keeping, WallsAhead
+from pedzoo.maps.grid import OCCUPIED, UNKNOWN, OccupancyGrid, boxes, merge_cells
+from pedzoo.maps.plans import load_plan
 
 
 def drawn(*rows: str, **options: object) -> OccupancyGrid:
@@ -70,18 +68,15 @@ def test_boxes_cover_every_wall_once_and_nothing_else(share: float) -> None:
         assert (painted(merge_cells(cells), shape) == cells).all()
 
 
-def test_plain_walls_are_few_boxes() -> None:
+def test_boxes_of_plain_walls_are_few() -> None:
     assert boxes(drawn("....", ".##.", ".##."), "free").tolist() == [[0.5, 0.0, 1.5, 1.0]]
-    room = drawn("#####", "#...#", "#...#", "#####")
-    assert len(boxes(room, "free")) == 4
-    two_rooms_and_a_door = drawn("#######", "#..#..#", "#.....#", "#..#..#", "#######")
-    assert len(boxes(two_rooms_and_a_door, "free")) == 6
-    comb = drawn("#.#.#.#", "#.#.#.#", "#######")  # fewer along the columns than along the rows or as many
-    assert len(boxes(comb, "free")) <= 5
-    assert len(boxes(drawn("..", ".."), "free")) == 0
-
-
-def test_unknown_cells_are_boxes_where_they_are_walls() -> None:
+    for count, rows in {
+        0: ("..", ".."),
+        4: ("#####", "#...#", "#...#", "#####"),
+        6: ("#######", "#..#..#", "#.....#", "#..#..#", "#######"),
+        5: ("#.#.#.#", "#.#.#.#", "#######"),  # fewer along the columns than along the rows or as many
+    }.items():
+        assert len(boxes(drawn(*rows), "free")) <= count
     grid = drawn("??", "..", "##")
     assert boxes(grid, "free").tolist() == [[0.0, 0.0, 1.0, 0.5]]
     assert sorted(boxes(grid, "wall").tolist()) == [[0.0, 0.0, 1.0, 0.5], [0.0, 1.0, 1.0, 1.5]]
@@ -130,24 +125,16 @@ def test_nothing_within_reach() -> None:
         distance, away = ask(grid, [[0.5 + far, 0.25], [-40.0, 90.0], [0.5 + far - 0.1, 0.25]], **options)
         assert distance.tolist() == pytest.approx([far, far, far - 0.1])
         assert away.tolist() == [[0.0, 0.0], [0.0, 0.0], [1.0, 0.0]]
-    without_walls, solid = drawn("..", "?."), drawn("##", "##")
-    assert ask(without_walls, [[0.5, 0.5], [50.0, 0.5]])[0].tolist() == [5.0, 5.0]
-    assert ask(solid, [[0.4, 0.5], [2.0, 0.5]])[0].tolist() == pytest.approx([-0.4, 1.0])
-
-
-def test_no_map_and_no_points() -> None:
-    grid = drawn("#..")
+    assert ask(drawn("..", "?."), [[0.5, 0.5], [50.0, 0.5]])[0].tolist() == [5.0, 5.0]
+    assert ask(drawn("##", "##"), [[0.4, 0.5], [2.0, 0.5]])[0].tolist() == pytest.approx([-0.4, 1.0])
+    distance, _ = ask(drawn("#..."), [[math.nan, 0.2], [1.0, 0.25]])  # who is lost harms nobody
+    assert distance[0].isnan() and distance[1:].tolist() == [0.5]
     for bank in (MapBank(), MapBank([grid])):
         points = torch.tensor([[[0.2, 0.2], [1e6, 0.0]]])
         distance, away = bank.closest_wall(points, torch.tensor([-1]), identity_pose(1))
         assert distance.tolist() == [[5.0, 5.0]] and away.abs().max() == 0
         empty = bank.closest_wall(torch.zeros(0, 3, 2), torch.zeros(0, dtype=torch.long), torch.zeros(0, 4))
         assert [part.shape for part in empty] == [(0, 3), (0, 3, 2)]
-
-
-def test_lost_positions_stay_lost_and_harm_no_person() -> None:
-    distance, _ = ask(drawn("#..."), [[math.nan, 0.2], [1.0, 0.25]])
-    assert distance[0].isnan() and distance[1:].tolist() == [0.5]
 
 
 def test_maps_of_a_bank_poses_and_shapes() -> None:
@@ -278,25 +265,3 @@ def test_compiled_half_planes_are_those_of_torch():
     # a place is as far inside of its half-plane as it is away from the wall
     inside = (points * planes[1:]).sum(0) - planes[0]
     assert torch.allclose(inside[near], gap[near], atol=1e-5)
-
-
-def test_an_agent_that_runs_into_a_wall_goes_back_and_slides() -> None:
-    bank = MapBank([rectangles(wall((0, 1), (4, 1), 0.2), 0.05)])  # it begins at y = 0.9
-    walls, reach = bank.walls_on_map(torch.tensor([0])).per_scene(), 0.14
-    keeping = Keeping(torch.full((1, 1), reach), torch.full((1, 1), 0.29), 1e-4, 0.02)
-
-    def at(x: float, y: float) -> Tensor:
-        return torch.tensor([[[x]], [[y]]])
-
-    ahead, up = WallsAhead(walls, at(2.0, 0.7), keeping), at(0.0, 0.1)
-    first = ahead.target(at(2.0, 0.7), up, torch.tensor([[0.1]]))
-    torch.testing.assert_close(first, at(2.0, 0.9 - reach), atol=1e-5, rtol=0)
-    assert float(ahead.arrive(at(2.0, 0.8))) == 0  # too near
-    # a long step is shortened to the reach, and both walls leave the line along them
-    slanted = ahead.target(at(2.0, 0.7), at(0.3, 0.4), torch.tensor([[0.5]]))
-    torch.testing.assert_close(slanted, at(2.0 + 0.6 * reach, 0.9 - reach), atol=1e-5, rtol=0)
-    assert float(ahead.arrive(at(2.0, 0.75))) == 1
-    # inside the wall an agent creeps out
-    inside = WallsAhead(walls, at(2.0, 0.91), keeping)
-    out = inside.target(at(2.0, 0.91), at(0.0, -0.1), torch.tensor([[0.1]]))
-    torch.testing.assert_close(out, at(2.0, 0.91 - 0.02), atol=1e-5, rtol=0)

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose, move_to_scene, turn_to_scene
-from pedzoo.maps import segments as segment_table
+from pedzoo.maps import walls as stored_walls
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
 from pedzoo.maps.segments import outlines
@@ -307,7 +307,7 @@ def test_a_straight_wall_by_hand_in_however_many_pieces(monkeypatch: pytest.Monk
         return [np.concatenate([a + pieces * (b - a) for a, b in side]) for side in sides]
 
     for pieces in (outlines, cut):
-        monkeypatch.setattr(segment_table, "outlines", pieces)
+        monkeypatch.setattr(stored_walls, "outlines", pieces)
         walls = block((slice(20), EVERY), shape=(80, 200))  # y < 1 is wall
         torch.testing.assert_close(push(walls, at), expected, atol=1e-3, rtol=0)
         assert points_of(walls, at)[1].sum(0).tolist() == [1, 1, 1, 1]
@@ -349,7 +349,7 @@ def test_at_a_bend_the_force_neither_doubles_nor_jumps(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     bent = np.array([[0.0, 0.0], [200, 0], [200, 60], [100, 40], [0, 60]])  # 11 degrees to either side
-    monkeypatch.setattr(segment_table, "outlines", lambda occupied: [bent])
+    monkeypatch.setattr(stored_walls, "outlines", lambda occupied: [bent])
     walls = block((EVERY, EVERY), shape=(2, 2))
     for height in (0.15, 0.3, 0.6):
         at = torch.stack(

@@ -13,7 +13,7 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
 from pedzoo.maps.plans import rectangles, room, wall
 from pedzoo.sim import dynamics
-from pedzoo.sim.dynamics import SKIN, substeps
+from pedzoo.sim.dynamics import SKIN, WallsAhead, substeps
 
 BANK = MapBank([rectangles(room((0, 0), (4, 3), 0.1) + wall((2.05, 0), (2.05, 3), 0.1), 0.05)], "wall")
 """Two rooms and no door: free for x from 0 to 2 and from 2.1 to 4, for y from 0 to 3."""
@@ -156,3 +156,25 @@ def test_no_person_creeps_into_a_wall() -> None:
         velocity = torch.tensor([[[1e-3, 0.5 if step // 10 % 2 else -0.5]]])
         position = walk(position, velocity)[:, :, -1]
     assert float(position[0, 0, 0]) < 2.0 - NEAREST + 1e-3
+
+
+def test_an_agent_that_runs_into_a_wall_goes_back_and_slides() -> None:
+    bank = MapBank([rectangles(wall((0, 1), (4, 1), 0.2), 0.05)])  # it begins at y = 0.9
+    walls, reach = bank.walls_on_map(torch.tensor([0])).per_scene(), 0.14
+    keeping = torch.full((1, 1), reach), torch.full((1, 1), 0.29)
+
+    def at(x: float, y: float) -> Tensor:
+        return torch.tensor([[[x]], [[y]]])
+
+    ahead, up = WallsAhead(walls, at(2.0, 0.7), *keeping), at(0.0, 0.1)
+    first = ahead.target(at(2.0, 0.7), up, torch.tensor([[0.1]]))
+    torch.testing.assert_close(first, at(2.0, 0.9 - reach), atol=1e-5, rtol=0)
+    assert float(ahead.arrive(at(2.0, 0.8))) == 0  # too near
+    # a long step is shortened to the reach, and both walls leave the line along them
+    slanted = ahead.target(at(2.0, 0.7), at(0.3, 0.4), torch.tensor([[0.5]]))
+    torch.testing.assert_close(slanted, at(2.0 + 0.6 * reach, 0.9 - reach), atol=1e-5, rtol=0)
+    assert float(ahead.arrive(at(2.0, 0.75))) == 1
+    # inside the wall an agent creeps out
+    inside = WallsAhead(walls, at(2.0, 0.91), *keeping)
+    out = inside.target(at(2.0, 0.91), at(0.0, -0.1), torch.tensor([[0.1]]))
+    torch.testing.assert_close(out, at(2.0, 0.91 - 0.02), atol=1e-5, rtol=0)

@@ -22,8 +22,7 @@ from torch import Tensor
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import direction_of, identity_pose, move_to_scene
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.boxes import boxes
-from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.grid import OccupancyGrid, boxes
 from pedzoo.sim.drawing import (
     FLOOR,
     WALL,

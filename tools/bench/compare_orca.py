@@ -28,16 +28,17 @@ from rich.table import Table
 from torch import Tensor
 
 from pedzoo.core.geometry import identity_pose
-from pedzoo.maps.bank import MapBank, WallSegments
+from pedzoo.maps.bank import FASTEST, MapBank
 from pedzoo.maps.formats import read_plan
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
-from pedzoo.maps.segments import NOWHERE, SegmentTable, edges
-from pedzoo.policies.rule_based.orca import OrcaSettings, nearest_permitted, orca_velocity, wall_lines
+from pedzoo.maps.segments import Segments, SegmentTable, edges
+from pedzoo.policies.rule_based.orca import OrcaSettings, orca_velocity, solve, wall_lines
 from tools.bench.rvo2_peer import Rvo2
 
 SPEED, TOP_SPEED = 1.3, 1.69
 SETTINGS = OrcaSettings(dt=0.1, max_obstacles=1000)
 APART = 1e-3
+FARTHEST = 2 * FASTEST
 
 
 def plan(side: int, boxes: int, seed: int) -> OccupancyGrid:
@@ -50,18 +51,10 @@ def plan(side: int, boxes: int, seed: int) -> OccupancyGrid:
     return OccupancyGrid(cells, 0.1, name=f"plan {side} {boxes} {seed}")
 
 
-class Pieces(WallSegments):
-    """Walls as RVO2 has split them."""
-
-    def __init__(self, bank: MapBank, pieces: NDArray[np.float64]) -> None:
-        """Take the segments (S, 13) of the only floor plan; of equally near ones the first counts first."""
-        super().__init__(bank, SETTINGS.max_obstacles)
-        self.pieces = pieces
-        self.made = SegmentTable.build([pieces], self.reach, self.most)
-
-    def table(self, bank: MapBank, dtype: torch.dtype) -> SegmentTable:
-        """Return theirs."""
-        return self.made.to(bank.device, dtype)
+def pieces(segments: NDArray[np.float64]) -> SegmentTable:
+    """Return the table of segments (S, 18); of equally near ones the first counts first."""
+    table = SegmentTable.build([segments], FARTHEST, SETTINGS.max_obstacles)
+    return table.to(torch.device("cpu"), torch.float32)
 
 
 @dataclass(frozen=True)
@@ -72,18 +65,18 @@ class State:
     velocity: Tensor
     preferred: Tensor
 
-    def ours(self, walls: WallSegments | None, settings: OrcaSettings = SETTINGS) -> Tensor:
+    def ours(self, walls: SegmentTable | None, settings: OrcaSettings = SETTINGS) -> Tensor:
         """Return pedzoo's velocities (B, A, 2)."""
         speed = torch.full(self.position.shape[:2], TOP_SPEED)
         present = torch.ones_like(speed, dtype=torch.bool)
         near = None if walls is None else self.near(walls)
         return orca_velocity(self.position, self.velocity, self.preferred, speed, present, settings, near)
 
-    def near(self, walls: WallSegments):
+    def near(self, walls: SegmentTable) -> Segments:
         """Return the segments near every person."""
-        points, reach = self.position.flatten(0, 1), SETTINGS.wall_reach(torch.tensor(TOP_SPEED))
-        ids = torch.full((len(points),), walls.bank.grids[0].map_id)
-        return walls.near(points, ids, identity_pose(len(points)), float(reach))
+        points = self.position.flatten(0, 1)
+        reach = SETTINGS.wall_reach(torch.full((len(points),), TOP_SPEED))
+        return walls.near(points, torch.zeros(len(points)).long(), identity_pose(len(points)), reach)
 
     def nudged(self, scene: int, copies: int, by: float) -> State:
         """Return many copies of one scene, each a little different."""
@@ -99,11 +92,11 @@ class Walk:
     def __init__(self, grid: OccupancyGrid, walled: bool, scenes: int, agents: int, seed: int) -> None:
         """Place them on free cells."""
         bank = MapBank([grid], unknown="wall")
-        self.walls = WallSegments(bank, SETTINGS.max_obstacles) if walled else None
-        polygons = bank.walls.outlines.polygons()[0] if walled else []
+        self.walls = bank.walls.segments(FARTHEST, SETTINGS.max_obstacles) if walled else None
+        polygons = bank.walls.polygons()[0] if walled else []
         self.peer = Rvo2(scenes, agents, TOP_SPEED, SETTINGS, polygons)
         self.polygons = polygons
-        self.pieces = Pieces(bank, self.peer.edges) if walled else None
+        self.pieces = pieces(self.peer.edges) if walled else None
         clear = np.argwhere(grid.signed_distance("wall") > SETTINGS.radius)
         self.free = torch.as_tensor(_centres(grid, clear), dtype=torch.float32)
         self.random = torch.Generator().manual_seed(seed)
@@ -145,11 +138,11 @@ def classify(state: State, walk: Walk, scene: int, agent: int, theirs: Tensor) -
     if walk.walls and walk.pieces:
         if close(one.ours(walk.pieces), theirs):
             return "split"
-        own = np.concatenate([NOWHERE[:0], *map(edges, walk.polygons)])
-        for segments in (walk.pieces.pieces, own):
+        own = np.concatenate([np.zeros((0, 18)), *map(edges, walk.polygons)])
+        for segments in (walk.peer.edges, own):
             for seed in range(16):
                 order = np.random.default_rng(seed).permutation(len(segments))
-                if close(one.ours(Pieces(walk.walls.bank, segments[order])), theirs):
+                if close(one.ours(pieces(segments[order])), theirs):
                     return "tie"
     peer = Rvo2(1, one.position.shape[1], TOP_SPEED, SETTINGS, walk.polygons)
     for by in (1e-6, 1e-5, 1e-4):
@@ -164,15 +157,15 @@ def classify(state: State, walk: Walk, scene: int, agent: int, theirs: Tensor) -
     return "blocked" if walk.pieces and blocked(one, walk.pieces)[0, agent] else "other"
 
 
-def blocked(state: State, walls: WallSegments) -> Tensor:
+def blocked(state: State, walls: SegmentTable) -> Tensor:
     """Return who has no velocity (B, A) that obeys all walls."""
     velocity, preferred = (part.flatten(0, 1).T for part in (state.velocity, state.preferred))
     lines = wall_lines(
         state.near(walls), velocity, velocity.new_full(velocity.shape[1:], SETTINGS.radius), SETTINGS
     )
-    speed = torch.full(velocity.shape[1:], TOP_SPEED)
-    failed = nearest_permitted(lines, preferred, preferred, speed, towards=False)[1]
-    return (failed < lines.shape[1]).view(state.position.shape[:2])
+    chosen = solve(lines, 0, preferred, torch.full(velocity.shape[1:], TOP_SPEED))
+    beside = (lines[1] - chosen[1]) * lines[2] - (lines[0] - chosen[0]) * lines[3]
+    return (beside > 1e-5).any(0).view(state.position.shape[:2])
 
 
 def agreement(name: str, plans: list[OccupancyGrid], walled: bool, agents: int, steps: int) -> list[str]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pyrvo.pyrvo import RVOSimulator
 from torch import Tensor
 
+from pedzoo.maps.segments import edges
 from pedzoo.policies.rule_based.orca import OrcaSettings
 
 UNLIMITED = 10_000
@@ -19,7 +20,7 @@ class Rvo2:
     """One RVO2 simulator per scene, asked for one step from given states.
 
     Attributes:
-        edges: Segments (S, 13) of the walls in the form of `edges`, after RVO2 has split them.
+        edges: Segments (S, 18) of the walls, as of `pedzoo.maps.segments.edges`, after RVO2 has split them.
     """
 
     def __init__(
@@ -83,11 +84,5 @@ def _edges(simulator: RVOSimulator) -> NDArray[np.float64]:
     start = np.array([(corner.x, corner.y) for corner in corners]).reshape(-1, 2)
     following = np.array([simulator.get_next_obstacle_vertex(i) for i in count], dtype=int)
     previous = np.array([simulator.get_prev_obstacle_vertex(i) for i in count], dtype=int)
-    direction = start[following] - start
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    before = direction[previous]
-    turn = before[:, 0] * direction[:, 1] - before[:, 1] * direction[:, 0]
-    convex = turn > -1e-4  # where it splits an edge, RVO2 counts the new corner as convex
-    length = np.linalg.norm(start - start[previous], axis=1)
-    columns = (start, start[following], direction, before, direction[following], convex, convex[following])
-    return np.column_stack((*columns, length)).astype(float)
+    # where it splits an edge, RVO2 counts the new corner as convex
+    return edges(start, -1e-4, following, previous)

@@ -2,8 +2,7 @@
 
 Van den Berg, Guy, Lin and Manocha, "Reciprocal n-body collision avoidance": section 4 for agents, 5 for the
 linear programs, 6 for walls. Order of steps and tolerance are those of the library RVO2, so that the answers
-are RVO2's. Compiled loops (`_orca_loops`) answer for walls and programs, torch on other devices and in other
-precisions.
+are RVO2's. Walls and programs are in loops (`_orca_loops`), on the CPU and in single precision.
 
 Constraints of N people are ``lines`` (4, L, N): x and y of a point of the line and of its unit direction.
 Velocities to its left are permitted. Rows of L are in order of importance, walls before people. A line of
@@ -21,13 +20,12 @@ from torch import Tensor
 from pedzoo.core import randomness
 from pedzoo.core.batch import ROBOT, ids_of, is_person_sized, maps_of
 from pedzoo.core.errors import check_range, unknown
-from pedzoo.core.machine import compiles
 from pedzoo.core.types import TOP_SPEED_RATIO, TRACE_SECONDS
-from pedzoo.maps.bank import FASTEST, WallSegments
+from pedzoo.maps.bank import FASTEST
 from pedzoo.maps.segments import Segments
 from pedzoo.policies.neighbours import nearest, separation_push
 from pedzoo.policies.policy import Policy, deterministic, drawn_vectors
-from pedzoo.policies.rule_based._orca_loops import EPSILON, FAR, TOUCHING, compiled_lines, compiled_solve
+from pedzoo.policies.rule_based._orca_loops import EPSILON, compiled_lines, compiled_solve
 
 OF_PRESET: Any = None  # the value of the preset
 
@@ -233,90 +231,13 @@ def agent_lines(
 def wall_lines(walls: Segments, velocity: Tensor, radius: Tensor, settings: OrcaSettings) -> Tensor:
     """Return the constraints (4, K, N) of N people from the wall segments near them, nearest first.
 
-    ``velocity`` (2, N) is in m/s, the ``radius`` (N,) of the disks in metres. Constraints that do not count
-    are 0; compiled loops leave them out.
+    ``velocity`` (2, N) is in m/s, the ``radius`` (N,) of the disks in metres. Those that count come first, 0
+    after them.
     """
     walls, scale = walls.nearest(settings.max_obstacles), 1 / settings.time_horizon_obst
-    if compiles(velocity):
-        lines = torch.zeros(4, *walls.along.shape)
-        given = [part.numpy() for part in (*walls, velocity, radius)]
-        return lines[:, : compiled_lines(*given, scale, EPSILON, lines.numpy())]
-    right, ahead = walls.direction, walls.side * left(walls.direction)
-    own_x, own_y = dot(right, velocity[:, None]), dot(ahead, velocity[:, None])
-    x, y, dx, dy, counts = _lines(walls, own_x, own_y, radius, scale)
-    # a mirror changes which side of a line is left
-    lines = torch.cat((x * right + y * ahead, dx * walls.side * right + dy * left(right)))
-    # walls behind the line of a nearer segment do not count
-    one = (walls.line_distance * ahead - walls.along * right) * scale
-    corners = torch.stack((one, one + scale * walls.length * right), dim=1)
-    bound = cross(lines[:2], lines[2:]) + (radius * scale - EPSILON).clamp_min(_tiny(radius))
-    for k in range(1, len(counts)):
-        behind = cross(corners[:, :, k:], lines[2:, k - 1, None, None]).amin(0)
-        counts[k:] &= (behind < bound[k - 1]) | ~counts[k - 1]
-    return lines * counts
-
-
-def _corner(
-    corner: Tensor,
-    convex: Tensor,
-    beyond: tuple[Tensor, Tensor],
-    own_x: Tensor,
-    from_y: Tensor,
-    apart: Tensor,
-    radius: Tensor,
-    scale: float,
-) -> tuple[Tensor, ...]:
-    """Return one corner's part of the velocity obstacle, as if it were the left one; see the loops."""
-    distance2 = corner.square() + apart.square()
-    leg = (distance2 - radius.square()).clamp_min(0).sqrt()
-    leg_x = torch.where(convex, (corner * leg - apart * radius) / distance2, -1.0)
-    leg_y = torch.where(convex, (corner * radius + apart * leg) / distance2, 0.0)
-    foreign = convex & (leg_x * beyond[1] - leg_y * beyond[0] >= 0)
-    leg_x, leg_y = torch.where(foreign, beyond[0], leg_x), torch.where(foreign, beyond[1], leg_y)
-    from_x = own_x - scale * corner
-    past = from_x * leg_x + from_y * leg_y < 0
-    across = (from_x * leg_y - from_y * leg_x).square() + FAR * past
-    return corner, leg_x, leg_y, foreign, from_x, past, across
-
-
-def _lines(walls: Segments, own_x: Tensor, own_y: Tensor, radius: Tensor, scale: float) -> tuple[Tensor, ...]:
-    """Return each segment's line in its frame, and whether it counts (x, y, dx, dy, counts), all (K, N)."""
-    where = torch.where
-    apart = walls.line_distance.clamp_min(TOUCHING)
-    before, after = -walls.along, walls.along - walls.length
-    beyond = before.maximum(after).clamp_min(0)
-    gap2 = beyond.square() + apart.square()
-    touch, away = gap2 <= radius.square(), gap2.rsqrt()
-    only_left, only_right = (before > 0) & (apart <= radius), (after > 0) & (apart <= radius)
-    single, convex, (next_x, next_y) = only_left | only_right, walls.convex > 0, walls.neighbor
-    ignored = (only_left & ~convex[0]) | (only_right & ~convex[1])
-    ignored = ignored | (touch & only_right & (after * next_y[1] - apart * next_x[1] > 0))
-    from_y = own_y - scale * apart
-    rest = from_y, apart, radius, scale
-    way = where(only_right, -1.0, next_x[0]), where(only_right, 0.0, next_y[0])
-    one = where(only_right, -after, before), where(only_right, convex[1], convex[0])
-    one = _corner(*one, way, own_x, *rest)
-    way = where(only_left, -1.0, next_x[1]), where(only_left, 0.0, next_y[1])
-    other = where(only_left, -before, after), where(only_left, convex[0], convex[1])
-    other = _corner(*other, way, -own_x, *rest)
-
-    outside, other_outside = one[4] < 0, other[4] < 0
-    left_round = one[5] & where(single, other[5], outside)
-    right_round = other[5] & other_outside & ~single
-    on_round = left_round | right_round
-    nowhere = outside.to(own_x) + other_outside.to(own_x) + single.to(own_x)
-    on_cutoff = one[6].minimum(other[6]) >= from_y.square() + FAR * nowhere
-    mirrored = where(on_round, right_round, one[6] > other[6])
-    corner, dx, dy, foreign, from_x = (where(mirrored, b, a) for a, b in zip(one[:5], other[:5], strict=True))
-    ignored = ignored | (foreign & ~(on_cutoff | on_round | touch))
-    speed = torch.hypot(from_x, from_y).clamp_min(_tiny(from_x))
-    dx = where(on_round, from_y / speed, where(on_cutoff, -1.0, dx))
-    dy = where(on_round, -from_x / speed, where(on_cutoff, 0.0, dy))
-    x = where(touch, 0.0, (corner - radius * dy) * scale)
-    y = where(touch, 0.0, (radius * dx + apart) * scale)
-    dx, dy = where(touch, -apart * away, dx), where(touch, beyond * away, dy)
-    turn = 1 - 2 * where(touch, walls.along > walls.length, mirrored).to(x)
-    return x * turn, y, dx, dy * turn, (walls.valid > 0) & ~ignored
+    lines = torch.zeros(4, *walls.along.shape)
+    used = compiled_lines(*_arrays(*walls, velocity, radius), scale, EPSILON, lines.numpy())
+    return lines[:, :used].to(velocity)
 
 
 def solve(lines: Tensor, walls: int, preferred: Tensor, max_speed: Tensor) -> Tensor:
@@ -325,144 +246,14 @@ def solve(lines: Tensor, walls: int, preferred: Tensor, max_speed: Tensor) -> Te
     The first ``walls`` of the ``lines`` (4, L, N) are never relaxed. Preferred velocities (2, N) and top
     speeds (N,) are in m/s.
     """
-    if compiles(lines, preferred, max_speed):
-        result = torch.empty(preferred.shape)
-        arrays = [part.contiguous().numpy() for part in (preferred, max_speed)]
-        compiled_solve(lines.numpy(), walls, *arrays, result.numpy())
-        return result
-    speed = preferred.norm(dim=0).clamp_min(_tiny(preferred))
-    start = preferred * (max_speed / speed).clamp_max(1)
-    result, failed = nearest_permitted(lines, start, preferred, max_speed, towards=False)
-    rows = (failed < lines.shape[1]).nonzero()[:, 0]
-    if len(rows):
-        result[:, rows] = _least_violating(
-            lines[..., rows], result[:, rows], failed[rows], max_speed[rows], walls
-        )
-    return result
+    result = torch.empty(preferred.shape)
+    given, preferences, speeds = _arrays(lines, preferred, max_speed)
+    compiled_solve(given, walls, preferences, speeds, result.numpy())
+    return result.to(preferred)
 
 
-def nearest_permitted(
-    lines: Tensor, start: Tensor, optimum: Tensor, max_speed: Tensor, towards: bool
-) -> tuple[Tensor, Tensor]:
-    """Solve the two-dimensional program: the permitted velocity in the disk of ``max_speed`` that is best.
-
-    Args:
-        lines: Constraints (4, L, N).
-        start: The best velocities (2, N) of the disk without constraints.
-        optimum: Where to be near, or the direction to be far in (2, N).
-        max_speed: Top speeds (N,).
-        towards: ``optimum`` is a unit direction.
-
-    Returns:
-        The velocities (2, N), and the first line (N,) long that could not be obeyed together with those
-        before it, L where all could. The velocity then obeys the ones before.
-    """
-    count = lines.shape[1]
-    result, failed = start.clone(), torch.full_like(max_speed, count, dtype=torch.long)
-    number, rows = (torch.arange(size, device=lines.device) for size in lines.shape[1:])
-    number, own, last = number[:, None], start, torch.full_like(failed, -1)
-    while count:
-        line = _first((violation(lines, own) > 0) & (number > last), number)
-        going = (line < count).nonzero()[:, 0]
-        if not len(going):
-            break
-        rows, line, max_speed = rows[going], line[going], max_speed[going]
-        lines, own, optimum = (_of(part, going) for part in (lines, own, optimum))
-        chosen = lines.gather(1, line.expand(4, 1, -1))[:, 0]
-        values, feasible = _best_on(chosen, lines, number < line, optimum, max_speed, towards)
-        own = torch.where(feasible, values, own)
-        last = torch.where(feasible, line, count)  # people who are stuck have no further lines
-        result.index_copy_(1, rows, own)
-        failed.index_copy_(0, rows, torch.where(feasible, count, line))
-    return result, failed
-
-
-def _best_on(
-    chosen: Tensor, lines: Tensor, before: Tensor, optimum: Tensor, max_speed: Tensor, towards: bool
-) -> tuple[Tensor, Tensor]:
-    """Return the best velocities (2, N) on lines ``chosen`` (4, N), and where there are any (N,) bool.
-
-    They obey all ``lines`` (4, L, N) that come ``before`` (L, N) bool.
-    """
-    x, y, dx, dy = chosen
-    along = x * dx + y * dy
-    inside = along.square() + max_speed.square() - (x.square() + y.square())
-    half = inside.clamp_min(0).sqrt()
-    px, py, qx, qy = lines
-    across = dx * qy - dy * qx
-    ahead = (y - py) * qx - (x - px) * qy
-    parallel = across.abs() <= EPSILON
-    cut = ahead / torch.where(parallel, 1.0, across)
-    high = torch.where(before & (across > EPSILON), cut, FAR).amin(0).minimum(half - along)
-    low = torch.where(before & (across < -EPSILON), cut, -FAR).amax(0).maximum(-half - along)
-    blocked = (before & parallel & (ahead < 0)).any(0)
-    if towards:
-        t = torch.where(optimum[0] * dx + optimum[1] * dy > 0, high, low)
-    else:
-        t = ((optimum[0] - x) * dx + (optimum[1] - y) * dy).minimum(high).maximum(low)
-    return torch.stack((x + t * dx, y + t * dy)), (inside >= 0) & (low <= high) & ~blocked
-
-
-def _least_violating(lines: Tensor, result: Tensor, line: Tensor, max_speed: Tensor, walls: int) -> Tensor:
-    """Solve the three-dimensional program: the velocities (2, N) whose worst violation is least.
-
-    ``result`` (2, N) obeys all lines before ``line`` (N,) long, at which the two-dimensional program failed.
-    The first ``walls`` lines are obeyed in any case.
-    """
-    count, own, answer = lines.shape[1], result, result.clone()
-    number, rows = (torch.arange(size, device=lines.device) for size in lines.shape[1:])
-    number = number[:, None]
-    while True:
-        chosen = lines.gather(1, line.expand(4, 1, -1))
-        inward = torch.stack((-chosen[3, 0], chosen[2, 0]))
-        projected = _equally_violated(lines[:, walls:], chosen, number[walls:] < line)
-        projected = torch.cat((lines[:, :walls], projected), dim=1)
-        moved, failed = nearest_permitted(projected, inward * max_speed, inward, max_speed, towards=True)
-        # it fails by rounding only: the current velocity is feasible by construction
-        own = torch.where(failed == count, moved, own)
-        answer.index_copy_(1, rows, own)
-        line = _first((violation(lines, own) > violation(chosen, own)) & (number > line), number)
-        going = (line < count).nonzero()[:, 0]
-        if not len(going):
-            return answer
-        rows, line, max_speed = rows[going], line[going], max_speed[going]
-        lines, own = _of(lines, going), _of(own, going)
-
-
-def _equally_violated(people: Tensor, chosen: Tensor, before: Tensor) -> Tensor:
-    """Return where lines (4, L, N) that come ``before`` (L, N) are violated as much as ``chosen``; else 0."""
-    px, py, qx, qy = people
-    x, y, dx, dy = chosen
-    across = dx * qy - dy * qx
-    parallel = across.abs() <= EPSILON
-    t = ((y - py) * qx - (x - px) * qy) / torch.where(parallel, 1.0, across)
-    crossing = torch.stack((x + t * dx, y + t * dy))
-    point = torch.where(parallel, (chosen[:2] + people[:2]) / 2, crossing)
-    turn = people[2:] - chosen[2:]
-    # parallel lines of the same direction constrain nothing more, and neither does padding (0, 0)
-    counts = before & ~(parallel & (dx * qx + dy * qy > -0.5))
-    return torch.cat((point, turn / turn.norm(dim=0).clamp_min(_tiny(turn)) * counts))
-
-
-def violation(lines: Tensor, velocity: Tensor) -> Tensor:
-    """Return how far velocities (2, ..., N) are on the wrong side of ``lines`` (4, ..., N): (..., N), m/s."""
-    px, py, dx, dy = lines
-    x, y = velocity
-    return (py - y) * dx - (px - x) * dy
-
-
-def _of(values: Tensor, rows: Tensor) -> Tensor:
-    """Return the values of some people (..., M); from a matrix several times faster than from three dims."""
-    return values.flatten(0, -2).index_select(1, rows).view(*values.shape[:-1], -1)
-
-
-def _first(wrong: Tensor, number: Tensor) -> Tensor:
-    """Return the least ``number`` (L, 1) of lines that are ``wrong`` (L, N) bool; L where there is none."""
-    return torch.where(wrong, number, len(number)).amin(0)
-
-
-def _tiny(like: Tensor) -> float:
-    return torch.finfo(like.dtype).tiny
+def _arrays(*tensors: Tensor) -> list[Any]:
+    return [part.detach().to("cpu", torch.float32).numpy() for part in tensors]
 
 
 class Orca(Policy):
@@ -501,9 +292,9 @@ class Orca(Policy):
             map_id = tensordict["map_id"].expand(scenes, slots).flatten()
             pose = tensordict["scene_pose"].repeat_interleave(slots, 0)
             reach = self.settings.wall_reach(top_speed, radius).flatten()
+            asked = position.flatten(0, 1), map_id, pose, reach, self.settings.max_obstacles
             farthest = self.settings.time_horizon_obst * FASTEST
-            segments = WallSegments(maps_of(tensordict), self.settings.max_obstacles, farthest)
-            walls = segments.near(position.flatten(0, 1), map_id, pose, reach)
+            walls = maps_of(tensordict).segments_near(*asked, farthest)
         velocity = orca_velocity(
             position,
             agents["velocity"],

@@ -317,7 +317,7 @@ class WallConstraints(NamedTuple):
         """Return distances to walls (S, B, A) along a walk, and where they grow (2, S, B, A)."""
         places = (self.blend @ walk.flatten(1)).view(len(self.blend), *walk.shape[1:]).transpose(0, 1)
         places = self.position + places
-        gap, away = self.walls.look(places.detach(), edges=False)
+        gap, away = self.walls.look(places.detach(), on_edges=False)
         if places.requires_grad:
             gap = gap + ((places - places.detach()) * away).sum(0)
         return gap, away
@@ -336,7 +336,7 @@ def kept_clear_in_torch(
     if walls is not None:
         walls = walls.per_scene()
         ends = torch.stack((steps.position, steps.position + steps.step), 2).detach().movedim((3, 2), (0, 1))
-        gap, away = walls.look(ends, edges=False)
+        gap, away = walls.look(ends, on_edges=False)
         narrow = (gap < NARROW).any(0)
         here = steps.position.movedim(-1, 0)
         wall_constraints = WallConstraints.of(

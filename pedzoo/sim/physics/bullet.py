@@ -16,7 +16,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import TURNS_FROM, direction_of, heading_of
 from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.boxes import boxes
+from pedzoo.maps.grid import boxes
 from pedzoo.sim.drawing import (
     FLOOR,
     OUTSIDE,
