@@ -4,11 +4,23 @@ Every look-up has its equal in torch, and tests compare them.
 """
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pedzoo.core.compiled import compiled, jit
 from pedzoo.maps.constants import BUCKET, CANDIDATES, INTO, ROUNDED, WALL
+
+
+class WallArrays(NamedTuple):
+    """How walls lie in B scenes, `MapBank.walls_of_scenes`, no rows without walls; and `Walls.arrays`."""
+
+    frames: Any
+    places: Any
+    choice: Any
+    option: Any
+    least: Any
+    limit: Any
 
 
 @jit

@@ -17,35 +17,39 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.geometry import limit_speed, limited
-from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS, TRACE_SECONDS
+from pedzoo.core.types import STEP_SECONDS, TRACE_SECONDS
 from pedzoo.maps.walls import LocalWalls
 
-LEAST_ASKED = 0.05
-"""Metres: a shorter step that is asked for has less of a direction."""
+LEAST_ASKED = 0.05  # metres: a shorter step that is asked for has less of a direction
+AHEAD = 0.2  # metres ahead of another from which on precedence is full
+TIE = 0.05  # the same for two who wait; it is also the lead of the one with the higher rank
+EVEN, BARELY = 1e-5, 0.01  # metres: a smaller lead is none, and then the higher rank is such a share of one
+LEAD_SECONDS = (
+    0.2  # who comes forward faster is ahead by so many seconds of the difference: who made way waits
+)
+SPREAD = (
+    0.04  # metres beyond what bodies need that people who wait keep, if they can: such a crowd can give way
+)
+LEAST_SHARE = 0.05  # share of a correction that a person with full precedence makes
+ROUNDS = 8  # corrections at most: each may undo a part of another
+SHARES = 1.0, 0.5, 0.15, 0.0  # step fractions of the backtracking search
+NARROW = 0.5  # metres to a wall, before or after the step: in the open people turn a shoulder and pass closer
+MARGIN = 0.02  # metres kept beyond a contact, for corners and the error of the last correction
+FIRST = 0.125  # d(position at 0.1 s) / d(step): half of it is the old velocity's
+BEYOND = 1.125  # part of a step that is to be clear: a body that turns off goes on for half of 0.1 s
+HEAD_ON = 1e-3  # metres: two who would pass each other nearer than this have no side of their own
+ROUNDING = 1e-5  # metres: a pair that lacks less room asks for no correction
+_PLACES = 8  # on a step where walls are asked for; corners are cut between two of them by less than MARGIN
+_QUARTER = TRACE_SECONDS / STEP_SECONDS
 
-AHEAD = 0.2
-"""Metres ahead of another from which on precedence is full."""
+SHOULDERS = 0.71
+"""Metres between two people in or near a narrow place; more where their bodies need more.
 
-TIE = 0.05
-"""The same for two who wait; it is also the lead of the one with the higher rank."""
-
-EVEN, BARELY = 1e-5, 0.01
-"""Metres: a smaller lead is none; then the one with the higher rank goes first, by so much of a full lead.
-
-Two groups that mirror each other exactly would else hinder each other for ever.
+A person takes up so much sideways in Weidmann, "Transporttechnik der Fussgaenger", 1993: bodies are slimmer
+than people with their arms and steps. With bodies alone people would squeeze past a waiting person in a
+door. Their queues would have 2.9 persons per metre and second; real ones have 1.9 (Seyfried et al., "New
+insights into pedestrian flow through bottlenecks", 2009).
 """
-
-LEAD_SECONDS = 0.2
-"""A person who comes forward faster than another counts as ahead by so many seconds of the difference.
-
-So a person who stepped back for another goes on to make way, until that one is through.
-"""
-
-SPREAD = 0.04
-"""Metres beyond what bodies need that people who wait keep, if they can: a crowd that has it can give way."""
-
-LEAST_SHARE = 0.05
-"""Share of a correction that a person with full precedence makes."""
 
 
 @torch.no_grad()
@@ -74,45 +78,6 @@ def passing(step: Tensor, away: Tensor) -> Tensor:
     step = step.movedim(-1, 0).unsqueeze(3)
     part = (-(away * step).sum(0) / step.square().sum(0).clamp_min(1e-9)).clamp_max(1)
     return torch.where(part > 0, (away + part * step).norm(dim=0), torch.inf)
-
-
-ROUNDS = 8
-"""Corrections at most: each may undo a part of another."""
-
-SHARES = 1.0, 0.5, 0.15, 0.0
-"""Step fractions of the backtracking search."""
-
-NARROW = 0.5
-"""Metres to a wall, before or after the step: in the open people turn a shoulder and pass closer."""
-
-MARGIN = 0.02
-"""Metres kept beyond a contact, for corners and the error of the last correction."""
-
-SHOULDERS = 0.71
-"""Metres between two people in or near a narrow place; more where their bodies need more.
-
-A person takes up so much sideways in Weidmann, "Transporttechnik der Fussgaenger", 1993: bodies are slimmer
-than people with their arms and steps. With bodies alone people would squeeze past a waiting person in a
-door. Their queues would have 2.9 persons per metre and second; real ones have 1.9 (Seyfried et al., "New
-insights into pedestrian flow through bottlenecks", 2009).
-"""
-
-FIRST = 0.125
-"""d(position at 0.1 s) / d(step): half of it is the old velocity's."""
-
-BEYOND = 1.125
-"""Part of a step that is to be clear: a body that turns off afterwards still goes on for half of 0.1 s."""
-
-HEAD_ON = 1e-3
-"""Metres: two who would pass each other nearer than this have no side of their own."""
-
-ROUNDING = 1e-5
-"""Metres: a pair that lacks less room asks for no correction."""
-
-_PLACES = 8
-"""Places on a step where walls are asked for. Corners are cut between two of them by less than `MARGIN`."""
-
-_QUARTER = TRACE_SECONDS / STEP_SECONDS
 
 
 class ProposedSteps(NamedTuple):
@@ -159,16 +124,15 @@ class ProposedSteps(NamedTuple):
 
 
 class PairConstraints(NamedTuple):
-    """Every agent and every other agent.
+    """Every agent and every other agent (B, A, A), in metres.
 
     Attributes:
-        away: From each to each other's place (2, B, A, A): mine less theirs, metres.
-        apart: Its length (B, A, A), metres.
-        room: Distance that is to be kept on four straight parts (4, B, A, A), metres; below 0 for absent
-            agents. The parts are the straight way to the end of the step, the first 0.1 s, the next 0.2 s,
-            and what lies beyond the step.
-        mine: Share of the correction that the first agent of a pair makes (B, A, A).
-        least: Distance below which they touch (B, A, A), metres: the sum of their radii.
+        away: From each to each other's place (2, B, A, A): mine less theirs.
+        apart: Its length.
+        room: Distance that is to be kept on four straight parts (4, B, A, A), below 0 for absent agents: the
+            way to the end of the step, the first 0.1 s, the next 0.2 s, and what lies beyond the step.
+        mine: Share of the correction that the first agent of a pair makes.
+        least: Distance below which they touch: the sum of their radii.
         stands: Which agents wait in the way of one who waits, too, and goes first, or press on that one
             (B, A) bool: they stand but for corrections, by which they make way.
     """
@@ -182,10 +146,7 @@ class PairConstraints(NamedTuple):
 
     @classmethod
     def of(cls, steps: ProposedSteps, narrow: Tensor | None, shoulders: float = SHOULDERS) -> PairConstraints:
-        """Return the pairs; ``narrow`` says which agents are in a narrow place (B, A) bool.
-
-        Steps are at most the longest ones; ``shoulders`` is the room in narrow places, metres.
-        """
+        """Return the pairs, of whom those that are ``narrow`` (B, A) bool need ``shoulders``, metres."""
         position = steps.position.movedim(-1, 0)
         away = position.unsqueeze(3) - position.unsqueeze(2)
         apart = (away.square().sum(0) + 1e-9).sqrt()
@@ -199,7 +160,7 @@ class PairConstraints(NamedTuple):
         order = torch.where(yields.unsqueeze(2) & yields.unsqueeze(1), order, 0.0)
         mine = share / (share + share.mT).clamp_min(1) - (0.5 - LEAST_SHARE) * order
         least = steps.radius.unsqueeze(2) + steps.radius.unsqueeze(1)
-        bodies = wanted = _plus(least, MARGIN, 2 * BODY_RADIUS)
+        bodies = wanted = least + MARGIN
         past = passing(steps.step, away)
         # people who press on one ahead would hold up that one's way back
         presses = (past < bodies) & (apart < bodies + SPREAD)
@@ -245,11 +206,11 @@ class PairConstraints(NamedTuple):
 
     def touching(self, mine: Tensor, theirs: Tensor) -> Tensor:
         """Return which pairs run into each other (B, A, A) bool, and more than now, on walks (3, 2, B, A)."""
-        bound = torch.minimum(self.room, _plus(self.least, 0.004, 2 * BODY_RADIUS)) - 1e-4
+        bound = torch.minimum(self.room, self.least + 0.004) - 1e-4
         return (self._approach(mine.unsqueeze(4) - theirs.unsqueeze(3))[2] < bound)[:3].any(0)
 
     def _approach(self, move: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return for relative walks (3, 2, B, A, A) where each of four straight parts comes closest.
+        """Return where each of four parts of relative walks (3, 2, B, A, A) comes closest.
 
         That is the share of it (4, B, A, A), the place there (2, 4, B, A, A) and its distance (4, B, A, A).
         """
@@ -263,23 +224,17 @@ class PairConstraints(NamedTuple):
 
 
 class WallConstraints(NamedTuple):
-    """Walls on the agents' ways.
+    """Walls on the ways of agents (B, A), as the people of each scene see them.
 
     Attributes:
-        walls: As the people of each scene see them.
-        position: Where they are (2, 1, B, A), metres.
         room: Distance that is to be kept (B, A), metres.
-        least: That below which a wall is touched (B, A), metres: the radius.
-        moved: Which agents' steps may be changed (B, A) bool.
         blend: Composition of a place (S, 3): parts of the three places of a walk.
         weight: How much a place moves with the step (S, 1, 1).
     """
 
+    steps: ProposedSteps
     walls: LocalWalls
-    position: Tensor
     room: Tensor
-    least: Tensor
-    moved: Tensor
     blend: Tensor
     weight: Tensor
 
@@ -293,9 +248,8 @@ class WallConstraints(NamedTuple):
         parts = torch.stack((begins.minimum(1 - between), between.minimum(1 - ends), ends), 1).clamp_min(0)
         parts = torch.cat((parts, BEYOND * parts[-1:]))
         weight = FIRST * parts[:, 0] + (1 - _QUARTER) * parts[:, 1] + parts[:, 2]
-        room = torch.minimum(gap, _plus(steps.radius, MARGIN, BODY_RADIUS))
-        position = steps.position.movedim(-1, 0).unsqueeze(1)
-        return cls(walls, position, room, steps.radius, steps.moved, parts, weight.view(-1, 1, 1))
+        room = torch.minimum(gap, steps.radius + MARGIN)
+        return cls(steps, walls, room, parts, weight.view(-1, 1, 1))
 
     def correction(self, walk: Tensor) -> Tensor:
         """Return the changes (2, B, A) of the steps of a ``walk`` that lead people off walls."""
@@ -304,28 +258,23 @@ class WallConstraints(NamedTuple):
         outside = (gap > 0) | (gap <= 0).all(0)
         most, place = ((self.room - gap) / self.weight * outside).max(0, keepdim=True)
         direction = away.gather(1, place.expand(2, *place.shape))[:, 0]
-        return torch.where(self.moved, most.clamp_min(0) * direction, 0.0)
+        return torch.where(self.steps.moved, most.clamp_min(0) * direction, 0.0)
 
     def touching(self, walk: Tensor) -> Tensor:
         """Return which agents would touch a wall, and more than now (B, A) bool."""
         gap, _ = self._along(walk)
         # corners are cut a little between two places
-        bound = torch.minimum(self.room, _plus(self.least, MARGIN / 2, BODY_RADIUS)) - 1e-4
-        return (gap[:_PLACES] < bound).any(0) & self.moved
+        bound = torch.minimum(self.room, self.steps.radius + MARGIN / 2) - 1e-4
+        return (gap[:_PLACES] < bound).any(0) & self.steps.moved
 
     def _along(self, walk: Tensor) -> tuple[Tensor, Tensor]:
         """Return distances to walls (S, B, A) along a walk, and where they grow (2, S, B, A)."""
         places = (self.blend @ walk.flatten(1)).view(len(self.blend), *walk.shape[1:]).transpose(0, 1)
-        places = self.position + places
+        places = self.steps.position.movedim(-1, 0).unsqueeze(1) + places
         gap, away = self.walls.look(places.detach(), on_edges=False)
         if places.requires_grad:
             gap = gap + ((places - places.detach()) * away).sum(0)
         return gap, away
-
-
-def _plus(radius: Tensor, margin: float, usual: float) -> Tensor:
-    """Return radii (...) plus a margin, metres; the ``usual`` one gives exactly the sum of both constants."""
-    return (radius - usual) + (usual + margin)
 
 
 def kept_clear_in_torch(
@@ -357,10 +306,7 @@ def kept_clear_in_torch(
 def _kept_share(
     steps: ProposedSteps, step: Tensor, pairs: PairConstraints, wall_constraints: WallConstraints | None
 ) -> Tensor:
-    """Return which part of their steps (B, A) people walk: less of it if they would touch something.
-
-    A person that others run into goes on: in a jam those in front have to get away first.
-    """
+    """Return which of `SHARES` of their steps (B, A) people walk; who is run into goes on."""
     walks = [steps.integrate(share * step) for share in SHARES]
     kinds = len(walks)
     # contacts of a pair depend on both shares: they are known for all of them before an agent stops

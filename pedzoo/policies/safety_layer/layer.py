@@ -23,30 +23,14 @@ from pedzoo.core.batch import ROBOT, agents_of, ids_of, is_person_sized, maps_of
 from pedzoo.core.machine import compiles
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.maps.walls import LocalWalls
-from pedzoo.policies.safety_layer.clearance import (
-    MARGIN,
-    SHOULDERS,
-    ProposedSteps,
-    kept_clear_in_torch,
-)
+from pedzoo.policies.safety_layer.clearance import MARGIN, SHOULDERS, ProposedSteps, kept_clear_in_torch
 
-HORIZON = 4.0
-"""Seconds within which a contact with a robot counts."""
-
-ROOM = 0.1
-"""Metres that are kept beyond a contact with a robot: between two decisions velocities blend."""
-
-WEIGHT = 3.0
-"""Metres: a contact after t seconds costs WEIGHT / t in m/s, less the same at the horizon."""
-
-DIRECTIONS, SPEEDS, PLACES = 24, 4, 8
-"""Sampled directions, speeds, and places on the way at which walls are asked for."""
-
-_SOONEST = 0.1
-"""Seconds: a contact is not sooner than this."""
-
-_LEAST_VIEW = 0.8
-"""Seconds within which a contact with a wall counts at least."""
+HORIZON = 4.0  # seconds within which a contact with a robot counts
+ROOM = 0.1  # metres that are kept beyond a contact with a robot: between two decisions velocities blend
+WEIGHT = 3.0  # metres: a contact after t seconds costs WEIGHT / t in m/s, less the same at the horizon
+DIRECTIONS, SPEEDS, PLACES = 24, 4, 8  # that are sampled, and places on the way where walls are asked for
+_SOONEST = 0.1  # seconds: a contact is not sooner than this
+_LEAST_VIEW = 0.8  # seconds within which a contact with a wall counts at least
 
 
 def yielding(steps: ProposedSteps, walls: LocalWalls | None) -> Tensor:
@@ -59,12 +43,12 @@ def yielding(steps: ProposedSteps, walls: LocalWalls | None) -> Tensor:
     avoided = steps.present & ~steps.moved & (steps.robot | ~is_person_sized(steps.radius))
     if avoided.device.type == "cpu" and not bool(avoided.any()):
         return steps.step
-    with torch.no_grad():
-        chosen = _chosen(steps, avoided, walls)
-    return steps.step + (chosen - steps.step).detach()
+    return steps.step + _change(steps, avoided, walls)
 
 
-def _chosen(steps: ProposedSteps, avoided: Tensor, walls: LocalWalls | None) -> Tensor:
+@torch.no_grad()
+def _change(steps: ProposedSteps, avoided: Tensor, walls: LocalWalls | None) -> Tensor:
+    """Return what turns steps (B, A, 2) off the course of the ``avoided`` (B, A) bool."""
     away = steps.position.unsqueeze(2) - steps.position.unsqueeze(1)
     velocity = steps.step / STEP_SECONDS
     apart = away.norm(dim=-1)
@@ -80,7 +64,7 @@ def _chosen(steps: ProposedSteps, avoided: Tensor, walls: LocalWalls | None) -> 
     scene = scenes.repeat_interleave(len(agents))[which]
     agent = agents.repeat(len(scenes))[which]
     if not len(scene):
-        return steps.step
+        return torch.zeros_like(steps.step)
     asked = velocity[scene, agent]
     samples = _samples(asked, away[scene, agent], steps.longest[scene, agent] / STEP_SECONDS)
     move = samples.unsqueeze(1) - velocity[scene].unsqueeze(2)
@@ -96,7 +80,7 @@ def _chosen(steps: ProposedSteps, avoided: Tensor, walls: LocalWalls | None) -> 
         cost = cost + _cost(_wall_contact(seen, place, samples, radius, passed.clamp(_LEAST_VIEW, HORIZON)))
     best = samples[torch.arange(len(scene), device=scene.device), cost.argmin(1)]
     chosen = torch.where(threatened[scene, agent].unsqueeze(1), best * STEP_SECONDS, steps.step[scene, agent])
-    return steps.step.index_put((scene, agent), chosen)
+    return steps.step.index_put((scene, agent), chosen) - steps.step
 
 
 def _samples(asked: Tensor, away: Tensor, fastest: Tensor) -> Tensor:
@@ -113,10 +97,7 @@ def _samples(asked: Tensor, away: Tensor, fastest: Tensor) -> Tensor:
 
 
 def _contact(away: Tensor, move: Tensor, room: Tensor) -> Tensor:
-    """Return after how many seconds (...) a pair that moves straight is nearer than ``room``; inf: never.
-
-    Relative places (..., 2), metres, and velocities (..., 2), m/s.
-    """
+    """Return after how many seconds (...) a pair that moves straight is nearer than ``room``; inf: never."""
     closing = -(away * move).sum(-1)
     speed2 = move.square().sum(-1).clamp_min(1e-9)
     beyond = away.square().sum(-1) - room.square()
@@ -139,12 +120,9 @@ def _cost(time: Tensor) -> Tensor:
     return WEIGHT * (1 / time.clamp_min(_SOONEST) - 1 / HORIZON).clamp_min(0)
 
 
+# Metres within the observed steps, 2.8 s, below which a person waits. Two who wait for each other in a narrow
+# place turn a shoulder, too, and one of them makes way: otherwise they wait for ever.
 WAITED = 0.4
-"""Metres within the observed steps, 2.8 s, below which a person waits.
-
-Two people who wait for each other in a narrow place turn a shoulder, too, and one of them makes way:
-otherwise they wait for ever.
-"""
 
 
 def kept_clear(steps: ProposedSteps, walls: LocalWalls | None = None, shoulders: float = SHOULDERS) -> Tensor:
@@ -171,7 +149,6 @@ class _KeptClear(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, *given: Any) -> Tensor:
-        """Return the steps (B, A, 2), of positions, steps and velocities, then all of `kept_clear`."""
         from pedzoo.policies.safety_layer.loops import kept  # numba takes a second
 
         out = torch.empty_like(given[1], memory_format=torch.contiguous_format)
@@ -181,7 +158,6 @@ class _KeptClear(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Any) -> tuple[Tensor | None, ...]:
-        """Return gradients (B, A, 2) of positions, steps and velocities."""
         from pedzoo.policies.safety_layer.slopes import slopes_of
 
         return *slopes_of(ctx.stored, gradients[0]), None, None, None

@@ -1,6 +1,7 @@
 """The safety layer in loops that numba compiles, scene by scene: what `clearance` says in torch.
 
-Vectors are complex numbers, x + iy. A scene is left as soon as nothing in it is to be corrected.
+Vectors are complex numbers, x + iy. A scene is left as soon as nothing in it is to be corrected. ``people``
+are `ProposedSteps` of arrays (B, A), with velocities in metres per quarter of a step.
 `pedzoo.policies.safety_layer.slopes` goes back over what is recorded here, for gradients.
 """
 
@@ -13,8 +14,8 @@ from torch import Tensor
 
 from pedzoo.core.compiled import compiled, jit
 from pedzoo.core.types import TRACE_SECONDS
-from pedzoo.maps.walls import LocalWalls
-from pedzoo.maps.walls_numba import quarter, wall_gap
+from pedzoo.maps.walls import LocalWalls, Walls
+from pedzoo.maps.walls_numba import WallArrays, quarter, wall_gap
 from pedzoo.policies.safety_layer.clearance import (
     AHEAD,
     BARELY,
@@ -47,51 +48,16 @@ than ``touch`` they run into each other. ``mine`` and ``theirs`` are their share
 """
 
 
-class People(NamedTuple):
-    """The arrays (B, A) of `ProposedSteps`, with velocities in metres per quarter of a step."""
-
-    position: Any
-    asked: Any
-    velocity: Any
-    longest: Any
-    present: Any
-    moved: Any
-    waits: Any
-    radius: Any
-    robot: Any
-    rank: Any
-
-
-class WallArrays(NamedTuple):
-    """Frames and places of scenes, no rows where there are no walls, and the tables behind them."""
-
-    frames: Any
-    places: Any
-    choice: Any
-    option: Any
-    bound: Any
-    limit: Any
-
-
 class Trace(NamedTuple):
-    """What the way back needs.
+    """What the way back needs, of agents (B, A)."""
 
-    Attributes:
-        narrow: Which agents are in a narrow place (B, A).
-        slope: How the room to walls grows with an agent's place (B, A), not 0 only where room lacks.
-        shares: Share of their steps that they walk (B, A).
-        used: How many rounds had corrections (B,).
-        record: Of each round (B, R, A, 4), or nothing: steps at its begin, after others and after walls, and
-            the place on the way that a wall corrects, 0 for none.
-        stands: Which agents stand to make way (B, A).
-    """
-
-    narrow: Any
-    slope: Any
-    shares: Any
-    used: Any
-    record: Any
-    stands: Any
+    narrow: Any  # which are in a narrow place
+    slope: Any  # how the room to walls grows with an agent's place, not 0 only where room lacks
+    shares: Any  # of their steps that they walk
+    used: Any  # how many rounds had corrections (B,)
+    record: Any  # (B, R, A, 4) or nothing: steps at a round's begin, after others and after walls; then the
+    # place on the way that a wall corrects, 0 for none
+    stands: Any  # which stand to make way
 
 
 @jit
@@ -220,7 +186,7 @@ def place_on(path, n):
 @jit
 def least_gap(at, walls, b):
     """Return a lower bound of the distance from a wall, metres."""
-    return walls.bound[quarter(at.real, at.imag, walls.frames[b], walls.places[b])[2]]
+    return walls.least[quarter(at.real, at.imag, walls.frames[b], walls.places[b])[2]]
 
 
 @jit
@@ -234,10 +200,7 @@ def gap_at(at, walls, b):
 
 @jit
 def push(position, path, room, walls, b):
-    """Return the change of a step that its worst place asks for.
-
-    Also return whether any place is too near, and which is the worst, 0 for none.
-    """
+    """Return the change of a step for its worst place, whether any is too near, and the worst, 0 for none."""
     most, way, worst, outside, lacks = 0.0, 0j, 0, False, False
     for everywhere in range(2):
         for n in range(1, 10):
@@ -280,10 +243,9 @@ def precedence(people, b, a, o, away, step, wait):
 
 @jit
 def meetings(people, b, step, shoulders, narrow, pairs, stands):
-    """Write the ``pairs`` of scene ``b`` that may come too near, and return their number.
+    """Write the ``pairs`` of scene ``b`` that may come too near, and who ``stands``; return their number.
 
-    Its agents go by steps (A,); who is in a ``narrow`` place (A,) needs ``shoulders``, metres. Which agents
-    stand to make way (A,) is written, too.
+    Its agents go by steps (A,); who is in a ``narrow`` place (A,) needs ``shoulders``, metres.
     """
     count = 0
     stands[:] = False
@@ -384,10 +346,7 @@ def shares_of(people, b, step, pairs, count, near, room, walls, level):
 
 @compiled()
 def keep_clear(people, walls, shoulders, out, trace):
-    """Write steps (B, A), metres, without contacts, to ``out``, and how they came about to ``trace``.
-
-    See `pedzoo.policies.safety_layer.layer.kept_clear`.
-    """
+    """Write steps (B, A), metres, without contacts, to ``out``, and how they came about to ``trace``."""
     scenes, agents = people.moved.shape
     step, change = np.zeros(agents, np.complex128), np.zeros(agents, np.complex128)
     path, pairs = np.zeros((agents, 3), np.complex128), np.zeros(agents * agents, PAIR)
@@ -395,7 +354,7 @@ def keep_clear(people, walls, shoulders, out, trace):
     near, stores = np.zeros(agents, np.bool_), trace.record.size > 0
     for b in range(scenes):
         for a in range(agents):
-            step[a] = people.asked[b, a]
+            step[a] = people.step[b, a]
             near[a], room[a] = begins(people, b, a, step[a], walls, trace)
             if people.present[b, a] and people.moved[b, a]:
                 step[a] = limited(step[a], people.longest[b, a])
@@ -455,12 +414,12 @@ def keep_clear(people, walls, shoulders, out, trace):
 
 def kept(
     steps: ProposedSteps, walls: LocalWalls | None, shoulders: float, out: Tensor, records: bool
-) -> tuple[People, float, Trace]:
+) -> tuple[Any, float, Trace]:
     """Write steps (B, A, 2) to ``out`` by `keep_clear`; return what the way back needs if it ``records``."""
     rank = torch.zeros_like(steps.longest) if steps.rank is None else steps.rank
-    parts = (*steps[:2], TRACE_SECONDS * steps.velocity, *steps[2:8], rank)
-    given = [part.detach().contiguous() for part in parts]
-    people = People(*map(as_complex, given[:3]), *(part.numpy() for part in given[3:]))
+    asked = steps._replace(velocity=TRACE_SECONDS * steps.velocity, rank=rank)
+    given: Any = [part.detach().contiguous() for part in asked]
+    people = ProposedSteps(*(as_complex(part) if part.dim() == 3 else part.numpy() for part in given))
     arrays = _NO_WALLS
     if walls is not None:
         frames, places = walls.frame.t().float().contiguous(), walls.place.t().contiguous()
@@ -484,10 +443,5 @@ def as_complex(vectors: Tensor) -> Any:
 
 
 _NO_WALLS = WallArrays(
-    np.zeros((0, 7), np.float32),
-    np.zeros((0, 3), np.int32),
-    np.zeros(1, np.int32),
-    np.zeros((1, 1), np.float32),
-    np.zeros(1, np.float32),
-    0.0,
+    np.zeros((0, 7), np.float32), np.zeros((0, 3), np.int32), *Walls.of((), "free", 0.0).arrays
 )

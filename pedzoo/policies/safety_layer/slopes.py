@@ -1,10 +1,11 @@
-"""The way back over the safety layer's loops, for gradients.
+"""The way back over the safety layer's loops, for gradients, which are those of the torch path.
 
-Gradients are those of the torch path: parts of a way, shares of steps and directions of walls count as
-constants. The gradient by (x, y) is the complex number x + iy, too.
+Parts of a way, shares of steps and directions of walls count as constants. The gradient by (x, y) is the
+complex number x + iy, too.
 """
 
 import math
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,7 +16,6 @@ from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.policies.safety_layer.clearance import BEYOND, FIRST, HEAD_ON
 from pedzoo.policies.safety_layer.loops import (
     PAIR,
-    People,
     Trace,
     as_complex,
     closest,
@@ -129,10 +129,7 @@ def push_slope(people, b, a, steps, path, slope, grown, place, of_path, of_befor
 
 @compiled()
 def keep_clear_slope(people, shoulders, trace, gradient, of_position, of_step, of_velocity):
-    """Write gradients (B, A) by positions, steps asked for and velocities, for ``gradient`` of the result.
-
-    The other args are those of `keep_clear`, and its trace.
-    """
+    """Write gradients (B, A) by positions, steps and velocities, for that of what `keep_clear` writes."""
     scenes, agents = people.moved.shape
     step, path = np.zeros(agents, np.complex128), np.zeros((agents, 3), np.complex128)
     grown, place, before = np.zeros_like(step), np.zeros_like(step), np.zeros_like(step)
@@ -145,7 +142,7 @@ def keep_clear_slope(people, shoulders, trace, gradient, of_position, of_step, o
             grown[a] = trace.shares[b, a] * gradient[b, a]
         if trace.used[b] > 0:
             for a in range(agents):
-                step[a] = people.asked[b, a]
+                step[a] = people.step[b, a]
                 if people.moved[b, a]:
                     step[a] = limited(step[a], people.longest[b, a])
             count = meetings(people, b, step, shoulders, trace.narrow[b], pairs, stood)
@@ -189,11 +186,11 @@ def keep_clear_slope(people, shoulders, trace, gradient, of_position, of_step, o
             if trace.stands[b, a]:
                 of = 0j
             elif people.moved[b, a]:
-                of = limited_slope(people.asked[b, a] + 0j, people.longest[b, a], of)
+                of = limited_slope(people.step[b, a] + 0j, people.longest[b, a], of)
             of_step[b, a], of_position[b, a], of_velocity[b, a] = of, place[a], before[a]
 
 
-def slopes_of(stored: tuple[People, float, Trace], gradient: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def slopes_of(stored: tuple[Any, float, Trace], gradient: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Return gradients (B, A, 2) of positions, steps and velocities, for that of what `kept` has stored."""
     gradient = gradient.detach().contiguous()
     place, step, velocity = (torch.empty_like(gradient) for _ in range(3))
