@@ -56,16 +56,13 @@ class Atlas:
         sizes = np.array([[image.shape[2], image.shape[1]] for image in everything])
         tops = np.cumsum([0, *(sizes[:-1, 1] + 2)])
         first = np.stack((np.ones_like(tops), tops + 1), axis=1)
-
         whole = np.array([sizes[:, 0].max() + 2, sizes[:, 1].sum() + 2 * len(everything)])
         atlas = nowhere.new_zeros(1, len(nowhere), int(whole[1]), int(whole[0]))
         for image, top in zip(everything, tops, strict=True):
             # The rim keeps rounding at an image's border from reading its neighbour.
             padded = F.pad(image[None], (1, 1, 1, 1), mode="replicate")
             atlas[:, :, top : top + padded.shape[2], : padded.shape[3]] = padded
-
         scale = 2 / (whole - 1)  # grid_sample with align_corners: -1 and 1 are the outermost pixels' centres
-
         parts = (
             affines[:, :, :2] * scale[:, None],
             (affines[:, :, 2] + first) * scale - 1,
@@ -99,11 +96,8 @@ class Atlas:
         return sampled[0].permute(1, 2, 0).reshape(*points.shape[:-1], self.image.shape[1])
 
 
-MAX_DISTANCE = 5.0
-"""Metres at which signed distances are cut off: agents do not react to walls farther away."""
-
-FASTEST = 4.0
-"""m/s: walls are looked up as far as they matter to agents of this speed, so that no tensor has to say it."""
+MAX_DISTANCE = 5.0  # metres at which distances are cut off: agents do not react to walls farther away
+FASTEST = 4.0  # m/s: walls are looked up as far as they matter to agents of this speed
 
 
 class MapBank:
@@ -261,11 +255,9 @@ class MapBank:
 
         Distances are exact, to the cells themselves: contacts and sliding along walls need this. On real
         maps at most one place in 20,000, none of them beside a wall, gets a few hundredths of a cell too
-        much (see `pedzoo.maps.boxes`).
-
-        The world outside a map is free, and its walls count from there: the nearest place outside a wall at
-        the map's edge may be outside the map. Where no wall is within ``max_distance`` or a scene has no
-        map, the distance is ``max_distance`` and the direction zero.
+        much (see `pedzoo.maps.walls.nearest_edges`). The world outside a map is free, and its walls count
+        from there. Where no wall is within ``max_distance`` or a scene has no map, the distance is
+        ``max_distance`` and the direction zero.
 
         Args:
             points: Scene positions (N, ..., 2), metres; differentiable, the gradient is the direction.

@@ -6,6 +6,7 @@ import os
 import struct
 import warnings
 from collections.abc import Mapping
+from itertools import product
 from pathlib import Path, PureWindowsPath
 from typing import Any
 
@@ -20,33 +21,20 @@ from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 FORMATS = ("PNG", "PPM", "JPEG", "BMP", "TIFF")
 """What Pillow calls the formats that are read; PPM includes pgm."""
 
-_LONGEST_FILE = 8 * LARGEST_PICTURE
-"""Bytes: the largest picture with grey levels that are written out as texts."""
+_LONGEST_FILE = (
+    8 * LARGEST_PICTURE
+)  # bytes: the largest picture with grey levels that are written out as texts
+_DENSEST = 8 * 1032  # pixels in a byte of PNG: eight of one bit, and deflate makes a byte of 1032
 
-_DENSEST = 8 * 1032
-"""Pixels in a byte of PNG, at most: eight of one bit, and deflate makes a byte of 1032."""
 
-
-def read_pixels(file: Path, owner: str = "") -> NDArray[np.uint8]:
+def read_pixels(file: Path, owner: str = "", channels: bool = False) -> NDArray[np.uint8]:
     """Return an image's grey levels (H, W), row 0 at the top, of any of `FORMATS`.
+
+    With ``channels`` these are (H, W, C): of grey (C = 1), of three colours, or of these and opacity.
 
     Raises:
         UserError: The file does not exist, is no image, or has more than `LARGEST_PICTURE` pixels.
     """
-    return _read(file, owner, "L")
-
-
-def read_channels(file: Path, owner: str = "") -> NDArray[np.uint8]:
-    """Return an image's levels (H, W, C): of grey (C = 1), of three colours, or of these and opacity.
-
-    Raises:
-        UserError: As `read_pixels`.
-    """
-    pixels = _read(file, owner, None)
-    return pixels if pixels.ndim == 3 else pixels[:, :, None]
-
-
-def _read(file: Path, owner: str, kind: str | None) -> NDArray[np.uint8]:
     from PIL import Image, ImageOps
 
     if not os.path.isfile(file):  # unlike Path's, for names that no system takes, too
@@ -59,14 +47,16 @@ def _read(file: Path, owner: str, kind: str | None) -> NDArray[np.uint8]:
             check_limit(image.width * image.height, LARGEST_PICTURE, what, "pixels", remedy)
             if image.format == "PNG" and image.width * image.height > _DENSEST * file.stat().st_size:
                 raise UserError(f"{what} has fewer pixels than it says: is it cut off?")
-            if kind == "L":
+            if not channels:
                 image.draft("L", None)  # of a jpg the brightness itself
             upright = ImageOps.exif_transpose(image)
             if upright.mode.startswith("I"):  # 16 bits: the upper half
-                return (np.asarray(upright, dtype=np.int64) >> 8).astype(np.uint8)
-            if kind is None and upright.mode not in ("1", "L"):
+                pixels = (np.asarray(upright, dtype=np.int64) >> 8).astype(np.uint8)
+            else:
                 kind = "RGBA" if "A" in upright.getbands() or "transparency" in upright.info else "RGB"
-            return np.asarray(upright.convert(kind or "L"), dtype=np.uint8)
+                kind = kind if channels and upright.mode not in ("1", "L") else "L"
+                pixels = np.asarray(upright.convert(kind), dtype=np.uint8)
+            return pixels if pixels.ndim == 3 or not channels else pixels[:, :, None]
     except UserError:
         raise
     except Image.DecompressionBombError:
@@ -101,8 +91,7 @@ def read_image(
     return OccupancyGrid(np.flipud(cells), resolution, origin, name=path.stem)
 
 
-LEVELS = {FREE: 254, OCCUPIED: 0, UNKNOWN: 205}
-"""Grey levels that are written, map_server's own."""
+LEVELS = {FREE: 254, OCCUPIED: 0, UNKNOWN: 205}  # grey levels that are written, map_server's own
 
 
 def read_ros(path: str | Path) -> OccupancyGrid:
@@ -112,7 +101,16 @@ def read_ros(path: str | Path) -> OccupancyGrid:
         UserError: A file is missing or broken, a key is missing or wrong, or the image lies elsewhere.
     """
     path = Path(path)
-    keys = _read_keys(path)
+    if not path.is_file():
+        raise UserError(f"no map file {str(path)!r}: expected a ROS map yaml with an image beside it")
+    try:
+        keys: Any = load_yaml(read_text(path))
+    except UserError as error:
+        raise UserError(f"{path} is not a ROS map yaml: {error}") from error
+    required = ("image", "resolution", "origin", "occupied_thresh", "free_thresh")
+    missing = [key for key in required if not isinstance(keys, dict) or key not in keys]
+    if missing:
+        raise UserError(f"{path} is not a ROS map yaml: it lacks {', '.join(missing)}")
     mode = str(keys.get("mode", "trinary")).lower()
     if mode not in ("trinary", "scale", "raw"):
         raise UserError(f"{path}: mode {mode!r:.60}, expected 'trinary', 'scale' or 'raw'")
@@ -129,7 +127,7 @@ def read_ros(path: str | Path) -> OccupancyGrid:
         raise UserError(f"{path}: origin {origin!r:.60}, expected [x, y, yaw] in metres and radians")
     x, y, yaw = (_number({"origin": value}, "origin", path) for value in origin)
 
-    pixels = read_channels(_image_of(path, keys["image"]), owner=f"{path}: its ")
+    pixels = read_pixels(_image_of(path, keys["image"]), f"{path}: its ", channels=True)
     # opacity counts as one more colour in trinary maps, and tells unknown cells in others
     levels = pixels if mode == "trinary" else pixels[:, :, :3]
     most = 255 * levels.shape[2]
@@ -158,7 +156,7 @@ def write_ros(grid: OccupancyGrid, path: Path) -> None:
     import yaml
     from PIL import Image
 
-    if path.suffix not in (".yaml", ".yml"):
+    if path.suffix not in ENDINGS[:2]:
         raise UserError(f"map file {str(path)!r}: maps are saved as a ROS map yaml, expected a name in .yaml")
     image = path.with_suffix(".png")
     keys = {
@@ -176,20 +174,6 @@ def write_ros(grid: OccupancyGrid, path: Path) -> None:
     write_atomically(path, yaml.safe_dump(keys, sort_keys=False).encode())
 
 
-def _read_keys(path: Path) -> Mapping[str, Any]:
-    if not path.is_file():
-        raise UserError(f"no map file {str(path)!r}: expected a ROS map yaml with an image beside it")
-    try:
-        keys = load_yaml(read_text(path))
-    except UserError as error:
-        raise UserError(f"{path} is not a ROS map yaml: {error}") from error
-    required = ("image", "resolution", "origin", "occupied_thresh", "free_thresh")
-    missing = [key for key in required if not isinstance(keys, dict) or key not in keys]
-    if missing:
-        raise UserError(f"{path} is not a ROS map yaml: it lacks {', '.join(missing)}")
-    return keys
-
-
 def _number(keys: Mapping[str, Any], key: str, path: Path) -> float:
     try:
         return float(keys[key])  # YAML reads 5e-2 as text: float() takes both
@@ -198,11 +182,7 @@ def _number(keys: Mapping[str, Any], key: str, path: Path) -> float:
 
 
 def _image_of(path: Path, image: Any) -> Path:
-    """Return the image that a yaml names.
-
-    Raises:
-        UserError: It is neither in the yaml's folder or below it, nor where its absolute path says.
-    """
+    """Return the image that a yaml names: in its folder or below it, or where its absolute path says."""
     # Maps come from strangers: a relative path must not reach out of their folder, and none to another
     # computer. The Windows reading of a path knows both kinds of separators and drives.
     text = str(image)
@@ -215,11 +195,8 @@ def _image_of(path: Path, image: Any) -> Path:
     return file
 
 
-TRAVERSABLE = 255
-"""The only grey level that is free space; resizing makes others at its edges."""
-
-MOST_EROSION = 1000
-"""Cells; the work grows with its square."""
+TRAVERSABLE = 255  # the only grey level that is free space; resizing makes others at its edges
+MOST_EROSION = 1000  # cells; the work grows with its square
 
 
 def read_igibson(
@@ -276,6 +253,9 @@ def read_igibson(
     return OccupancyGrid(cells, resolution, (corner, corner, 0.0), name=path.stem)
 
 
+ENDINGS = (".yaml", ".yml", ".png", ".pgm", ".jpg", ".jpeg")  # of map files
+
+
 def read_plan(path: str | Path, resolution: float | None = None) -> OccupancyGrid:
     """Return the floor plan of a file: ROS yaml, iGibson's ``floor_trav*.png``, or an image.
 
@@ -290,11 +270,11 @@ def read_plan(path: str | Path, resolution: float | None = None) -> OccupancyGri
     """
     path = Path(path)
     kind = path.suffix.lower()
-    if kind in (".yaml", ".yml"):
+    if kind in ENDINGS[:2]:
         if resolution is not None:
             raise UserError(f"{path}: its resolution stands in the yaml, {resolution} was given besides")
         return read_ros(path)
-    if kind not in (".png", ".pgm", ".jpg", ".jpeg"):
+    if kind not in ENDINGS:
         raise UserError(f"map file {str(path)!r}: expected a ROS map yaml or an image (png, pgm, jpg)")
     if kind == ".png" and path.name.startswith("floor_trav"):
         return read_igibson(path) if resolution is None else read_igibson(path, resolution=resolution)
@@ -309,10 +289,7 @@ def read_plan(path: str | Path, resolution: float | None = None) -> OccupancyGri
     return read_image(path, resolution)
 
 
-_SAMPLES = (1 / 6, 3 / 6, 5 / 6)
-"""Where a cell is sampled along each of its sides: nine samples."""
-
-_MAJORITY = 5
+_SAMPLES, _MAJORITY = (1 / 6, 3 / 6, 5 / 6), 5  # along each side of a cell; of nine samples
 
 
 def seen_from_above(
@@ -349,18 +326,17 @@ def seen_from_above(
     to_pixel = _adjugate(homography, name)
     votes = np.zeros((rows, columns), dtype=np.int64)
     walls, seen = np.zeros((2, rows, columns), dtype=np.bool_)
-    for down in _SAMPLES:
-        for right in _SAMPLES:
-            x = low[0] + (np.arange(columns)[None] + right) * resolution
-            y = high[1] - (np.arange(rows)[:, None] + down) * resolution
-            u, v, scale = (row[0] * x + row[1] * y + row[2] for row in to_pixel)
-            with np.errstate(divide="ignore", invalid="ignore"):  # on the horizon
-                column, row = np.round(u / scale), np.round(v / scale)
-            inside = (row >= 0) & (row < solid.shape[0]) & (column >= 0) & (column < solid.shape[1])
-            row, column = (np.where(inside, place, 0).astype(np.int64) for place in (row, column))
-            votes += inside & solid[row, column]
-            walls |= inside & thin[row, column]
-            seen |= inside
+    for down, right in product(_SAMPLES, repeat=2):
+        x = low[0] + (np.arange(columns)[None] + right) * resolution
+        y = high[1] - (np.arange(rows)[:, None] + down) * resolution
+        u, v, scale = (row[0] * x + row[1] * y + row[2] for row in to_pixel)
+        with np.errstate(divide="ignore", invalid="ignore"):  # on the horizon
+            column, row = np.round(u / scale), np.round(v / scale)
+        inside = (row >= 0) & (row < solid.shape[0]) & (column >= 0) & (column < solid.shape[1])
+        row, column = (np.where(inside, place, 0).astype(np.int64) for place in (row, column))
+        votes += inside & solid[row, column]
+        walls |= inside & thin[row, column]
+        seen |= inside
     cells = np.where(seen, FREE, UNKNOWN)
     cells[walls | (votes >= _MAJORITY)] = OCCUPIED
     return OccupancyGrid(np.flipud(cells), resolution, (*low, 0.0), name=name)

@@ -14,27 +14,17 @@ from numpy.typing import NDArray
 from pedzoo.core.errors import UserError
 from pedzoo.core.errors import unknown as unknown_name
 
-FREE, OCCUPIED, UNKNOWN = 0, 1, 2
-"""The values of a cell."""
-
-FINEST, COARSEST = 1e-4, 1e3
-"""Limits of the side of a cell in metres."""
-
-FARTHEST = 1e8
-"""Limit of an origin in metres; map projections count to 10,000 km."""
-
-AWAY = 100.0
-"""Metres from the origin: float32 tells 0.01 mm apart up to here, and a tenth of that ten times farther."""
+FREE, OCCUPIED, UNKNOWN = 0, 1, 2  # the values of a cell
+FINEST, COARSEST = 1e-4, 1e3  # limits of the side of a cell in metres
+FARTHEST = 1e8  # limit of an origin in metres; map projections count to 10,000 km
+AWAY = 100.0  # metres from the origin: up to here float32 tells 0.01 mm apart
 
 Unknown = Literal["wall", "free"]
 """Meaning of unknown cells: walls indoors, free in recorded scenes (outside the camera's image)."""
 
 
 def home_of(middle: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the origin (2,) of a frame that has the middle (2,) of a scene near its own, whole metres.
-
-    It is 0 for scenes that are near already: they stay as they are.
-    """
+    """Return the origin (2,), whole metres, of a frame for scenes around a middle (2,): 0 if it is near."""
     return np.round(middle) if np.abs(middle).max() > AWAY else np.zeros(2)
 
 
@@ -190,9 +180,6 @@ def spread_points(
 
     A point is taken unless one taken before it is nearer than ``spacing``: no further one could be added. The
     same seed gives the same points.
-
-    Raises:
-        UserError: No cell is that far from all walls.
     """
     from scipy.spatial import KDTree
 

@@ -9,16 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from pedzoo.core.errors import UserError
-from pedzoo.maps.formats import read_plan
+from pedzoo.maps.formats import ENDINGS, read_plan
 from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
 
 Point = tuple[float, float]
-Rectangle = tuple[float, float, float, float]
-"""x0, y0, x1, y1 in metres, low corner first."""
-
-RESOLUTIONS = (0.05, 0.04, 0.025, 0.02, 0.01)
-"""Sides of cells that a plan without a given one may get, the first that all walls fit into, metres."""
-
+Rectangle = tuple[float, float, float, float]  # x0, y0, x1, y1 in metres, low corner first
+RESOLUTIONS = (0.05, 0.04, 0.025, 0.02, 0.01)  # metres of cells: the first that all walls fit into is taken
 _TOLERANCE = 1e-3  # of a cell: what an edge may lie off a cell's border by rounding
 
 
@@ -56,12 +52,11 @@ def wall(
     pieces.append((solid_from, length))
 
     result: list[Rectangle] = []
-    across = (start[1 - along] - thickness / 2, start[1 - along] + thickness / 2)
+    left, right = start[1 - along] - thickness / 2, start[1 - along] + thickness / 2
     for ends in pieces:
         low, high = sorted(start[along] + sign * value for value in ends)
         if low < high:  # a door may begin at the wall's end
-            pair = ((low, high), across) if along == 0 else (across, (low, high))
-            result.append((pair[0][0], pair[1][0], pair[0][1], pair[1][1]))
+            result.append((low, left, high, right) if along == 0 else (left, low, right, high))
     return result
 
 
@@ -78,12 +73,8 @@ def room(low: Point, high: Point, thickness: float) -> list[Rectangle]:
             "and a thickness above 0"
         )
     left, right = x0 - thickness, x1 + thickness
-    return [
-        (left, y0 - thickness, right, y0),
-        (left, y1, right, y1 + thickness),
-        (left, y0, x0, y1),
-        (x1, y0, right, y1),
-    ]
+    across = [(left, y0 - thickness, right, y0), (left, y1, right, y1 + thickness)]
+    return [*across, (left, y0, x0, y1), (x1, y0, right, y1)]
 
 
 def rectangles(
@@ -158,9 +149,6 @@ def _misfit(lengths: np.ndarray, resolution: float) -> tuple[int, int] | None:
     return (int(worst[0]), int(worst[1])) if off[worst] > _TOLERANCE else None
 
 
-FILES = (".yaml", ".yml", ".png", ".pgm", ".jpg", ".jpeg")
-"""Endings of map files."""
-
 _DRAWN = re.compile(r"(?P<kind>[a-z_]+)\.(?P<seed>\d{1,18})(?P<bare>\.bare)?")
 
 
@@ -175,7 +163,7 @@ def load_plan(name: str | Path) -> OccupancyGrid:
         UserError: There is no such plan; or the file is missing or broken.
     """
     text = str(name)
-    if Path(text).suffix.lower() in FILES:
+    if Path(text).suffix.lower() in ENDINGS:
         return read_plan(text)
     if text == "flat":
         return flat()

@@ -56,13 +56,8 @@ def test_ros_yaml_is_read_with_the_smallest_y_first(tmp_path: Path, image: str) 
     assert (grid.resolution, grid.origin, grid.name) == (0.5, (1.0, 2.0, 0.0), "m")
     assert grid.occupied("wall").tolist() == [[False] * 3, [True, True, False]]
     assert grid.occupied("free").tolist() == [[False] * 3, [True, False, False]]
-
-
-def test_negate_and_text_numbers(tmp_path: Path) -> None:
-    path = write(tmp_path, pixels=255 - PIXELS, negate=1, resolution="5e-2")
-    grid = read_ros(path)
-    assert grid.cells.tolist() == [[FREE, FREE, FREE], [OCCUPIED, UNKNOWN, FREE]]
-    assert grid.resolution == 0.05
+    again = read_ros(write(tmp_path, image, pixels=255 - PIXELS, negate=1, resolution="5e-2"))
+    assert np.array_equal(again.cells, grid.cells) and again.resolution == 0.05
 
 
 @pytest.mark.parametrize(
@@ -202,26 +197,20 @@ def test_bank_reads_between_cell_centres_and_stops_at_the_border() -> None:
     assert result == pytest.approx([1.0, 0.25, 0.0, -0.25, 1.75, 0.0], abs=1e-5)
 
 
-def test_origin_and_yaw() -> None:
+def test_turned_maps_and_scenes_have_the_same_walls() -> None:
     plain, turned = corridor(), corridor("turned", origin=(10.0, -5.0, math.pi / 2))
     bank = MapBank([plain, turned])
     # a quarter turn to the left: the map's x axis points along the world's y
     points = [(0.4, 0.7), (1.9, 1.1), (3.3, 0.2)]
     moved = [(10.0 - y, -5.0 + x) for x, y in points]
     assert ask(bank, turned, *moved) == pytest.approx(ask(bank, plain, *points), abs=1e-4)
-
-
-def test_a_turned_mirrored_and_moved_scene_sees_the_same_walls() -> None:
     grid = corridor(origin=(1.0, 2.0, 0.3))
-    bank = MapBank([grid])
-    points = torch.rand(5, 3, 4, 2) * 4
-    ids = torch.full((5,), grid.map_id)
-    pose = torch.stack(
-        (torch.rand(5) * 6, torch.tensor([1.0, -1, 1, -1, -1]), torch.rand(5), torch.rand(5)), dim=1
-    )
-    plain = bank.signed_distance(points, ids, identity_pose(5))
-    assert plain.shape == (5, 3, 4)
-    torch.testing.assert_close(bank.signed_distance(move_to_scene(points, pose), ids, pose), plain)
+    bank, ids, places = MapBank([grid]), torch.full((5,), grid.map_id), torch.rand(5, 3, 4, 2) * 4
+    mirror = torch.tensor([1.0, -1, 1, -1, -1])
+    pose = torch.stack((torch.rand(5) * 6, mirror, torch.rand(5), torch.rand(5)), dim=1)
+    there = bank.signed_distance(places, ids, identity_pose(5))
+    assert there.shape == (5, 3, 4)
+    torch.testing.assert_close(bank.signed_distance(move_to_scene(places, pose), ids, pose), there)
 
 
 def test_gradient_points_away_from_walls() -> None:
@@ -272,12 +261,10 @@ def test_ids_are_checked() -> None:
 
 
 def test_no_map_and_no_points() -> None:
+    nothing = torch.zeros(0, 3, 2), torch.zeros(0, dtype=torch.long), torch.zeros(0, 4)
     for bank in (MapBank(), MapBank([corridor()])):
         assert ask(bank, None, (2.25, 1.0), (1e6, 0.0)) == [5.0, 5.0]
-        no_points = bank.signed_distance(
-            torch.zeros(0, 3, 2), torch.zeros(0, dtype=torch.long), torch.zeros(0, 4)
-        )
-        assert no_points.shape == (0, 3)
+        assert bank.signed_distance(*nothing).shape == (0, 3)
     with pytest.raises(UserError, match="holds no map"):
         MapBank().index(torch.tensor([7]))
 

@@ -27,7 +27,7 @@ from pedzoo.maps.plans import flat, load_plan
 from pedzoo.maps.procedural.plan import KINDS, FloorPlan, generate, is_connected
 from pedzoo.maps.procedural.shapes import UNIT, Rect
 
-SEEDS = range(30)
+SEEDS = {"apartment": range(20), "office": range(10)}
 EVERY_KIND = pytest.mark.parametrize("kind", KINDS)
 
 DIGESTS = {
@@ -39,7 +39,7 @@ DIGESTS = {
 
 @cache
 def plans(kind: str) -> list[FloorPlan]:
-    return [generate(kind, seed) for seed in SEEDS]
+    return [generate(kind, seed) for seed in SEEDS[kind]]
 
 
 def cells_of(plan: FloorPlan, rect: Rect) -> np.ndarray:
@@ -54,7 +54,7 @@ def test_all_free_space_is_one_for_the_planner(kind: str) -> None:
         assert label(is_open)[1] == 1  # type: ignore[index]
         for x0, y0, x1, y1 in (*(r.box for r in plan.rooms), *(door.opening for door in plan.doors)):
             assert is_open[y0:y1, x0:x1].any()
-        if plan.seed % 10 == 0:
+        if plan.seed % 9 == 0:
             graph = OpenGraph(plan.grid, "wall", 0.25)
             assert (graph.open == is_open).all()  # no pocket was left out
             assert graph.component.max() == 0
@@ -71,11 +71,10 @@ def test_what_is_not_connected_is_seen() -> None:
     assert not is_connected(OccupancyGrid(np.full_like(cells, OCCUPIED), 0.05), 0.25)
 
 
-@EVERY_KIND
-def test_doors_measured_on_the_grid(kind: str) -> None:
+def test_doors_measured_on_the_grid() -> None:
     widths = []
-    for plan in plans(kind):
-        bare = generate(kind, plan.seed, furnished=0.0)
+    for kind, seed in (*(("apartment", seed) for seed in range(20)), ("office", 0), ("office", 1)):
+        bare = generate(kind, seed, furnished=0.0)
         openings = bare.grid.cells == FREE
         for room in bare.rooms:
             for x0, y0, x1, y1 in room.parts:
@@ -93,19 +92,15 @@ def test_doors_measured_on_the_grid(kind: str) -> None:
 
 
 @EVERY_KIND
-def test_nothing_stands_before_a_door(kind: str) -> None:
+def test_furniture_doors_and_walls(kind: str) -> None:
+    """Nothing stands before a door; doors lead to every room, some ways in loops; walls have a thickness."""
+    loops, thick = 0, set()
     for plan in plans(kind):
         for door in plan.doors:
             assert (cells_of(plan, door.ahead(18)) == FREE).all()  # 0.9 m on both sides
         for piece in plan.pieces:
             assert (cells_of(plan, piece.rect) == OCCUPIED).all()
             assert any(part.holds(piece.rect) for room in plan.rooms for part in room.parts)
-
-
-@EVERY_KIND
-def test_every_room_has_a_door_and_some_ways_are_loops(kind: str) -> None:
-    loops = 0
-    for plan in plans(kind):
         reached, grew = {0}, True
         while grew:
             beside = {i for door in plan.doors if reached & set(door.rooms) for i in door.rooms}
@@ -113,7 +108,13 @@ def test_every_room_has_a_door_and_some_ways_are_loops(kind: str) -> None:
             reached |= beside
         assert len(reached) == len(plan.rooms)
         loops += len(plan.doors) - len(plan.rooms) + 1
-    assert loops > len(SEEDS) / 4
+        free = np.argwhere(plan.grid.cells == FREE)
+        low, high = free.min(axis=0), plan.grid.cells.shape - free.max(axis=0) - 1
+        assert low[0] == low[1] == high[0] == high[1]
+        thick.add(int(low[0]))
+    assert loops > len(plans(kind)) / 4
+    assert thick == {2, 3, 4}
+    assert plans(kind)[0].grid.origin == (0.0, 0.0, 0.0)
 
 
 def test_apartments_are_apartments() -> None:
@@ -141,23 +142,10 @@ def test_offices_are_offices() -> None:
 
 
 @EVERY_KIND
-def test_walls_are_as_thick_as_they_say(kind: str) -> None:
-    thick = set()
-    for plan in plans(kind):
-        cells = plan.grid.cells
-        free = np.argwhere(cells == FREE)
-        low, high = free.min(axis=0), cells.shape - free.max(axis=0) - 1
-        assert low[0] == low[1] == high[0] == high[1]
-        thick.add(int(low[0]))
-    assert thick == {2, 3, 4}
-    assert plans(kind)[0].grid.origin == (0.0, 0.0, 0.0)
-
-
-@EVERY_KIND
 def test_seeds_differ_and_one_seed_is_one_plan_in_every_process(kind: str) -> None:
     digests = [plan.grid.digest for plan in plans(kind)]
     assert len(set(digests)) == len(digests)
-    assert [digests[seed][:16] for seed in (0, 1, 7, 29)] == DIGESTS[kind]
+    assert [*(digests[seed][:16] for seed in (0, 1, 7)), generate(kind, 29).grid.digest[:16]] == DIGESTS[kind]
     code = f"from pedzoo.maps.procedural.plan import generate\nprint(generate({kind!r}, 5).grid.digest)"
     other = subprocess.check_output([sys.executable, "-c", code], env=os.environ | {"PYTHONHASHSEED": "7"})
     assert other.decode().strip() == digests[5]
@@ -169,7 +157,7 @@ def test_furniture_and_resolution_leave_the_rooms_as_they_are(kind: str) -> None
     bare, some = generate(kind, 3, furnished=0.0), generate(kind, 3, furnished=0.4)
     assert bare.rooms == some.rooms == full.rooms and bare.doors == full.doors
     assert 0 == len(bare.pieces) < len(some.pieces) < len(full.pieces)
-    assert bare.free_area > some.free_area > full.free_area
+    assert bare.facts()["free_m2"] > some.facts()["free_m2"] > full.facts()["free_m2"]
     assert ((full.grid.cells == OCCUPIED) | (bare.grid.cells == FREE)).all()
     assert (bare.grid.name, full.grid.name) == (f"{kind}.3.bare", f"{kind}.3")
     fine = generate(kind, 3, resolution=0.025)
@@ -183,7 +171,7 @@ def test_a_grid_that_is_too_fine_for_a_plan_is_refused() -> None:
         generate("apartment", 105, resolution=0.01)
 
 
-SIZES = {"apartment": [(7, 7), (16, 7.5), (16, 16)], "office": [(12, 12), (12, 30), (33, 17), (45, 41)]}
+SIZES = {"apartment": [(7, 7), (16, 7.5), (16, 16)], "office": [(12, 12), (12, 30), (45, 41)]}
 
 
 @EVERY_KIND
@@ -266,8 +254,8 @@ def test_a_controller_and_a_datamodule_take_a_name(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("scenario", "scenes"),
     [
-        ("goals:map=[apartment.3,apartment.4],people=3,pool=8", 16),
-        ("goals:map=office.3,people=10,goals=2,pool=4", 4),
+        ("goals:map=[apartment.3,apartment.4],people=3,pool=8", 8),
+        ("goals:map=office.3,people=6,pool=4", 2),
     ],
 )
 def test_people_find_their_ways(scenario: str, scenes: int) -> None:
@@ -311,11 +299,9 @@ def test_the_command_writes_what_it_says(tmp_path: Path, capsys: pytest.CaptureF
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["castle"], "unknown kind of floor plan 'castle'"),
         (["office", "--count", "0"], "--count 0: expected at least 1"),
         (["office", "--sheet", "sheet.jpg"], "expected a name in .png"),
         (["office", "--size", "3,4"], "expected width and height from 12 to 60 m"),
-        (["office", "--furnshed", "0"], "did you mean --furnished"),
     ],
 )
 def test_the_command_refuses(

@@ -9,8 +9,6 @@ from scipy.ndimage import distance_transform_edt, label
 
 from pedzoo.maps.procedural.shapes import Door, PortableRandom, Rect, Room, units
 
-Place = Literal["corner", "wall", "middle"]
-
 
 class Piece(NamedTuple):
     """A piece of furniture."""
@@ -20,27 +18,16 @@ class Piece(NamedTuple):
 
 
 class Kind(NamedTuple):
-    """A kind of furniture; lengths in metres.
-
-    Attributes:
-        name: What it is.
-        along: Least and largest length along the wall.
-        deep: Least and largest depth away from the wall.
-        place: In a corner, at a wall, or free-standing.
-        every: Square metres of room for each one that there may be.
-        chance: Probability that it is there.
-        front: What stands before it: length, depth and distance.
-        chairs: Whether chairs stand along both of its long sides.
-    """
+    """A kind of furniture; lengths in metres."""
 
     name: str
-    along: tuple[float, float]
-    deep: tuple[float, float]
-    place: Place
-    every: float = 30.0
-    chance: float = 0.8
-    front: tuple[float, float, float] | None = None
-    chairs: bool = False
+    along: tuple[float, float]  # least and largest length along the wall
+    deep: tuple[float, float]  # least and largest depth away from the wall
+    place: Literal["corner", "wall", "middle"]
+    every: float = 30.0  # square metres of room for each one that there may be
+    chance: float = 0.8  # that it is there
+    front: tuple[float, float, float] | None = None  # what stands before it: length, depth and distance
+    chairs: bool = False  # along both of its long sides
 
     def draw(self, dice: PortableRandom) -> list[Piece]:
         """Return one piece and what stands around it, x along the wall and y away from it."""
@@ -124,28 +111,19 @@ CATALOGUE: dict[str, tuple[Kind, ...]] = {
 """Furniture of a room, in the order in which it is placed."""
 
 
-CLEARANCE = 0.25
-"""Metres from walls at which the free space of a room is one piece: the planner's."""
+CLEARANCE = 0.25  # metres from walls at which the free space of a room is one piece: the planner's
 
+# Grids for this check: cells per unit, and metres from walls. A finer grid has cells with a clearance where
+# the coarser one has none: places that might be cut off.
 _LAYERS = ((1, CLEARANCE), (1, 0.3), (2, CLEARANCE))
-"""Grids for this check: cells per unit, and metres from walls.
 
-A finer grid has cells with a clearance where the coarser one has none: places that might be cut off.
-"""
-
-BEFORE_DOORS = units(0.9)
-"""Units that are kept free on both sides of a door."""
-
+BEFORE_DOORS = units(0.9)  # kept free on both sides of a door
 _TRIES = 12
 _BEYOND = units(0.5)  # what a room knows of the space behind its doors
 
 
 class RoomFloor:
-    """The free space of a room, on which furniture is put piece by piece.
-
-    Attributes:
-        pieces: The furniture.
-    """
+    """The free space of a room, on which furniture is put piece by piece."""
 
     def __init__(self, room: Room, doors: Sequence[Door]) -> None:
         """Take an empty room and its doors."""
@@ -227,8 +205,7 @@ def _places(dice: PortableRandom, room: Room, kind: Kind) -> Iterator[list[Piece
     for _ in range(_TRIES):
         part = dice.choice(room.parts)
         side = dice.integer(0, 3)
-        wall, across = (part.width, part.height) if side < 2 else (part.height, part.width)
-        along, away = wall - length, across - depth
+        along, away = part.along(side // 2) - length, part.along(1 - side // 2) - depth
         if along < 0 or away < 0:
             continue
         at, off = dice.integer(0, along), 0
@@ -252,7 +229,7 @@ def _moved(pieces: Sequence[Piece], part: Rect, side: int, at: int, off: int) ->
     for name, (a0, d0, a1, d1) in pieces:
         along, away = (at + a0, at + a1), (off + d0, off + d1)
         if side in (1, 3):
-            across = part.height if side == 1 else part.width
+            across = part.along(1 - side // 2)
             away = across - away[1], across - away[0]
         (x0, x1), (y0, y1) = (along, away) if side < 2 else (away, along)
         placed.append(Piece(name, Rect(part.x0 + x0, part.y0 + y0, part.x0 + x1, part.y0 + y1)))
@@ -264,7 +241,7 @@ def _clusters(dice: PortableRandom, box: Rect) -> list[list[Piece]]:
     aisle, gap = units(dice.uniform(1.7, 2.2)), units(dice.uniform(1.2, 1.6))
     deep, most, best = units(1.6), 0, []
     for side, count in dice.shuffled([(side, count) for side in (0, 2) for count in (2, 3, 4)]):
-        length, depth = (box.width, box.height) if side == 0 else (box.height, box.width)
+        length, depth = box.along(side // 2), box.along(1 - side // 2)
         block = count * units(1.4)
         across = (length - 2 * units(1.2) + gap) // (block + gap)
         rows = (depth - 2 * units(1.0) + aisle) // (deep + aisle)

@@ -24,12 +24,10 @@ from pedzoo.maps.procedural.shapes import UNIT, Door, PortableRandom, Rect, Room
 class Kind(NamedTuple):
     """A kind of floor plan."""
 
-    sides: tuple[float, float]
-    """Least and largest outer width and height, metres."""
-    draw_size: Callable[[PortableRandom], tuple[float, float]]
-    """Returns the outer width and height, metres."""
+    sides: tuple[float, float]  # least and largest outer width and height, metres
+    draw_size: Callable[[PortableRandom], tuple[float, float]]  # outer width and height, metres
+    # rooms inside the outer walls, the longer side along x; None for a bad draw
     draw_rooms: Callable[[PortableRandom, Rect], list[Room] | None]
-    """Returns the rooms inside the outer walls, the longer side along x; None for a bad draw."""
 
 
 KINDS = {
@@ -38,9 +36,7 @@ KINDS = {
 }
 """The generators by name."""
 
-DOORS = (0.7, 1.5)
-"""Least and largest width of a door, metres."""
-
+DOORS = (0.7, 1.5)  # least and largest width of a door, metres
 _ATTEMPTS = 200
 
 
@@ -70,24 +66,18 @@ class FloorPlan:
         height, width = self.grid.cells.shape
         return width * self.grid.resolution, height * self.grid.resolution
 
-    @property
-    def free_area(self) -> float:
-        """Square metres of floor without furniture."""
-        return float((self.grid.cells == FREE).sum() * self.grid.resolution**2)
-
     def facts(self) -> dict[str, float]:
         """Return what a table says about the plan: counts, metres and square metres; halls are rooms, too."""
         widths = [door.width for door in self.doors]
-        width, height = self.size
         return {
             "rooms": len(self.rooms),
             "doors": len(self.doors),
             "pieces": len(self.pieces),
-            "width_m": round(width, 3),
-            "height_m": round(height, 3),
+            "width_m": round(self.size[0], 3),
+            "height_m": round(self.size[1], 3),
             "narrowest_door_m": round(min(widths), 3),
             "widest_door_m": round(max(widths), 3),
-            "free_m2": round(self.free_area, 2),
+            "free_m2": round(float((self.grid.cells == FREE).sum() * self.grid.resolution**2), 2),
         }
 
 

@@ -4,17 +4,10 @@ from itertools import pairwise
 
 from pedzoo.maps.procedural.shapes import WALL, PortableRandom, Rect, Room, units
 
-APARTMENT_SIDES = (7.0, 16.0)
-"""Metres: sides that an apartment may have."""
-
-FEWEST, MOST = 4, 7
-"""Rooms besides the hall."""
-
-_SHORTEST = units(2.0)
-"""A side that every room has at least."""
-
-_LONGEST = 2.6
-"""Longer side of a room by its shorter one, at most."""
+APARTMENT_SIDES = (7.0, 16.0)  # metres that an apartment may be wide and high
+FEWEST, MOST = 4, 7  # rooms besides the hall
+_SHORTEST = units(2.0)  # a side that every room has at least
+_LONGEST = 2.6  # longer side of a room by its shorter one, at most
 
 
 def apartment_size(dice: PortableRandom) -> tuple[float, float]:
@@ -66,11 +59,7 @@ def _hall(dice: PortableRandom, inside: Rect) -> tuple[tuple[Rect, ...], list[Re
         end = turn + width
         return (
             (hall._replace(x1=end), hall._replace(x0=turn, x1=end, y1=inside.y1)),
-            [
-                below,
-                above._replace(x1=turn - WALL),
-                Rect(end + WALL, hall.y0, x1, inside.y1),
-            ],
+            [below, above._replace(x1=turn - WALL), Rect(end + WALL, hall.y0, x1, inside.y1)],
         )
     return (hall,), [below, above]
 
@@ -81,7 +70,7 @@ def _split(dice: PortableRandom, room: Rect) -> tuple[Rect, Rect] | None:
     if room.long < 1.25 * room.short and dice.chance(0.5):
         across = 1 - across
     for axis in (across, 1 - across):
-        begin, length = room[axis], (room.width, room.height)[axis]
+        begin, length = room[axis], room.along(axis)
         if length >= 2 * _SHORTEST + WALL:
             at = round(length * dice.choice((dice.uniform(0.3, 0.45), dice.uniform(0.55, 0.7))))
             return room.cut(axis, begin + min(max(at, _SHORTEST), length - WALL - _SHORTEST))
@@ -97,11 +86,8 @@ def _uses(dice: PortableRandom, rooms: list[Rect]) -> list[Room]:
     return [Room(use, (room,)) for use, room in zip(uses, rooms, strict=True)]
 
 
-OFFICE_SIDES = (12.0, 60.0)
-"""Metres: sides that an office may have."""
-
-_NARROWEST = units(2.2)
-"""Shortest front that a room may have."""
+OFFICE_SIDES = (12.0, 60.0)  # metres that an office may be wide and high
+_NARROWEST = units(2.2)  # shortest front that a room may have
 
 _WIDTHS = {
     "office": (2.4, 4.4),

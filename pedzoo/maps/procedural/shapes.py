@@ -50,11 +50,9 @@ class PortableRandom:
         return mixed
 
 
-UNIT = 0.05
-"""Metres: every wall, door and piece of furniture begins and ends on a whole number of these."""
-
-WALL = 2
-"""Units: inner walls are 0.1 m thick."""
+UNIT = 0.05  # metres: walls, doors and pieces of furniture begin and end on a whole number of these
+WALL = 2  # units: inner walls are 0.1 m thick
+JAMB = 2  # units of wall on both sides of a door, at least
 
 
 def units(metres: float) -> int:
@@ -94,6 +92,10 @@ class Rect(NamedTuple):
     def long(self) -> int:
         """Units of the longer side."""
         return max(self.width, self.height)
+
+    def along(self, axis: int) -> int:
+        """Return its units along x (0) or y (1)."""
+        return self[2 + axis] - self[axis]
 
     def overlaps(self, other: Rect) -> bool:
         """Whether they have a unit in common."""
@@ -154,7 +156,7 @@ class Door:
     @property
     def width(self) -> float:
         """Metres."""
-        return (self.opening.width, self.opening.height)[self.axis] * UNIT
+        return self.opening.along(self.axis) * UNIT
 
     def ahead(self, distance: int) -> Rect:
         """Return the opening with ``distance`` more units on both of its sides, to walk through."""
@@ -176,23 +178,10 @@ def placed(rooms: Sequence[Room], size: tuple[int, int], swap: bool, left: bool,
     return [Room(room.use, tuple(turn(part) for part in room.parts)) for room in rooms]
 
 
-JAMB = 2
-"""Units of wall on both sides of a door, at least."""
-
-
 class _Habit(NamedTuple):
-    """How a room is entered.
-
-    Attributes:
-        private: The higher, the less do ways lead through it to others.
-        widths: Of its doors: shares of the range that doors are drawn from.
-        loops: Probability that a wall that it shares with another room gets a door that is not needed; that
-            of the two rooms multiply.
-    """
-
-    private: float
-    widths: tuple[float, float]
-    loops: float
+    private: float  # the higher, the less do ways lead through the room to others
+    widths: tuple[float, float]  # of its doors: shares of the range that doors are drawn from
+    loops: float  # with the other room's: probability that a wall between them gets a door not needed
 
 
 _HABITS = {
@@ -211,34 +200,28 @@ _HABITS = {
 }
 
 
-class _Wall(NamedTuple):
-    """A straight stretch of inner wall between two rooms; the other axis is its thickness."""
-
-    rooms: tuple[int, int]
-    stretch: Rect
-    axis: int
-
-    @property
-    def length(self) -> int:
-        return (self.stretch.width, self.stretch.height)[self.axis]
-
-
 def draw_doors(dice: PortableRandom, rooms: Sequence[Room], widths: tuple[int, int]) -> list[Door] | None:
     """Return doors that join all rooms: a tree that prefers halls and corridors, and some more.
 
     Their ``widths`` are in units, least and largest. None where the rooms cannot be joined.
     """
-    walls = [wall for wall in _walls(rooms) if wall.length >= widths[0] + 2 * JAMB]
-
-    def weight(wall: _Wall) -> float:
-        return sum(_HABITS[rooms[i].use].private for i in wall.rooms) + dice.uniform(0.0, 0.9)
+    # each stretch of wall is an opening that is as wide as it can be
+    walls = [
+        Door((i, j), wall, axis)
+        for (i, one), (j, other) in combinations(enumerate(rooms), 2)
+        for a, b in product(one.parts, other.parts)
+        for axis in (0, 1)
+        if (wall := _between(a, b, axis)) and wall.along(axis) >= widths[0] + 2 * JAMB
+    ]
 
     # Kruskal: the least private walls first, each where it joins what was apart
-    ranked = sorted((weight(wall), wall) for wall in walls)
+    weights = [
+        sum(_HABITS[rooms[i].use].private for i in wall.rooms) + dice.uniform(0.0, 0.9) for wall in walls
+    ]
     part = list(range(len(rooms)))
     doors: list[Door] = []
-    spare: list[_Wall] = []
-    for _, wall in ranked:
+    spare: list[Door] = []
+    for _, wall in sorted(zip(weights, walls, strict=True), key=lambda one: one[0]):
         one, other = (part[i] for i in wall.rooms)
         if one == other:
             spare.append(wall)
@@ -252,20 +235,9 @@ def draw_doors(dice: PortableRandom, rooms: Sequence[Room], widths: tuple[int, i
         if not dice.chance(one.loops * other.loops):
             continue
         door = _door(dice, rooms, wall, widths)
-        if not any(door.ahead(0).grown(units(1), units(1)).overlaps(known.opening) for known in doors):
+        if not any(door.opening.grown(units(1), units(1)).overlaps(known.opening) for known in doors):
             doors.append(door)
     return doors
-
-
-def _walls(rooms: Sequence[Room]) -> list[_Wall]:
-    """Return the stretches that two rooms have between them."""
-    return [
-        _Wall((i, j), wall, axis)
-        for (i, one), (j, other) in combinations(enumerate(rooms), 2)
-        for a, b in product(one.parts, other.parts)
-        for axis in (0, 1)
-        if (wall := _between(a, b, axis))
-    ]
 
 
 def _between(a: Rect, b: Rect, axis: int) -> Rect | None:
@@ -279,15 +251,15 @@ def _between(a: Rect, b: Rect, axis: int) -> Rect | None:
     return Rect(low, a.y1, high, b.y0) if b.y0 - a.y1 == WALL and low < high else None
 
 
-def _door(dice: PortableRandom, rooms: Sequence[Room], wall: _Wall, widths: tuple[int, int]) -> Door:
+def _door(dice: PortableRandom, rooms: Sequence[Room], wall: Door, widths: tuple[int, int]) -> Door:
     """Return a door somewhere in a wall: half of the doors are close to one of its ends."""
-    shares = [_HABITS[rooms[i].use].widths for i in wall.rooms]
     # the narrower habit counts: all doors of a bathroom are narrow
-    low, high = min(shares, key=lambda share: share[1])
+    low, high = min((_HABITS[rooms[i].use].widths for i in wall.rooms), key=lambda share: share[1])
     width = widths[0] + round((widths[1] - widths[0]) * dice.uniform(low, high))
-    width = min(width, wall.length - 2 * JAMB)
-    room = wall.length - 2 * JAMB - width
+    length = wall.opening.along(wall.axis) - 2 * JAMB
+    width = min(width, length)
+    room = length - width
     close = min(room, dice.integer(0, units(0.3)))
     at = JAMB + dice.choice((close, room - close, dice.integer(0, room), dice.integer(0, room)))
-    begin, (low, high) = wall.stretch[wall.axis] + at, ("x0", "x1") if wall.axis == 0 else ("y0", "y1")
-    return Door(wall.rooms, wall.stretch._replace(**{low: begin, high: begin + width}), wall.axis)
+    begin, (low, high) = wall.opening[wall.axis] + at, ("x0", "x1") if wall.axis == 0 else ("y0", "y1")
+    return Door(wall.rooms, wall.opening._replace(**{low: begin, high: begin + width}), wall.axis)
