@@ -17,7 +17,7 @@ from torch.nn import functional as F
 
 from pedzoo.core.adapters import assert_on_device
 from pedzoo.core.errors import UserError, unknown
-from pedzoo.core.geometry import identity_pose, turn_matrix
+from pedzoo.core.geometry import turn_matrix
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.segments import Segments
 from pedzoo.maps.walls import LocalWalls, Walls
@@ -287,7 +287,8 @@ class MapBank:
 
     def walls_on_map(self, row: Tensor) -> LocalWalls:
         """Return the walls as they lie on the maps ``row`` (N,) long of this bank, -1 for none."""
-        return LocalWalls.around(self.walls, row, identity_pose(len(row), row.device))
+        identity = torch.eye(4, device=row.device)[1].expand(len(row), 4)  # made there, not copied
+        return LocalWalls.around(self.walls, row, identity)
 
     def segments_near(
         self,

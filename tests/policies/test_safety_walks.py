@@ -207,9 +207,8 @@ def test_people_behind_make_way(answer: Callable[..., Tensor]) -> None:
 @pytest.mark.parametrize(
     ("scenario", "decisions"),
     [
-        ("room_exit:people=20,entering=0,width=0.9", 60),
-        ("room_exit:people=20,entering=0,width=0.5", 250),
-        ("door:people=18,from_right=0,abreast=3,width=0.46,resolution=0.01", 250),
+        ("room_exit:people=14,entering=0,width=0.5", 200),
+        ("door:people=12,from_right=0,abreast=3,width=0.46,resolution=0.01", 200),
         ("door:people=6,width=0.5,jitter=0,speed_std=0,offset=0", 250),
     ],
 )

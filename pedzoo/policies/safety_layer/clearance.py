@@ -39,7 +39,6 @@ FIRST = 0.125  # d(position at 0.1 s) / d(step): half of it is the old velocity'
 BEYOND = 1.125  # part of a step that is to be clear: a body that turns off goes on for half of 0.1 s
 HEAD_ON = 1e-3  # metres: two who would pass each other nearer than this have no side of their own
 ROUNDING = 1e-5  # metres: a pair that lacks less room asks for no correction
-_PLACES = 8  # on a step where walls are asked for; corners are cut between two of them by less than MARGIN
 _QUARTER = TRACE_SECONDS / STEP_SECONDS
 
 SHOULDERS = 0.71
@@ -78,6 +77,19 @@ def passing(step: Tensor, away: Tensor) -> Tensor:
     step = step.movedim(-1, 0).unsqueeze(3)
     part = (-(away * step).sum(0) / step.square().sum(0).clamp_min(1e-9)).clamp_max(1)
     return torch.where(part > 0, (away + part * step).norm(dim=0), torch.inf)
+
+
+def places(like: Tensor) -> tuple[Tensor, Tensor]:
+    """Return where on a step walls are asked for, each as much of the places after 0.1, 0.3 and 0.4 s (9, 3).
+
+    Corners are cut between two of them by less than `MARGIN`; the last one is beyond the step. Then return
+    how much they move with the step (9,).
+    """
+    eighth = torch.arange(1, 9, device=like.device, dtype=like.dtype)
+    between, ends = (eighth - 2) / 4, (eighth - 6) / 2
+    parts = torch.stack(((eighth / 2).minimum(1 - between), between.minimum(1 - ends), ends), 1).clamp_min(0)
+    parts = torch.cat((parts, BEYOND * parts[-1:]))
+    return parts, FIRST * parts[:, 0] + (1 - _QUARTER) * parts[:, 1] + parts[:, 2]
 
 
 class ProposedSteps(NamedTuple):
@@ -224,32 +236,13 @@ class PairConstraints(NamedTuple):
 
 
 class WallConstraints(NamedTuple):
-    """Walls on the ways of agents (B, A), as the people of each scene see them.
-
-    Attributes:
-        room: Distance that is to be kept (B, A), metres.
-        blend: Composition of a place (S, 3): parts of the three places of a walk.
-        weight: How much a place moves with the step (S, 1, 1).
-    """
+    """Walls on the ways of agents (B, A), and the distances that are to be kept from them (B, A), metres."""
 
     steps: ProposedSteps
     walls: LocalWalls
     room: Tensor
-    blend: Tensor
-    weight: Tensor
-
-    @classmethod
-    def of(cls, steps: ProposedSteps, walls: LocalWalls, gap: Tensor) -> WallConstraints:
-        """Return them; ``gap`` is how far walls are (B, A), metres."""
-        place = torch.arange(1, _PLACES + 1, device=gap.device, dtype=gap.dtype)
-        begin, middle = _QUARTER * _PLACES, (1 - _QUARTER) * _PLACES
-        begins, ends = place / begin, (place - middle) / (_PLACES - middle)
-        between = (place - begin) / (middle - begin)
-        parts = torch.stack((begins.minimum(1 - between), between.minimum(1 - ends), ends), 1).clamp_min(0)
-        parts = torch.cat((parts, BEYOND * parts[-1:]))
-        weight = FIRST * parts[:, 0] + (1 - _QUARTER) * parts[:, 1] + parts[:, 2]
-        room = torch.minimum(gap, steps.radius + MARGIN)
-        return cls(steps, walls, room, parts, weight.view(-1, 1, 1))
+    parts: Tensor  # of `places`
+    weight: Tensor  # (S, 1, 1)
 
     def correction(self, walk: Tensor) -> Tensor:
         """Return the changes (2, B, A) of the steps of a ``walk`` that lead people off walls."""
@@ -265,11 +258,11 @@ class WallConstraints(NamedTuple):
         gap, _ = self._along(walk)
         # corners are cut a little between two places
         bound = torch.minimum(self.room, self.steps.radius + MARGIN / 2) - 1e-4
-        return (gap[:_PLACES] < bound).any(0) & self.steps.moved
+        return (gap[:-1] < bound).any(0) & self.steps.moved
 
     def _along(self, walk: Tensor) -> tuple[Tensor, Tensor]:
         """Return distances to walls (S, B, A) along a walk, and where they grow (2, S, B, A)."""
-        places = (self.blend @ walk.flatten(1)).view(len(self.blend), *walk.shape[1:]).transpose(0, 1)
+        places = (self.parts @ walk.flatten(1)).unflatten(1, walk.shape[1:]).transpose(0, 1)
         places = self.steps.position.movedim(-1, 0).unsqueeze(1) + places
         gap, away = self.walls.look(places.detach(), on_edges=False)
         if places.requires_grad:
@@ -288,9 +281,9 @@ def kept_clear_in_torch(
         gap, away = walls.look(ends, on_edges=False)
         narrow = (gap < NARROW).any(0)
         here = steps.position.movedim(-1, 0)
-        wall_constraints = WallConstraints.of(
-            steps, walls, gap[0] + ((here - here.detach()) * away[:, 0]).sum(0)
-        )
+        room = (gap[0] + ((here - here.detach()) * away[:, 0]).sum(0)).minimum(steps.radius + MARGIN)
+        parts, weight = places(room)
+        wall_constraints = WallConstraints(steps, walls, room, parts, weight.view(-1, 1, 1))
     step = _capped(steps, steps.step)
     pairs = PairConstraints.of(steps._replace(step=step.detach()), narrow, shoulders)
     step = torch.where(pairs.stands.unsqueeze(-1), 0.0, step)

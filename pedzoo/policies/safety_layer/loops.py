@@ -34,9 +34,11 @@ from pedzoo.policies.safety_layer.clearance import (
     SPREAD,
     TIE,
     ProposedSteps,
+    places,
 )
 
 _LEAD = LEAD_SECONDS / TRACE_SECONDS
+PARTS, SHIFT = (part.numpy() for part in places(torch.zeros(0, dtype=torch.float64)))
 PAIR = np.dtype(
     [("a", "i8"), ("o", "i8"), ("away", "c16")]
     + [(name, "f8") for name in ("apart", "room", "firm", "rest", "touch", "mine", "theirs")]
@@ -56,7 +58,7 @@ class Trace(NamedTuple):
     shares: Any  # of their steps that they walk
     used: Any  # how many rounds had corrections (B,)
     record: Any  # (B, R, A, 4) or nothing: steps at a round's begin, after others and after walls; then the
-    # place on the way that a wall corrects, 0 for none
+    # place on the way that a wall corrects, -1 for none
     stands: Any  # which stand to make way
 
 
@@ -171,16 +173,8 @@ def touches(pair, mine, theirs):
 
 @jit
 def place_on(path, n):
-    """Return the place after ``n`` eighths of a walk, the ninth being beyond its end, and its weight."""
-    if n == 9:
-        return BEYOND * path[2], BEYOND
-    if n <= 2:
-        return 0.5 * n * path[0], 0.5 * n * FIRST
-    if n <= 6:
-        part = 0.25 * (n - 2)
-        return path[0] + part * (path[1] - path[0]), FIRST + part * (0.75 - FIRST)
-    part = 0.5 * (n - 6)
-    return path[1] + part * (path[2] - path[1]), 0.75 + 0.25 * part
+    """Return the place ``n`` of `places` on a walk."""
+    return PARTS[n, 0] * path[0] + PARTS[n, 1] * path[1] + PARTS[n, 2] * path[2]
 
 
 @jit
@@ -200,18 +194,18 @@ def gap_at(at, walls, b):
 
 @jit
 def push(position, path, room, walls, b):
-    """Return the change of a step for its worst place, whether any is too near, and the worst, 0 for none."""
-    most, way, worst, outside, lacks = 0.0, 0j, 0, False, False
+    """Return the change of a step for its worst place, whether any is too near, and that place, or -1."""
+    most, way, worst, outside, lacks = 0.0, 0j, -1, False, False
     for everywhere in range(2):
-        for n in range(1, 10):
-            off, weight = place_on(path, n)
-            if least_gap(position + off, walls, b) > max(room, 0.0):
+        for n in range(len(PARTS)):
+            at = position + place_on(path, n)
+            if least_gap(at, walls, b) > max(room, 0.0):
                 outside = True
                 continue
-            gap, away = gap_at(position + off, walls, b)
+            gap, away = gap_at(at, walls, b)
             outside, lacks = outside or gap > 0, lacks or gap < room
-            if (gap > 0 or everywhere) and (room - gap) / weight > most:
-                most, way, worst = (room - gap) / weight, away, n
+            if (gap > 0 or everywhere) and (room - gap) / SHIFT[n] > most:
+                most, way, worst = (room - gap) / SHIFT[n], away, n
         # in the midst of a wall the way out may be the far side: places before it know better
         if outside:
             break
@@ -221,8 +215,8 @@ def push(position, path, room, walls, b):
 @jit
 def touches_wall(position, path, least, walls, b):
     """Return whether a walk comes nearer to a wall than ``least``."""
-    for n in range(1, 9):
-        at = position + place_on(path, n)[0]
+    for n in range(len(PARTS) - 1):
+        at = position + place_on(path, n)
         if least_gap(at, walls, b) < least and gap_at(at, walls, b)[0] < least:
             return True
     return False
@@ -379,11 +373,11 @@ def keep_clear(people, walls, shoulders, out, trace):
                     change[a] += pair["mine"] * way
                     change[o] -= pair["theirs"] * way
             for a in range(agents):
-                before, worst, pushed = step[a], 0, 0j
+                before, worst, pushed = step[a], -1, 0j
                 changed = asking[a] > 0
                 if not (people.present[b, a] and people.moved[b, a]):
                     if stores:
-                        trace.record[b, r, a, 0], trace.record[b, r, a, 3] = before, 0.0
+                        trace.record[b, r, a, 0], trace.record[b, r, a, 3] = before, -1.0
                     continue
                 if changed:
                     step[a] += change[a] * (1 / math.sqrt(asking[a]))
@@ -397,7 +391,7 @@ def keep_clear(people, walls, shoulders, out, trace):
                         step[a] += pushed
                 if stores:
                     trace.record[b, r, a, 0], trace.record[b, r, a, 1] = before, aside
-                    trace.record[b, r, a, 2], trace.record[b, r, a, 3] = step[a], worst if pushed != 0 else 0
+                    trace.record[b, r, a, 2], trace.record[b, r, a, 3] = step[a], worst if pushed != 0 else -1
                 if changed:
                     step[a] = limited(step[a], people.longest[b, a])
                     walk(people, b, a, step[a], path[a])

@@ -16,6 +16,8 @@ from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.policies.safety_layer.clearance import BEYOND, FIRST, HEAD_ON
 from pedzoo.policies.safety_layer.loops import (
     PAIR,
+    PARTS,
+    SHIFT,
     Trace,
     as_complex,
     closest,
@@ -23,7 +25,6 @@ from pedzoo.policies.safety_layer.loops import (
     dot,
     limited,
     meetings,
-    place_on,
     walk,
     way_back,
     weight_of,
@@ -39,19 +40,6 @@ def limited_slope(vector, longest, of):
         return of
     along = dot(of, vector) / size2 if size2 > 1e-12 else 0.0
     return share * (of - along * vector)
-
-
-@jit
-def place_slope(n, of, out):
-    """Write the gradient by a walk, out (3,), for that of its place ``n``: see `place_on`."""
-    out[:] = 0.0
-    if n == 9:
-        out[2] = BEYOND * of
-    elif n <= 2:
-        out[0] = 0.5 * n * of
-    else:
-        at, part = (0, 0.25 * (n - 2)) if n <= 6 else (1, 0.5 * (n - 6))
-        out[at], out[at + 1] = (1 - part) * of, part * of
 
 
 @jit
@@ -115,13 +103,14 @@ def correction_slope(pair, mine, theirs, of, out):
 
 
 @jit
-def push_slope(people, b, a, steps, path, slope, grown, place, of_path, of_before):
+def push_slope(people, b, a, steps, slope, grown, place, of_path, of_before):
     """Go back over a wall's push of one agent: change its gradients by step, place and velocity."""
     worst, way = int(steps[3].real), steps[2] - steps[1]
     way = way * (1 / math.sqrt(max(dot(way, way), 1e-24)))
-    along = -dot(grown[a], way) / place_on(path, worst)[1]
+    along = -dot(grown[a], way) / SHIFT[worst]
     place[a] += along * (way - slope)
-    place_slope(worst, along * way, of_path)
+    for i in range(3):
+        of_path[i] = PARTS[worst, i] * along * way
     more, before = walk_slope(people, b, a, steps[1], of_path)
     grown[a] += more
     of_before[a] += before
@@ -157,12 +146,12 @@ def keep_clear_slope(people, shoulders, trace, gradient, of_position, of_step, o
                     asking[pair["a"]] += 1
                     asking[pair["o"]] += 1
             for a in range(agents):
-                pushed = steps[a, 3].real > 0
+                pushed = steps[a, 3].real >= 0
                 if people.moved[b, a] and (asking[a] > 0 or pushed):
                     grown[a] = limited_slope(steps[a, 2], people.longest[b, a], grown[a])
                     if pushed:
                         slope = trace.slope[b, a]
-                        push_slope(people, b, a, steps[a], path[a], slope, grown, place, of_path[a], before)
+                        push_slope(people, b, a, steps[a], slope, grown, place, of_path[a], before)
             of_path[:] = 0.0
             for k in range(count):
                 pair = pairs[k]
