@@ -101,13 +101,11 @@ FASTEST = 4.0  # m/s: walls are looked up as far as they matter to agents of thi
 
 
 class MapBank:
-    """Floor plans and one atlas of their signed distances.
+    """Floor plans, one atlas of their signed distances, and their walls.
 
     A ``map_id`` says which floor plan a scene is on, -1 for none; being a hash of the content, it is the same
-    in every bank and never mistaken for a map of another one.
-
-    Banks never change, and those with the same content are equal, on whichever device. What is unpickled or
-    copied is the equal bank of this process where there is one, so nothing is computed twice for it.
+    in every bank. Banks never change, and those with the same content are equal, on whichever device. What is
+    unpickled is the equal bank of this process where there is one: nothing is computed twice.
 
     Attributes:
         grids: The floor plans, in the given order without repetitions: row r of the bank is ``grids[r]``.
@@ -138,10 +136,8 @@ class MapBank:
         self.max_distance = max_distance
 
         # -1 is an ordinary entry of the look-up table, so scenes without a map need no branch.
-        order = sorted((identity, row) for row, identity in enumerate([*by_id, -1]))
-        rows = [row if identity >= 0 else -1 for identity, row in order]
-        self._sorted_ids = torch.tensor([identity for identity, _ in order])
-        self._rows = torch.tensor(rows)
+        order = sorted([(-1, -1), *((identity, row) for row, identity in enumerate(by_id))])
+        self._sorted_ids, self._rows = torch.tensor(order).T.contiguous().unbind()
         # without a map it does not matter what unknown cells count as
         named = sorted((grid.name, grid.map_id) for grid in self.grids)
         self._content = (*named, unknown if grids else None, max_distance)
@@ -271,7 +267,7 @@ class MapBank:
         return self.walls_around(map_id, pose).closest(points)
 
     def walls_around(self, map_id: Tensor, pose: Tensor) -> LocalWalls:
-        """Return what `closest_wall` asks of N entries, for callers that ask about the same entries again."""
+        """Return the walls as N entries see them, which `closest_wall` asks."""
         return LocalWalls.around(self.walls, self.index(map_id), pose)
 
     def walls_of_scenes(self, row: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:

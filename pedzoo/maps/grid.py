@@ -196,10 +196,9 @@ def spread_points(
 
 
 def boxes(grid: OccupancyGrid, unknown: Unknown) -> NDArray[np.float64]:
-    """Return the walls of a floor plan as rectangles that do not overlap and leave no wall cell out.
+    """Return the walls of a floor plan as rectangles (M, 4) that do not overlap and leave no wall cell out.
 
-    Boxes (M, 4): x0, y0, x1, y1 in metres from the outer corner of cell (0, 0); the grid's origin and yaw are
-    not applied.
+    They are x0, y0, x1, y1 in metres from the outer corner of cell (0, 0); origin and yaw are not applied.
     """
     return merge_cells(grid.occupied(unknown)) * np.float64(grid.resolution)
 
@@ -207,8 +206,7 @@ def boxes(grid: OccupancyGrid, unknown: Unknown) -> NDArray[np.float64]:
 def merge_cells(cells: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Return a partition of the true cells (H, W) into rectangles (M, 4): x0, y0, x1, y1, cell borders.
 
-    Runs along one axis that repeat exactly in the next line are joined. Both axes are tried and the one that
-    needs fewer boxes is kept; plain walls come out minimal, ragged ones do not.
+    Runs along the axis that needs fewer boxes are joined where they repeat exactly in the next line.
     """
     rows, columns = _merge_rows(cells), _merge_rows(cells.T)[:, [1, 0, 3, 2]]
     return rows if len(rows) <= len(columns) else columns

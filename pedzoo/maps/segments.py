@@ -67,10 +67,9 @@ def borders(occupied: NDArray[np.bool_]) -> list[Numbers]:
 
 
 def outlines(occupied: NDArray[np.bool_], tolerance: float = 0.5) -> list[Floats]:
-    """Return the `borders` (V, 2) of walls, simplified by Douglas and Peucker (Cartographica 10, 1973).
+    """Return the `borders` (V, 2), simplified by ``tolerance`` cells at most (Douglas and Peucker, 1973).
 
-    They depart from the exact ones by ``tolerance`` cells at most. Walls that would lose their area, or turn
-    inside out, stay exact.
+    Walls that would lose their area, or turn inside out, stay exact.
     """
     import cv2
 
@@ -140,11 +139,9 @@ class Segments(NamedTuple):
         return Segments(*(part[..., :most, :] for part in self))
 
 
-_NO_SEGMENT = np.array([[0.0, 0, 1, 0, 1, -1, 0, -1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1]])
-"""It could be one, so that sums with it stay finite."""
-
 _NUMBER = (1 << 31) - 1  # the bits of a key that tell which segment it is of
 _FAR = 1e30  # squared metres, beyond any floor plan
+_NO_SEGMENT = np.array([[0.0, 0, 1, 0, 1, -1, 0, -1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1]])  # sums stay finite
 
 
 def edges(corner: Floats, convex_from: float = 0.0, *neighbors: Numbers) -> Floats:

@@ -103,13 +103,15 @@ def test_lines_of_two_people_head_on_by_hand() -> None:
 
 def test_lines_of_resting_and_overlapping_people_by_hand() -> None:
     position = torch.tensor([[[0.0, 0.0], [4.0, 0.0]], [[0.0, 0.0], [0.1, 0.0]]])
-    lines = lines_of(position, torch.zeros(2, 2, 2))
+    still = torch.zeros(2, 2, 2)
+    lines = lines_of(position, still)
     # at rest: the cut-off disk around (4, 0) / 2 s of radius 0.4 / 2 s begins at 1.8 m/s, half of it each
     assert lines[:, 0, 0].tolist() == pytest.approx([0.9, 0, 0, 1], abs=1e-6)
     # overlap 0.3 m: apart in one time step of 0.4 s, so 0.375 m/s backwards each
     assert lines[:, 0, 2].tolist() == pytest.approx([-0.375, 0, 0, 1], abs=1e-6)
-    chosen = walk(position, torch.zeros(2, 2, 2), torch.zeros(2, 2, 2))
-    assert chosen[1].flatten().tolist() == pytest.approx([-0.375, 0, 0.375, 0], abs=1e-6)
+    assert walk(position, still, still)[1].flatten().tolist() == pytest.approx(
+        [-0.375, 0, 0.375, 0], abs=1e-6
+    )
 
 
 def test_alone_people_walk_as_they_like_up_to_their_top_speed() -> None:
@@ -136,6 +138,15 @@ def test_order_padding_and_other_scenes_change_nothing() -> None:
     result = walk(*padded, mask=(torch.arange(8) < 6).expand(30, 8))
     assert torch.equal(result[:, :6], whole)
     assert (result[:, 6:] == 0).all()
+
+
+def test_gradients_are_not_needed_and_do_not_disturb() -> None:
+    position, velocity, preferred = crowd(4, 6, 2.0)
+    result = walk(position, velocity, preferred.requires_grad_())
+    assert not result.requires_grad
+    weight = torch.ones((), requires_grad=True)
+    (weight * result).sum().backward()  # what is chosen can be part of a loss
+    assert weight.grad is not None and torch.allclose(weight.grad, result.sum())
 
 
 def test_passive_people_keep_their_velocity_and_are_avoided() -> None:
@@ -173,16 +184,6 @@ def test_people_at_the_same_place_give_numbers() -> None:
     # with the same velocity there is no side to go to: they go on as they like
     two = walk(position[:1, :2], velocity[:1, :2], torch.tensor([[[0.3, 0.0], [0.0, 0.4]]]))
     assert two.flatten().tolist() == pytest.approx([0.3, 0, 0, 0.4])
-
-
-def test_gradients_are_not_needed_and_do_not_disturb() -> None:
-    position, velocity, preferred = crowd(4, 6, 2.0)
-    preferred.requires_grad_()
-    result = walk(position, velocity, preferred)
-    assert not result.requires_grad
-    weight = torch.ones((), requires_grad=True)
-    (weight * result).sum().backward()  # what is chosen can be part of a loss
-    assert weight.grad is not None and torch.allclose(weight.grad, result.sum())
 
 
 @pytest.fixture(scope="module")

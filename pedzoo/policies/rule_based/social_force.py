@@ -23,11 +23,16 @@ from pedzoo.policies.neighbours import nearest
 from pedzoo.policies.policy import Policy, deterministic, drawn_vectors
 from pedzoo.policies.rule_based.orca import OF_PRESET, cross, dot, left, take_preset
 
-Anisotropy = Literal["view", "smooth", "none"]
-"""How the weight of others depends on their direction; see `SocialForceSettings`."""
-
-NEGLIGIBLE = 0.01
-"""Acceleration below which a wall is left out, m/s^2; walking people accelerate by 1 or more."""
+Anisotropy = Literal["view", "smooth", "none"]  # how the weight of others depends on their direction
+NEGLIGIBLE = 0.01  # m/s^2: walls that accelerate less are left out; walking people accelerate by 1 or more
+CLOSEST = 0.01  # metres: people are never closer to the centre of a potential, where its gradient is infinite
+EXACT, OFF_LINE = (
+    1e-5,
+    0.02,
+)  # of the distance: so little off the line ahead is on it, and counts as so much off
+LONGEST_STEP = (
+    0.1  # seconds: longer decisions are integrated in equal parts; near walls forces change in 0.2 s
+)
 
 
 @dataclass(frozen=True)
@@ -136,13 +141,6 @@ with ``indoor``; a person at 1.3 m/s has a kinetic energy of 0.85 m^2/s^2.
 """
 
 
-CLOSEST = 0.01
-"""Metres: people are never closer than this to the centre of a potential, where its gradient is infinite."""
-
-EXACT, OFF_LINE = 1e-5, 0.02
-"""Shares of the distance: others so little off the line ahead are on it, and count as so much off it."""
-
-
 def length(vector: Tensor, least: float) -> Tensor:
     """Return the lengths (...) of vectors (2, ...), and ``least`` for shorter ones, with gradient zero."""
     return dot(vector, vector).clamp_min(least * least).sqrt()
@@ -160,9 +158,9 @@ def closer(offset: Tensor, by: Tensor) -> Tensor:
 
 
 def off_line(offset: Tensor, heading: Tensor) -> Tensor:
-    """Return offsets from others (2, K, N); those exactly ahead count as a little to the left.
+    """Return offsets from others (2, K, N); those exactly ahead of headings (2, N) are a little to the left.
 
-    Else two who meet head-on make way to no side. ``heading`` (2, N) are the desired directions.
+    Else two who meet head-on make way to no side.
     """
     ahead = -dot(offset, heading.unsqueeze(1))
     tie = (cross(heading.unsqueeze(1).expand_as(offset), offset).abs() < EXACT * ahead).to(offset.dtype)
@@ -230,17 +228,15 @@ def wall_points(table: SegmentTable, place: Tensor, row: Tensor) -> tuple[Tensor
     That is the offset from each to the person (2, M, N), metres, in the frame of the floor plan, and a weight
     (M, N): 1 for minima of the distance, down to -1 for maxima, 0 for points that do not act.
 
-    The paper lets every border act with its nearest point (eq. 5), and leaves open what one border is. On a
-    floor plan one wall is many cells, a room is one outline, and the nearest point of a doorway flips from
-    jamb to jamb. Here every *local minimum* of the distance along the outlines acts: a straight wall once, in
-    however many pieces, a convex corner once, both jambs of a doorway, both sides of a corridor, both walls
-    of a room's corner. Borders do not hide each other, and two obstacles are two for every gap between them.
+    The paper lets every border act with its nearest point (eq. 5), and leaves open what one border is. Here
+    every *local minimum* of the distance along the outlines acts: a straight wall once, in however many
+    pieces, a convex corner once, both jambs of a doorway, both sides of a corridor. Borders do not hide each
+    other.
 
     Where an outline bends a little towards the person there are two minima in almost the same place. One of
     them vanishes as the person walks on, in the corner between them, a local *maximum*. The maximum acts with
-    the opposite sign, so that the force neither doubles nor jumps there: both have the same distance and
-    direction when they vanish. It counts in full while the nearest points of its two segments lie within 60
-    degrees of each other, as seen by the person, and not at all from 90 degrees on.
+    the opposite sign, so that the force neither doubles nor jumps there. It counts in full while the nearest
+    points of its two segments lie within 60 degrees of each other, and not at all from 90 degrees on.
 
     Differentiable with respect to ``place``. Without a map, row -1, there are none.
     """
@@ -266,10 +262,6 @@ def wall_points(table: SegmentTable, place: Tensor, row: Tensor) -> tuple[Tensor
     likeness = dot(*(direction(torch.where(hollow, part, 0)) for part in (offset, nearest_before)))
     weight = torch.where(hollow, -(2 * likeness).clamp(0, 1), 0)
     return torch.cat((offset, off), dim=1), torch.cat((acts.to(weight.dtype), weight))
-
-
-LONGEST_STEP = 0.1
-"""Seconds: longer decisions are integrated in equal parts. Near walls the forces change within 0.2 s."""
 
 
 def social_force_velocity(
@@ -328,9 +320,14 @@ def social_force_velocity(
             together = together if near is None else together & near
             if bool(together.any()):
                 offset = offset + _apart(together, index, rows, identity.flatten(), offset.dtype)
-            force = force + _push(
-                closer(off_line(offset, heading), more), theirs[2:], heading, near, settings
-            )
+            offset = closer(off_line(offset, heading), more)
+            push, away = repulsion(offset, theirs[2:], settings.strength, settings.sigma)
+            if settings.anisotropy == "view":
+                push = push * view_weight(away, heading, settings.view_angle, settings.out_of_view)
+            elif settings.anisotropy == "smooth":
+                push = push * smooth_weight(offset, heading, settings.behind)
+            # one after the other: a sum's rounding would depend on how many people other scenes have
+            force = force + ((push if near is None else push * near) * away).cumsum(1)[:, -1]
         if walls is not None:
             force = force + walls(own_place, rows)
         if fluctuation is not None:
@@ -346,21 +343,6 @@ def social_force_velocity(
 
 def _of(values: Tensor, rows: Tensor | None) -> Tensor:
     return values if rows is None else values.index_select(1, rows)
-
-
-def _push(
-    offset: Tensor, step: Tensor, heading: Tensor, near: Tensor | None, settings: SocialForceSettings
-) -> Tensor:
-    """Return the sum of the others' forces (2, N), see `repulsion`; ``near`` (K, N) bool: which there are."""
-    force, away = repulsion(offset, step, settings.strength, settings.sigma)
-    if settings.anisotropy == "view":
-        force = force * view_weight(away, heading, settings.view_angle, settings.out_of_view)
-    elif settings.anisotropy == "smooth":
-        force = force * smooth_weight(offset, heading, settings.behind)
-    if near is not None:
-        force = force * near
-    # one after the other: a sum's rounding would depend on how many people there are in other scenes
-    return (force * away).cumsum(1)[:, -1]
 
 
 def _apart(
@@ -420,8 +402,7 @@ class SocialForce(Policy):
     def _radius(self, agents: Any) -> Tensor:
         """Return the radii (B, A) that the others' forces see, metres.
 
-        People who both give way stop some way into each other's potential, which begins at the centre. The
-        potential of a body that gives no way begins at its surface.
+        The potential of who gives way begins at the centre, that of a body that gives none at its surface.
         """
         radius = agents["radius"][..., 0]
         gives_no_way = ~agents["controlled"] & ((agents["kind"] == ROBOT) | ~is_person_sized(radius))
