@@ -110,7 +110,24 @@ def generate(
     """
     if kind not in KINDS:
         raise unknown("kind of floor plan", kind, KINDS)
-    refine = _checked(kind, seed, size, resolution, furnished, doors)
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise UserError(f"{kind}: seed {seed!r}: expected a whole number of at least 0")
+    low, high = KINDS[kind].sides
+    if size is not None and (len(size) != 2 or not all(low <= side <= high for side in size)):
+        raise UserError(f"{kind}: size {size}: expected width and height from {low:g} to {high:g} m")
+    if not 0 <= furnished <= 1:
+        raise UserError(f"{kind}: furnished {furnished}: expected 0 (bare) to 1")
+    if len(doors) != 2 or not DOORS[0] <= doors[0] <= doors[1] <= DOORS[1]:
+        raise UserError(
+            f"{kind}: doors {doors}: expected least and largest width from {DOORS[0]:g} to {DOORS[1]:g} m"
+        )
+    refine = UNIT / resolution if 0 < resolution < math.inf else 0.0
+    if refine < 1 - 1e-9 or abs(refine - round(refine)) > 1e-6:
+        raise UserError(
+            f"{kind}: resolution {resolution}: expected {UNIT} m per cell or a whole part of it, such as "
+            f"{UNIT / 2:g} or {UNIT / 5:g}"
+        )
+    refine = round(refine)
     seed = int(seed)
     width, height = (
         units(side) for side in size or KINDS[kind].draw_size(PortableRandom(seed, kind, "size"))
@@ -181,32 +198,3 @@ def _attempt(
             return None
         pieces += result
     return rooms, doors, pieces
-
-
-def _checked(
-    kind: str,
-    seed: int,
-    size: tuple[float, float] | None,
-    resolution: float,
-    furnished: float,
-    doors: tuple[float, float],
-) -> int:
-    """Return how many cells are as long as a unit. Raises UserError: a setting is out of range."""
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise UserError(f"{kind}: seed {seed!r}: expected a whole number of at least 0")
-    low, high = KINDS[kind].sides
-    if size is not None and (len(size) != 2 or not all(low <= side <= high for side in size)):
-        raise UserError(f"{kind}: size {size}: expected width and height from {low:g} to {high:g} m")
-    if not 0 <= furnished <= 1:
-        raise UserError(f"{kind}: furnished {furnished}: expected 0 (bare) to 1")
-    if len(doors) != 2 or not DOORS[0] <= doors[0] <= doors[1] <= DOORS[1]:
-        raise UserError(
-            f"{kind}: doors {doors}: expected least and largest width from {DOORS[0]:g} to {DOORS[1]:g} m"
-        )
-    cells = UNIT / resolution if 0 < resolution < math.inf else 0.0
-    if cells < 1 - 1e-9 or abs(cells - round(cells)) > 1e-6:
-        raise UserError(
-            f"{kind}: resolution {resolution}: expected {UNIT} m per cell or a whole part of it, such as "
-            f"{UNIT / 2:g} or {UNIT / 5:g}"
-        )
-    return round(cells)
