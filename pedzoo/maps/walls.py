@@ -77,7 +77,7 @@ def nearest_edges(walls: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.int32], 
         row, column = (axis[start : start + _CHUNK] for axis in mixed)
         near = np.stack([around[row + i, column + j] for i in range(4) for j in range(4)], axis=1)
         sets.append(_unbeaten(near, edge, row, column))
-    choice = corners[0].copy()
+    choice = label[:-1, :-1].copy()
     choice[mixed] = len(edge) + np.arange(len(mixed[0]))
     every = np.concatenate(sets)
     order = np.lexsort(every.T)

@@ -181,9 +181,9 @@ def test_order_padding_and_other_scenes_change_nothing() -> None:
 
     # two empty slots, at any place
     empty = torch.full((30, 2, 2), math.nan)
-    padded: Any = [torch.cat((part, empty), 1) for part in (position, velocity, desired)]
+    place, speed, wish = (torch.cat((part, empty), 1) for part in (position, velocity, desired))
     mask, identity = (torch.arange(27) < 25).expand(30, 27), torch.arange(27).expand(30, 27)
-    result = social_force_velocity(*padded, padded[2].norm(dim=-1), mask, PAPER, 0.1, identity)
+    result = social_force_velocity(place, speed, wish, wish.norm(dim=-1), mask, PAPER, 0.1, identity)
     alone = social_force_velocity(
         position, velocity, desired, desired.norm(dim=-1), mask[:, :25], PAPER, 0.1, identity[:, :25]
     )

@@ -73,11 +73,7 @@ class OrcaSettings:
     top_speed_ratio: float = OF_PRESET
 
     def __post_init__(self) -> None:
-        """Take missing values from the preset, and check all.
-
-        Raises:
-            UserError: There is no such preset, or a value is out of its range.
-        """
+        """Take missing values from the preset, and raise a `UserError` for values out of range."""
         take_preset(self, "ORCA preset", PRESETS)
         lengths = "radius dt neighbor_dist time_horizon time_horizon_obst top_speed_ratio"
         check_range(self, "orca", lengths, "a number above 0", above=True)

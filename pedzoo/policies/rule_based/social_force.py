@@ -42,11 +42,9 @@ class SocialForceSettings:
     Helbing and Molnar, "Social force model for pedestrian dynamics", Phys. Rev. E 51, 4282 (1995),
     arXiv:cond-mat/9805244. Every default but those of ``behind`` and the last three is the paper's. The
     paper's desired speed (normally distributed, 1.34 and 0.26 m/s) is each person's ``pref_speed`` here. The
-    ellipse around a person (eq. 4) lies along their velocity, which others can see; in the paper it lies
-    along their desired direction, with the length of their speed.
-
-    Helbing et al. 2005 is Helbing, Buzna, Johansson and Werner, "Self-organized pedestrian crowd dynamics:
-    experiments, simulations, and design solutions", Transportation Science 39, 1-24.
+    ellipse around a person (eq. 4) lies along their velocity, which others can see; in the paper along their
+    desired direction. Helbing et al. 2005 is "Self-organized pedestrian crowd dynamics: experiments,
+    simulations, and design solutions", Transportation Science 39, 1-24.
 
     Attributes:
         tau: Relaxation time in which people take up their desired velocity, seconds (tau, eq. 2).
@@ -55,8 +53,7 @@ class SocialForceSettings:
         preset: ``1995`` for the paper's parameters, ``indoor`` for doors, see `PRESETS`.
         strength: Of the potential around people, m^2/s^2 (V0, eq. 3).
         sigma: Its range, metres (sigma).
-        step_time: How far the potential's ellipses reach ahead of a walking person, seconds (Delta t, eq.
-            4).
+        step_time: Seconds that the potential's ellipses reach ahead of a walking person (Delta t, eq. 4).
         wall_strength: Of the potential of walls, m^2/s^2 (U0, eq. 5).
         wall_range: Its range, metres (R).
         anisotropy: Weight of others' forces. ``view``: 1 within ``view_angle`` of the desired direction,
@@ -65,15 +62,13 @@ class SocialForceSettings:
             Walls always count in full, as in the paper.
         view_angle: Half of the angle of sight, degrees (phi; the paper gives 2 phi = 200).
         out_of_view: Weight of people out of sight (c).
-        behind: Weight of a person straight behind when the weight is ``smooth`` (lambda; 0.75 in Helbing et
-            al. 2005).
+        behind: Weight of a person straight behind with ``smooth`` (lambda; Helbing et al. 2005: 0.75).
         top_speed_ratio: Top speed, divided by the preferred one (eq. 11).
         neighbor_dist: Metres between centres beyond which others are ignored. From 5 m away a person who
             approaches at 1.7 m/s accelerates another by less than 0.001 m/s^2, at 2.2 m/s by 0.04 m/s^2.
-            People faster than ``neighbor_dist / step_time`` act later than in the paper.
         max_neighbors: Nearest others that act; None: all within ``neighbor_dist``.
-        fluctuation: Standard deviation of a random acceleration, drawn for every decision, m/s^2. The paper
-            leaves its size open; without it, people who meet exactly head-on never make way.
+        fluctuation: Standard deviation of a random acceleration, drawn for every decision, m/s^2; open in the
+            paper. Without it, people who meet exactly head-on never make way.
     """
 
     tau: float = 0.5
@@ -95,11 +90,7 @@ class SocialForceSettings:
     fluctuation: float = 0.1
 
     def __post_init__(self) -> None:
-        """Take missing values from the preset, and check all.
-
-        Raises:
-            UserError: There is no such preset, or a value is out of its range.
-        """
+        """Take missing values from the preset, and raise a `UserError` for values out of range."""
         take_preset(self, "preset of social_force", PRESETS)
         kind, lengths = "social_force", "tau sigma wall_range top_speed_ratio neighbor_dist"
         check_range(self, kind, lengths, "a number above 0", above=True)
@@ -126,17 +117,13 @@ PRESETS: dict[str, dict[str, Any]] = {
     "1995": {"step_time": 2.0, "wall_strength": 10.0, "wall_range": 0.2},
     "indoor": {
         # walls of Helbing et al. 2005, fitted to a bottleneck: A exp((r - d) / B) with A = 5 m/s^2, B = 0.1 m
-        # and r, a body's radius, as here
         "wall_strength": 5 * 0.1 * math.exp(BODY_RADIUS / 0.1),
         "wall_range": 0.1,
-        # one step of 0.65 m at 1.3 m/s, the paper's meaning of Delta t; with its 2 s people in single file
-        # push the one in front aside
+        # one step of 0.65 m at 1.3 m/s; with 2 s people in single file push the one in front aside
         "step_time": 0.5,
     },
 }
-"""Settings of the presets.
-
-In the middle of a door of 0.85 m the two jambs' potential is 2.4 m^2/s^2 with the walls of 1995 and 0.06
+"""In the middle of a door of 0.85 m the two jambs' potential is 2.4 m^2/s^2 with the walls of 1995 and 0.06
 with ``indoor``; a person at 1.3 m/s has a kinetic energy of 0.85 m^2/s^2.
 """
 
@@ -173,11 +160,8 @@ def repulsion(offset: Tensor, step: Tensor, strength: float, sigma: float) -> tu
     Lines of equal potential V0 exp(-b / sigma) around a person are ellipses with the foci p, where they are,
     and q, where their next step ends. With the distances r and s to p and q, unit vectors m and n away from
     them, and the ellipse's semi-minor axis b, 2 b = sqrt((r + s)^2 - |pq|^2), one finds b = sqrt(r s) |m +
-    n| / 2: no small difference of large numbers. The gradient of b is (r + s) / (2 sqrt(r s)) long, never
-    below 1, and bisects the angle between m and n.
-
-    On the line between the foci, exactly in front of an approaching person, the direction is 0. At the foci
-    the gradient is infinite; distances to them count as `CLOSEST` at least.
+    n| / 2: no small difference of large numbers. The gradient of b is (r + s) / (2 sqrt(r s)) long, and
+    bisects the angle between m and n; between the foci it is 0. Distances to them are `CLOSEST` at least.
 
     Args:
         offset: From each other person to oneself (2, K, N), metres.
@@ -195,10 +179,7 @@ def repulsion(offset: Tensor, step: Tensor, strength: float, sigma: float) -> tu
 
 
 def view_weight(force: Tensor, heading: Tensor, angle: float, out_of_view: float) -> Tensor:
-    """Return the weight (K, N) of forces (2, K, N) that come from in front or from behind (eq. 8).
-
-    In view is what comes from within ``angle`` degrees of the heading (2, N), and all for a heading of 0.
-    """
+    """Return the weight (K, N) of forces (2, K, N): 1 from within degrees of the heading (2, N) (eq. 8)."""
     seen = -dot(force, heading.unsqueeze(1)) >= math.cos(math.radians(angle))
     return out_of_view + (1 - out_of_view) * seen.to(force.dtype)
 
@@ -279,12 +260,11 @@ def social_force_velocity(
 ) -> Tensor:
     """Return the velocities (B, A, 2) that the forces lead to after ``seconds``, m/s; 0 for absent people.
 
-    Differentiable with respect to positions, velocities, desired velocities and speeds. ``velocity`` is the
-    one walked (eq. 10 keeps another, not cut off at the top speed).
+    Differentiable with respect to positions, velocities, desired velocities and speeds.
 
     Args:
         position: Positions (B, A, 2), metres.
-        velocity: Current velocities (B, A, 2), m/s.
+        velocity: Current velocities (B, A, 2), m/s: those walked (eq. 10 keeps one not cut off).
         desired_velocity: Only the direction counts (B, A, 2); 0: to stand still.
         pref_speed: Preferred speeds (B, A), m/s.
         mask: Which people are present (B, A) bool: they act on the others and get a velocity.
@@ -363,10 +343,9 @@ def _apart(
 class SocialForce(Policy):
     """People accelerate along the planner's path, away from each other and away from walls.
 
-    `SocialForceSettings` has symbols, units and sources of all parameters. Those of 1995, the default, are
-    for open places and wide corridors: at 1.3 m/s a person does not get through a door narrower than 1.1 m.
-    The preset ``indoor`` has softer walls. Forces have no memory and no foresight: where they cancel, people
-    stop.
+    The parameters of 1995, the default, are for open places and wide corridors: at 1.3 m/s a person does not
+    get through a door narrower than 1.1 m. The preset ``indoor`` has softer walls. Where forces cancel,
+    people stop.
     """
 
     def __init__(self, settings: SocialForceSettings = SocialForceSettings()) -> None:
@@ -384,6 +363,10 @@ class SocialForce(Policy):
             step = (tensordict["time"] / TRACE_SECONDS).round().long()
             noise = drawn_vectors(tensordict, randomness.join(identity, step))
             fluctuation = self.settings.fluctuation * noise
+        # the potential of who gives way begins at the centre, that of a body that gives none at its surface
+        radius = agents["radius"][..., 0]
+        gives_no_way = ~agents["controlled"] & ((agents["kind"] == ROBOT) | ~is_person_sized(radius))
+        radius = torch.where(gives_no_way, radius + 2 * BODY_RADIUS, radius)
         tensordict["agents", "action"] = social_force_velocity(
             agents["history"][:, :, -1],
             agents["velocity"],
@@ -395,18 +378,9 @@ class SocialForce(Policy):
             identity,
             self._walls(tensordict) if self.settings.walls else None,
             fluctuation,
-            self._radius(agents),
+            radius,
         )
         return tensordict
-
-    def _radius(self, agents: Any) -> Tensor:
-        """Return the radii (B, A) that the others' forces see, metres.
-
-        The potential of who gives way begins at the centre, that of a body that gives none at its surface.
-        """
-        radius = agents["radius"][..., 0]
-        gives_no_way = ~agents["controlled"] & ((agents["kind"] == ROBOT) | ~is_person_sized(radius))
-        return torch.where(gives_no_way, radius + 2 * BODY_RADIUS, radius)
 
     def _walls(self, tensordict: TensorDictBase) -> Callable[[Tensor, Tensor | None], Tensor]:
         """Return the walls' forces (2, N): a function of places (2, N) and rows (N,) of B * A people."""

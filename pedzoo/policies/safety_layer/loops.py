@@ -412,8 +412,9 @@ def kept(
     """Write steps (B, A, 2) to ``out`` by `keep_clear`; return what the way back needs if it ``records``."""
     rank = torch.zeros_like(steps.longest) if steps.rank is None else steps.rank
     asked = steps._replace(velocity=TRACE_SECONDS * steps.velocity, rank=rank)
-    given: Any = [part.detach().contiguous() for part in asked]
-    people = ProposedSteps(*(as_complex(part) if part.dim() == 3 else part.numpy() for part in given))
+    given = [part.detach().contiguous() for part in asked if part is not None]
+    people: Any = [as_complex(part) if part.dim() == 3 else part.numpy() for part in given]
+    people = ProposedSteps(*people)
     arrays = _NO_WALLS
     if walls is not None:
         frames, places = walls.frame.t().float().contiguous(), walls.place.t().contiguous()
