@@ -41,12 +41,7 @@ def named(metrics: Sequence[str]) -> dict[str, Callable[[Rollout], Any]]:
 def closed_loop(rollout: Rollout, metrics: Sequence[str] = ()) -> dict[str, Ratio]:
     """Return every metric that applies to a rollout, by its name, in the order of `NAMES`.
 
-    The function of that name in `pedzoo.metrics` says what it is. In a replay people are scored from when the
-    policy takes over until they leave.
-
-    Args:
-        rollout: Some episodes.
-        metrics: More metrics, as ``path/to/file.py:f``.
+    The function of that name in `pedzoo.metrics` says what it is; more are given as ``path/to/file.py:f``.
 
     Raises:
         UserError: As of `named`, or a function does not return two sums per episode.
@@ -66,11 +61,7 @@ def measure(
 
 
 def own_metrics(rollout: Rollout, metrics: Sequence[str]) -> dict[str, Ratio]:
-    """Return the metrics that functions in files are; arguments as of `closed_loop`.
-
-    Raises:
-        UserError: As of `closed_loop`, or a function raises an error, which is its cause.
-    """
+    """Return the metrics that functions in files are; errors as of `closed_loop`, or what they raise."""
     return _results(named(metrics), rollout)
 
 

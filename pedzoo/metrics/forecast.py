@@ -135,16 +135,10 @@ def negative_log_likelihood(log_likelihood: Tensor, known: Tensor) -> Sums:
 
 
 def places(ends: Tensor, history: Tensor, future: Tensor, valid: Tensor) -> Tensor:
-    """Return how often the truth has each place among samples (2, BINS + 1), in the last column all.
+    """Return how often the truth has each place among samples' ends (B, K, A, 2): (2, BINS + 1), at last all.
 
     A place is the share of samples behind the true last position, ahead and to the side of where a person
     walked. A share on the border of two classes counts half in each, samples at the truth count half.
-
-    Args:
-        ends: Last positions of samples (B, K, A, 2).
-        history: Observed positions (B, A, 8, 2).
-        future: True ones (B, A, T, 2).
-        valid: Which of these are known (B, A, T) bool.
     """
     there = valid[..., -1]
     moved = (history[:, :, -1] - history[:, :, 0])[there]
@@ -177,18 +171,14 @@ class ForecastScore(Metric):
 
     ``ade_m``, ``fde_m`` and ``next_step_m`` judge the mode (for SGAN: noise zero); ``ade_sampled_m`` and
     ``fde_sampled_m`` are what one random sample costs on average. ``min_*`` take the best of K, ADE and FDE
-    each of a sample of its own; ``fde_of_min_ade_*`` is the FDE of the sample that is best by ADE.
-    ``miss_rate_*`` is the share of people of whom all K end more than 2 m off. ``nll_nats_per_step`` is there
-    for models with a density, see `Forecaster.log_likelihood`. Sums are in float64.
-
-    Attributes:
-        latest: Sums and counts (B,) of every mean, for each scene of the last batch.
+    each of a sample of its own. ``nll_nats_per_step`` is there for models with a density.
     """
 
     full_state_update = False
     sums: Tensor
     places: Tensor
     latest: dict[str, Sums]
+    """Sums and counts (B,) of every mean, for each scene of the last batch."""
 
     def __init__(self, samples: int, spread: bool = True) -> None:
         """Score ``samples`` per scene (0: only the mode); ``spread`` adds the distance between samples."""

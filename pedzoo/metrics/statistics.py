@@ -37,12 +37,7 @@ def ratio_interval(above: Tensor, below: Tensor, part: bool = False) -> Interval
     consistent covariance matrix estimators with improved finite sample properties", Journal of Econometrics
     29, 1985). Where no value is below 0 the upper end is that of the logarithm, which is larger: rare counts
     and other skewed values are mostly too low. There is none for fewer than `FEWEST` episodes, nor where all
-    say the same.
-
-    Args:
-        above: Values; one sign or both.
-        below: How much each counts, none below 0.
-        part: Whether ``above`` are parts of ``below``, so that the ratio is at most 1.
+    say the same. ``part``: the values above are parts of those below, so that the ratio is at most 1.
     """
     known = below > 0
     above, below = above[known].double(), below[known].double()

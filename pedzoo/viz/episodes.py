@@ -93,10 +93,8 @@ rollout = _shown(walked.rollout)
 def plot(walked: Walked | Mapping[str, Walked], path: str | Path, episode: int = 0) -> None:
     """Draw an episode at four moments, and the paths of all episodes; a row of panels per policy.
 
-    Args:
-        walked: What `pedzoo.rollout` returned, or several of these by name, all in the same scenario.
-        path: ``.png``, ``.pdf`` or ``.svg``; its folder is made where it is missing.
-        episode: Number of the episode.
+    ``walked`` is what `pedzoo.rollout` returned, or several of these by name, all in the same scenario; the
+    path ends in ``.png``, ``.pdf`` or ``.svg``.
 
     Raises:
         UserError: No such episode, another suffix, or the file cannot be written.

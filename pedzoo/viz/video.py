@@ -38,18 +38,11 @@ def film(
     seconds: float | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> None:
-    """Write a video in real time of the same episode of all policies, side by side.
+    """Write a video in real time of the same episode of all policies, side by side, ``.webm`` or ``.mp4``.
 
-    A panel whose episode is over stands still until the last one is.
-
-    Args:
-        walked: The rollouts; their ``physics.close()`` must not have been called.
-        path: ``.webm`` or ``.mp4``.
-        episode: Its number.
-        view: ``perspective`` where the physics has one; else from the top.
-        size: Width and height of a panel in pixels, even numbers.
-        seconds: Of the episode, at most.
-        progress: Called with a word, frames done and frames in all.
+    A panel whose episode is over stands still until the last one is. The rollouts' physics must not be
+    closed; ``perspective`` is where it has one. The size of a panel is even numbers of pixels. ``progress``
+    is called with a word, frames done and frames in all.
 
     Raises:
         UserError: No such episode, another suffix, or the file cannot be written.

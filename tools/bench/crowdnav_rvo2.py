@@ -111,7 +111,11 @@ def crowdnav(seed: int, safety_space: float = 0.0, visible: bool = False) -> tup
         for one in people:
             others = [other for other in people if other is not one] + [robot] * visible
             walked.append(rvo2(one, others, 0.01, 10))
-        touched = any(_least(one, robot, action) < 0.6 for one in people)
+        touched = False
+        for one in people:
+            away, move = one.place - robot.place, (one.velocity - action) * DT
+            part = float(np.clip(-(away @ move) / (move @ move), 0, 1)) if move.any() else 0.0
+            touched |= bool(np.linalg.norm(away + part * move) < 0.6)
         late = seconds >= 24
         robot.move(action)
         ended = "timeout" if late else "collision" if touched else "success" if robot.arrived() else ""
@@ -119,12 +123,6 @@ def crowdnav(seed: int, safety_space: float = 0.0, visible: bool = False) -> tup
             one.move(velocity)
         seconds += DT
     return ended, seconds
-
-
-def _least(person: Body, robot: Body, action: np.ndarray) -> float:
-    away, move = person.place - robot.place, (person.velocity - action) * DT
-    part = float(np.clip(-(away @ move) / (move @ move), 0, 1)) if move.any() else 0.0
-    return float(np.linalg.norm(away + part * move))
 
 
 class CrowdNavPP:

@@ -21,7 +21,7 @@ from pedzoo.policies.robots._base import LocalPlanner, ObservedPeople, Robot
 from pedzoo.sim import crowdnav as rules
 from pedzoo.sim.crowdnav import CROWDNAV, CROWDNAV_PP, SUCCESS, TIME_STEP, Setting, State, cases
 from tools.paper.base import Jobs, interval_text
-from tools.paper.published import CROWDNAV_ROWS, ORCA_LOG, ORCA_PP, SOCIAL_FORCE_LOG, Log
+from tools.paper.published import CROWDNAV_ROWS, ORCA_LOG, ORCA_PP, SOCIAL_FORCE_LOG
 
 CASES = 500
 """Cases of each table."""
@@ -220,17 +220,16 @@ def table_page(name: str, rows: Sequence[Mapping[str, Any]]) -> ResultTable:
 def agreement_page(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
     """Return how many cases of CrowdNav++'s logs end here as they do there."""
     own = {row["name"]: row for row in rows if row["case"]["setting"] == "crowdnav_pp"}
-    body = [_agreement(log, own[log.robot]) for log in (SOCIAL_FORCE_LOG, ORCA_LOG) if log.robot in own]
+    body = []
+    for log in (log for log in (SOCIAL_FORCE_LOG, ORCA_LOG) if log.robot in own):
+        here = own[log.robot]["outcomes"][log.first - TABLES["crowdnav_pp"].first :: 2]
+        pairs = list(zip(here, log.outcomes, strict=False))
+        alike = sum(one == other for one, other in pairs)
+        shares = [sum(pair[side] == "s" for pair in pairs) / len(pairs) for side in (1, 0)]
+        cells = [log.name, log.robot, str(len(pairs)), str(alike)]
+        body.append([*cells, *(f"{value:.3f}" for value in shares)])
     head = ["log", "robot", "cases", "end alike", "success there", "success here"]
     return ResultTable("CrowdNav++: case by case", head, body, 2)
-
-
-def _agreement(log: Log, row: Mapping[str, Any]) -> list[str]:
-    here = row["outcomes"][log.first - TABLES["crowdnav_pp"].first :: 2]
-    pairs = list(zip(here, log.outcomes, strict=False))
-    alike = sum(one == other for one, other in pairs)
-    shares = [sum(pair[side] == "s" for pair in pairs) / len(pairs) for side in (1, 0)]
-    return [log.name, log.robot, str(len(pairs)), str(alike), *(f"{value:.3f}" for value in shares)]
 
 
 def _cell(row: Mapping[str, Any], key: str) -> str:

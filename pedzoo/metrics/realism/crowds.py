@@ -250,29 +250,23 @@ def _measured(steps: SampledRollout, people: int, axis: Tensor) -> dict[str, Ten
     apart = xy.unsqueeze(2) - xy.unsqueeze(3)
     pairs = here.unsqueeze(2) & here.unsqueeze(3) & ~torch.eye(here.shape[2], dtype=torch.bool)
     distance = apart.norm(dim=4).masked_fill(~pairs, torch.inf)
+    company = torch.zeros(distance.shape[:3], dtype=torch.bool)
+    if distance.shape[1] >= TOGETHER:
+        slots, last = steps.person.transpose(1, 2), TOGETHER - 1
+        # no other person was in their slots meanwhile
+        same = (slots.unfold(1, TOGETHER, 1) == slots[:, last:].unsqueeze(-1)).all(-1)
+        near = (distance <= NEAR).unfold(1, TOGETHER, 1).all(-1)
+        drift = (apart[:, last:] - apart[:, :-last]).norm(dim=4)
+        both = same.unsqueeze(2) & same.unsqueeze(3)
+        company[:, last:] = (both & near & (drift < DRIFT)).any(3)
     shares = {
         "standing_share": steps.velocity.norm(dim=3) < STANDS,
-        "company_share": _accompanied(steps, apart, distance).transpose(1, 2),
+        "company_share": company.transpose(1, 2),
         "crowdes_collision": (distance < TOUCHING).any(3).transpose(1, 2),
     }
     result = {name: (sums(person, when[scored], people), whole) for name, when in shares.items()}
     result["lane_order"] = lane_order(steps, pairs, axis, people)
     return {name: torch.stack(both) for name, both in result.items()}
-
-
-def _accompanied(steps: SampledRollout, apart: Tensor, distance: Tensor) -> Tensor:
-    """Return which people have a companion (E, S, A) bool."""
-    result = torch.zeros(distance.shape[:3], dtype=torch.bool)
-    if distance.shape[1] < TOGETHER:
-        return result
-    person, last = steps.person.transpose(1, 2), TOGETHER - 1
-    # no other person was in their slots meanwhile
-    same = (person.unfold(1, TOGETHER, 1) == person[:, last:].unsqueeze(-1)).all(-1)
-    near = (distance <= NEAR).unfold(1, TOGETHER, 1).all(-1)
-    drift = (apart[:, last:] - apart[:, :-last]).norm(dim=4)
-    together = same.unsqueeze(2) & same.unsqueeze(3) & near & (drift < DRIFT)
-    result[:, last:] = together.any(3)
-    return result
 
 
 def lane_order(steps: SampledRollout, pairs: Tensor, axis: Tensor, people: int) -> tuple[Tensor, Tensor]:

@@ -129,13 +129,8 @@ def dtw(
     recognition", 1978) without a window: a match that goes on in both walks counts twice, and the sum is
     divided by the number of points. The same path at another pace is near 0.
 
-    Args:
-        first: Walks (W, L, 2).
-        points: How many points they have (W,).
-        second: Others (V, M, 2).
-        others: How many these have (V,).
-        pairs: A walk of the first and one of the others (2, Q) long.
-        squares: Return the root of the least sum of squares instead, in which each match counts once.
+    Walks are (W, L, 2) and (V, M, 2), of so many points (W,) and (V,); ``pairs`` (2, Q) long are one of each.
+    With ``squares`` it is the root of the least sum of squares, in which each match counts once.
     """
     mine, theirs = pairs
     result = torch.full((len(mine),), torch.nan, dtype=torch.float64)

@@ -153,17 +153,11 @@ def others_of(
     slot: Tensor,
     smooth: bool = False,
 ) -> Surroundings:
-    """Return the surroundings of people, with gradients; none flows through the choice of who is nearest.
+    """Return the surroundings of M rows, each a slot at a moment (M,) long, with gradients.
 
-    Args:
-        xy: Positions at N moments (N, A, 2), metres.
-        velocity: (N, A, 2), m/s.
-        there: Which people are present (N, A) bool.
-        known: Which of these have a velocity (N, A) bool.
-        radius: Of bodies (N, A), metres.
-        moment: Moment of each row (M,) long.
-        slot: Slot of each row (M,) long.
-        smooth: Times between 0 and 10 s are those of `touch_seconds`, which have gradients.
+    Positions and velocities are (N, A, 2), metres and m/s, radii (N, A), metres, of people who are ``there``
+    and whose velocity is ``known`` (N, A) bool. No gradient flows through the choice of who is nearest; times
+    between 0 and 10 s have some if they are ``smooth``, see `touch_seconds`.
     """
     people, parts = xy.shape[1], []
     size = max(1, _AT_ONCE // people)
@@ -201,12 +195,8 @@ def step_features(
     * ``nearest_distance`` between centres, and ``time_to_collision``, at most 10 s; of people not alone.
     * ``lateral_deviation``, to the left of the line between start and goal, if that is long enough.
 
-    Args:
-        now: Velocities (M, 2), m/s.
-        before: Those of the step before (M, 2); NaN where it is not known.
-        around: The others.
-        offset: Places less the start of the line (M, 2), metres.
-        way: From the line's start to its end (M, 2), metres.
+    Velocities now and the step ``before`` are (M, 2), m/s, NaN where not known; places less the line's start
+    and the ``way`` to its end (M, 2), metres.
     """
     length = way.norm(dim=1)
     known, company, has_line = ~before[:, 0].isnan(), around.company, length >= LINE
@@ -268,12 +258,8 @@ def clips(steps: SampledRollout, around: Surroundings, start: Tensor, goal: Tens
 def clip_steps(now: Tensor, change: Tensor, around: Surroundings, way: Tensor, away: Tensor) -> Tensor:
     """Return the numbers of steps (M, C) of `CHANNELS`, with gradients.
 
-    Args:
-        now: Velocities (M, 2), m/s.
-        change: Accelerations (M, 2), m/s^2.
-        around: The others; who is missing is `FAR` ahead, at rest beside oneself.
-        way: From where the policy took people over to their exits (M, 2), metres.
-        away: From where they are to their exits (M, 2), metres.
+    Of velocities and their ``change`` (M, 2), m/s and m/s^2, and the ways to the exits from where the policy
+    took people over, and from where they are (M, 2), metres. Who is missing is `FAR` ahead.
     """
     has_line = (way.norm(dim=1) >= LINE).unsqueeze(1)
     ahead = functional.normalize(torch.where(has_line, way, away), dim=1).unsqueeze(1)
