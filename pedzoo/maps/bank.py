@@ -81,8 +81,7 @@ class Atlas:
         """Return the images' values (N, ..., C) at scene positions, bilinear between pixel centres.
 
         Beyond its outermost pixel centres an image goes on with its border's value. Differentiable with
-        respect to ``points`` (N, ..., 2) and ``pose`` (N, 4); always computed in float32, because half
-        precision cannot tell neighbouring cells apart.
+        respect to ``points`` (N, ..., 2) and ``pose`` (N, 4); in float32, which tells cells apart.
         """
         with torch.autocast(points.device.type, enabled=False):
             points, pose = points.float(), pose.float()
@@ -216,10 +215,8 @@ class MapBank:
     def index(self, map_id: Tensor) -> Tensor:
         """Return the row in this bank of each ``map_id`` (N,) long; -1 stays -1.
 
-        On an accelerator nothing is read back: there a foreign id fails as an assertion of the device.
-
         Raises:
-            UserError: An id is of a map that is not in this bank.
+            UserError: An id is of a map that is not in this bank; an accelerator raises an assertion.
         """
         place = torch.searchsorted(self._sorted_ids, map_id.contiguous()).clamp_max(len(self._sorted_ids) - 1)
         foreign = self._sorted_ids[place] != map_id

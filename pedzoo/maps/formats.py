@@ -21,9 +21,7 @@ from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 FORMATS = ("PNG", "PPM", "JPEG", "BMP", "TIFF")
 """What Pillow calls the formats that are read; PPM includes pgm."""
 
-_LONGEST_FILE = (
-    8 * LARGEST_PICTURE
-)  # bytes: the largest picture with grey levels that are written out as texts
+_LONGEST_FILE = 8 * LARGEST_PICTURE  # bytes: the largest picture, its grey levels written as texts
 _DENSEST = 8 * 1032  # pixels in a byte of PNG: eight of one bit, and deflate makes a byte of 1032
 
 
@@ -257,9 +255,7 @@ ENDINGS = (".yaml", ".yml", ".png", ".pgm", ".jpg", ".jpeg")  # of map files
 
 
 def read_plan(path: str | Path, resolution: float | None = None) -> OccupancyGrid:
-    """Return the floor plan of a file: ROS yaml, iGibson's ``floor_trav*.png``, or an image.
-
-    `read_ros`, `read_igibson` and `read_image` read these formats one by one, with their settings.
+    """Return the floor plan of a file by `read_ros`, `read_igibson` (``floor_trav*.png``) or `read_image`.
 
     Args:
         path: Its name tells the format.

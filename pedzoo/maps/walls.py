@@ -127,10 +127,9 @@ def _unbeaten(near: NDArray[np.int32], edge: Numbers, row: Numbers, column: Numb
 
 @dataclass(frozen=True, eq=False)
 class Walls:
-    """The borders of the walls of R maps, and for each quarter of a cell those edges that may be nearest.
+    """The borders of the walls of R maps, each padded by ``max_distance`` and cut into quarters of cells.
 
-    Each map is padded by ``max_distance`` and cut into quarters of cells. Which edges compete in a quarter
-    says `nearest_edges`.
+    `nearest_edges` says which edges compete in a quarter.
 
     Attributes:
         grids: The maps.
@@ -202,18 +201,12 @@ class Walls:
 
     @cached_property
     def arrays(self) -> tuple[Any, ...]:
-        """What compiled loops ask for distances: choices, options, lower bounds, and where distances end.
-
-        Options lie in rows here: one agent's stand together in memory.
-        """
+        """What compiled loops ask for distances: choices, options in rows, lower bounds, and the limit."""
         return self.choice.numpy(), self.option.t().contiguous().numpy(), self.least.numpy(), self.limit
 
     @cached_property
     def map_arrays(self) -> tuple[Any, ...]:
-        """What the compiled planner reads: how the maps lie, and where a body has room.
-
-        The latter has a bit for every quarter, and so is in the processor's cache.
-        """
+        """What the compiled planner reads: how maps lie, and a bit for each quarter with room for a body."""
         clear = np.packbits(self.least.numpy() >= BODY_RADIUS, bitorder="little")
         return self.affine.numpy(), self.place.numpy(), self.side.numpy(), clear
 
@@ -268,8 +261,7 @@ class LocalWalls:
     """The walls as entries of any shape E see them, each on its map and in its scene's frame.
 
     Coordinates come first and entries last, (2, K, *E): on the CPU several times faster than pairs. Frames
-    of shape (B, 1) serve the agents of B scenes, (B, A). No look-up but `cast` reads anything
-    back to the host.
+    of shape (B, 1) serve the agents of B scenes, (B, A). Only `cast` reads anything back to the host.
 
     Attributes:
         walls: Those of all maps.
@@ -367,8 +359,7 @@ class LocalWalls:
 
         First comes the distance, then a half-plane. Places p with n p > c are free: c, then x and y of n,
         which is where the distance grows. A wall farther away than ``within`` (B, A), metres, may be any
-        distance above that away, with n = 0. That is what the compiled loops for single precision on the CPU
-        say. No gradient flows.
+        distance above that away, with n = 0. No gradient flows.
         """
         shape = points.shape
         points = points.detach().reshape(2, -1, *shape[-2:])
@@ -387,9 +378,9 @@ class LocalWalls:
     def cast(self, origin: Tensor, direction: Tensor, reach: float) -> Tensor:
         """Return how far rays go before they meet a wall (R, N), metres, ``reach`` where there is none.
 
-        Rays begin at finite ``origin`` (2, R, N) along unit vectors (2, R, N). They leap by the lower bounds
-        of distances, or go to the next quarter of a cell where that is farther. See Amanatides and Woo, "A
-        Fast Voxel Traversal Algorithm for Ray Tracing", 1987.
+        They begin at finite ``origin`` (2, R, N) along unit vectors (2, R, N), and leap by lower bounds of
+        distances, or to the next quarter of a cell (Amanatides and Woo, "A Fast Voxel Traversal Algorithm for
+        Ray Tracing", 1987).
         """
         origin = self.cells(origin.double())
         x_axis, y_axis, _ = self._parts

@@ -134,8 +134,7 @@ def orca_velocity(
 ) -> Tensor:
     """Return the velocities (B, A, 2) that ORCA chooses, m/s; 0 for absent people. No gradient flows.
 
-    They are RVO2's, except where that library divides 0 by 0: two people at the same place with the same
-    velocity ignore each other.
+    They are RVO2's, but two people at the same place with the same velocity ignore each other (0 / 0 there).
 
     Args:
         position: Positions (B, A, 2), metres.

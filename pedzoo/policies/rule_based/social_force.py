@@ -26,13 +26,8 @@ from pedzoo.policies.rule_based.orca import OF_PRESET, cross, dot, left, take_pr
 Anisotropy = Literal["view", "smooth", "none"]  # how the weight of others depends on their direction
 NEGLIGIBLE = 0.01  # m/s^2: walls that accelerate less are left out; walking people accelerate by 1 or more
 CLOSEST = 0.01  # metres: people are never closer to the centre of a potential, where its gradient is infinite
-EXACT, OFF_LINE = (
-    1e-5,
-    0.02,
-)  # of the distance: so little off the line ahead is on it, and counts as so much off
-LONGEST_STEP = (
-    0.1  # seconds: longer decisions are integrated in equal parts; near walls forces change in 0.2 s
-)
+EXACT, OFF_LINE = 1e-5, 0.02  # of the distance: so little off the line ahead counts as so much off it
+LONGEST_STEP = 0.1  # seconds: longer decisions are integrated in equal parts
 
 
 @dataclass(frozen=True)

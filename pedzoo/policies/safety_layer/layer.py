@@ -1,8 +1,7 @@
 """A net under a learned policy: the least change of all next steps that keeps bodies from touching.
 
-In the spirit of the safety layer of Dalal et al., "Safe exploration in continuous action spaces", 2018. The
-network decides where to go, and its answer is projected on what can be walked without a contact. The layer
-looks one step ahead and no farther: it plans nothing, does not wait and finds no way around.
+In the spirit of Dalal et al., "Safe exploration in continuous action spaces", 2018: what the network answers
+is projected on what can be walked without a contact. The layer looks one step ahead and no farther.
 
 Only robots, which leave all of the avoidance to people, are seen from afar. Of the steps that their course
 leaves room for, the one nearest to what is asked for is taken. Velocities are sampled, and each is judged by
@@ -130,11 +129,10 @@ def kept_clear(steps: ProposedSteps, walls: LocalWalls | None = None, shoulders:
 
     Two people share a correction, by who goes first: see `precedence`. Agents that the policy does not move
     take no part in it, and robots leave it to people: the other one makes all of it. Agents that touch
-    already part, if velocities blend, else they come no closer. Neither turning a scene nor the order of its
-    people changes anything. Two who meet exactly head-on keep to the right.
+    already part, or come no closer. Two who meet exactly head-on keep to the right. Differentiable.
 
-    Differentiable. Walls are those of `MapBank.walls_around`; ``shoulders`` is the room in narrow places,
-    metres: 0 for bodies alone.
+    Walls are those of `MapBank.walls_around`; ``shoulders`` is the room in narrow places, metres: 0 for
+    bodies alone.
     """
     numbers = [part for part in steps if part is not None and part.is_floating_point()]
     # top speeds and radii have gradients in torch only
