@@ -24,12 +24,8 @@ LEAST_ASKED = 0.05  # metres: a shorter step that is asked for has less of a dir
 AHEAD = 0.2  # metres ahead of another from which on precedence is full
 TIE = 0.05  # the same for two who wait; it is also the lead of the one with the higher rank
 EVEN, BARELY = 1e-5, 0.01  # metres: a smaller lead is none, and then the higher rank is such a share of one
-LEAD_SECONDS = (
-    0.2  # who comes forward faster is ahead by so many seconds of the difference: who made way waits
-)
-SPREAD = (
-    0.04  # metres beyond what bodies need that people who wait keep, if they can: such a crowd can give way
-)
+LEAD_SECONDS = 0.2  # who comes faster is ahead by so much of the difference: others go on to make way
+SPREAD = 0.04  # metres beyond what bodies need that people who wait keep, so that they can give way
 LEAST_SHARE = 0.05  # share of a correction that a person with full precedence makes
 ROUNDS = 8  # corrections at most: each may undo a part of another
 SHARES = 1.0, 0.5, 0.15, 0.0  # step fractions of the backtracking search
