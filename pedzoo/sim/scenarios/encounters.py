@@ -44,9 +44,8 @@ class BlindCorner(Encounter):
     """People meet behind a corner around which they cannot see.
 
     *Blind corner*: a corridor from the left that bends down at the origin; people come from both ends. When
-    the episode begins, no person sees those from the other end; the first ones are at the corner at the same
-    time. The two groups mirror each other in the diagonal if size and speed are equal and ``jitter``,
-    ``aside`` and ``delay`` are 0.
+    the episode begins, no person sees those from the other end. The first ones are at the corner at the same
+    time. Without variation groups of one size mirror each other in the diagonal.
     """
 
     def __init__(
@@ -88,8 +87,7 @@ class Circle(Encounter):
     """People on a circle change places with those opposite.
 
     *Circular crossing*: the antipodal swap of van den Berg et al., "Reciprocal n-body collision avoidance"
-    (2011). People come from outside, evenly around a circle without walls, are about on it when the episode
-    begins, and all want to go through its middle.
+    (2011), without walls. People come from outside, and are about on the circle when the episode begins.
     """
 
     def __init__(
@@ -133,8 +131,7 @@ class Hallway(Encounter):
 
     *Frontal approach*: a corridor along x; some come from the left, some from the right, and meet at x = 0.
     *Narrow hallway* with a small width: two people pass each other from about 0.7 m on, comfortably from
-    1.5 m on. Two groups of the same size and speed are mirror images of each other in the origin where
-    ``jitter``, ``aside`` and ``delay`` are 0.
+    1.5 m on. Without variation groups of one size mirror each other in the origin.
     """
 
     def __init__(
@@ -156,9 +153,10 @@ class Hallway(Encounter):
         """
         super().__init__(common, width=width, offset=offset)
         people = self.people
-        against = people // 2 if against is None else against
-        self.check(1 <= against < people, f"against {against} of {people} people", f"1 to {people - 1}")
-        self.against, self.together = against, together
+        self.against, self.together = people // 2 if against is None else against, together
+        self.check(
+            1 <= self.against < people, f"against {self.against} of {people} people", f"1 to {people - 1}"
+        )
         for variant in self.variants:
             most = variant["width"] / 2 - FREE
             given = f"offset {variant['offset']} in a corridor of {variant['width']} m"
@@ -181,8 +179,8 @@ class Hallway(Encounter):
 class Intersection(Encounter):
     """People cross where two corridors do.
 
-    *Intersection*, without gestures: two corridors of the same width that cross at the origin; people come
-    from their arms in turn. Those in front are in the middle at the same time.
+    *Intersection*, without gestures: two corridors of the same width that cross at the origin. Those in front
+    are in the middle at the same time.
     """
 
     def __init__(
@@ -249,10 +247,9 @@ class Overtaking(Encounter):
         """
         super().__init__(common, meet=3.0, width=width)
         people = self.people
-        slow = people // 2 if slow is None else slow
-        self.check(1 <= slow < people, f"slow {slow} of {people} people", f"1 to {people - 1}")
+        self.slow, self.speed_ratio = people // 2 if slow is None else slow, speed_ratio
+        self.check(1 <= self.slow < people, f"slow {self.slow} of {people} people", f"1 to {people - 1}")
         self.check(speed_ratio >= 1.2, f"speed_ratio {speed_ratio}", "at least 1.2")
-        self.slow, self.speed_ratio = slow, speed_ratio
 
     def lanes_on(self, variant: Variant) -> list[Lane]:
         """Return lanes of the slow, side 0, and of the fast."""
@@ -284,9 +281,8 @@ class Overtaking(Encounter):
 class Parallel(Encounter):
     """Two streams of people side by side in an open space.
 
-    *Parallel traffic*: streams along x without walls, one left of the other, in the same direction or in
-    opposite ones. Some people change over into a lane of the other stream on their way; with
-    ``opposite=true`` it is bidirectional flow, all people on the right.
+    *Parallel traffic*: streams along x without walls, one left of the other. Some people change over into a
+    lane of the other stream on their way. ``opposite=true`` is bidirectional flow, all people on the right.
     """
 
     def __init__(
@@ -328,8 +324,7 @@ class Parallel(Encounter):
 class Perpendicular(Encounter):
     """Two streams of people that cross at right angles in an open space.
 
-    *Perpendicular traffic*: streams along x and along y without walls; those in front are at the crossing at
-    the same time.
+    *Perpendicular traffic*: streams along x and along y without walls; the first meet at the crossing.
     """
 
     def __init__(self, common: EncounterSettings = EncounterSettings(people=6, aside=1.0)) -> None:
@@ -355,8 +350,8 @@ class RoomExit(Encounter):
 
     *Exiting room* and *entering room*; with many people, the bottleneck of evacuation studies. The room is
     left of x = 0, a corridor along y right of it, and the door between them at the origin. People who leave
-    turn left or right behind the door. People who enter come along the corridor, from above and from below
-    in turn. Agents are numbered by their distance from the door. They have the time that a slow queue takes.
+    turn left or right there, people who enter come along the corridor from both sides. Agents are numbered by
+    their distance from the door, and have the time that a slow queue takes.
     """
 
     door = "width"
