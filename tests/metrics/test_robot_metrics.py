@@ -240,7 +240,8 @@ def test_people_who_fail_are_not_delayed() -> None:
 def test_numbers_of_two_are_means_of_those_of_each(together: str) -> None:
     """Of two robots among the same three people, and of two episodes; each touches somebody else."""
     ways = [((2, 0.4), (-1, 0.2)), ((1, 2), (0.2, -1)), ((0, 4), (0, 0)), ((0, 0), (1, 0.1))]
-    *people, first, second = (straight(*way, 40) for way in [*ways, ((0, 5), (0.3, -0.9))])
+    ways.append(((0, 5), (0.3, -0.9)))
+    *people, first, second = (straight(start, velocity, 40) for start, velocity in ways)
     touches = torch.zeros(2, 1, 1, 40).bool()
     touches[0, ..., 9:12] = touches[1, ..., 11] = True
     pairs = zip((first, second), touches, strict=True)
