@@ -198,7 +198,7 @@ def _broken(name: str, width: int) -> str:
 def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
     """Yield a function ``(name, done, total)`` that draws one bar per name while the block runs."""
     tasks: dict[str, TaskID] = {}
-    with _bars("text", None, "percent", "left") as bars:
+    with _bars(text_last=False) as bars:
 
         def update(name: str, done: int, total: int) -> None:
             if name not in tasks:
@@ -211,7 +211,7 @@ def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
 @contextmanager
 def overall_bar() -> Iterator[Callable[[ProgressReport], None]]:
     """Yield a function that draws one bar for a whole evaluation; without a terminal, a line per part."""
-    with _bars("percent", 30, "text") as bars:
+    with _bars(text_last=True) as bars:
         task = bars.add_task("", total=1.0)
 
         def update(step: ProgressReport) -> None:
@@ -224,18 +224,15 @@ def overall_bar() -> Iterator[Callable[[ProgressReport], None]]:
         yield update
 
 
-def _bars(*columns: str | int | None) -> Progress:
-    """Return bars on a terminal; a column is a bar's width, or what is written."""
+def _bars(text_last: bool) -> Progress:
+    """Return bars on a terminal, with a text, which may have names in it, and the share that is done."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     console = plain_console(stderr=True)
-    written = {
-        "text": TextColumn("{task.description}", markup=False),  # it has names in it
-        "percent": TextColumn("{task.percentage:>3.0f} %"),
-        "left": TimeRemainingColumn(),
-    }
-    shown = [written[one] if isinstance(one, str) else BarColumn(one or 40) for one in columns]
-    return Progress(*shown, console=console, transient=True, disable=not console.is_terminal)
+    text = TextColumn("{task.description}", markup=False)
+    share = TextColumn("{task.percentage:>3.0f} %")
+    columns = (share, BarColumn(30), text) if text_last else (text, BarColumn(), share, TimeRemainingColumn())
+    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
 
 
 def duration(seconds: float) -> str:

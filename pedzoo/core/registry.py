@@ -228,7 +228,8 @@ def _entry_points() -> list[Any]:
     """Return the plugins; `importlib.metadata` takes 50 ms, and is asked only where a package has some."""
     for folder in dict.fromkeys(path or "." for path in sys.path):
         files = Path(folder).glob("*-info/entry_points.txt")
-        if os.path.isfile(folder) or any(_PLUGINS.encode() in file.read_bytes() for file in files):
+        readable = (file.read_bytes() for file in files if os.access(file, os.R_OK))
+        if os.path.isfile(folder) or any(_PLUGINS.encode() in text for text in readable):
             from importlib.metadata import entry_points
 
             return list(entry_points(group=_PLUGINS))
