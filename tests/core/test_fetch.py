@@ -219,7 +219,8 @@ def test_threads_and_processes_download_once(site: Site, place: Path) -> None:
     for process in both:
         out, err = process.communicate(timeout=30)
         assert process.returncode == 0 and out.strip() == str(place), err
-    assert len(site.asked) == 1 and place.read_bytes() == CONTENT
+    # what a slow machine missed is asked for as a range
+    assert site.ranges_asked().count(None) == 1 and place.read_bytes() == CONTENT
 
 
 def test_an_interrupted_download_is_continued_by_the_next(site: Site, place: Path) -> None:

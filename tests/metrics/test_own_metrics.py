@@ -94,7 +94,7 @@ def test_a_metric_that_fails_does_not_lose_the_walk(folder: Path, capsys: pytest
 
 def test_metrics_on_evaluate(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of ordinary scenes and of replays, beside the real people, the same with two workers."""
-    monkeypatch.setattr("pedzoo.eval.suites.replay.QUICK_SHARE", 0.05)
+    monkeypatch.setattr("pedzoo.eval.suites.replay.QUICK", 20)
     (folder / "all.py").write_text(
         "from pedzoo.eval.suites.replay import Replay\n\nclass All(Replay):\n    simulated = ('all',)\n"
     )

@@ -139,7 +139,7 @@ class Controller:
 
     def reset(self, seed: int = 0) -> None:
         """Forget all agents and start anew with the noise of ``seed``; ways that are known stay known."""
-        self.policy = self.policy.fresh()
+        self.policy = getattr(self.policy, "fresh", lambda: self.policy)()  # one's own may have none
         self._key = Draws.for_episodes(seed, torch.zeros(1, dtype=torch.long)).key
         self._clock = CallerClock.of(self.dt, self.policy.decision_dt)
         self._agents = Roster.empty(len(self._clock.times), self._ticks)
@@ -238,7 +238,7 @@ class Controller:
     def _trace(self, agents: Roster, batch: TensorDict, begin: Array) -> Tensor:
         """Return the velocities (N, S, 2) of a new decision, m/s; agents who ``begin`` (N,) do not blend."""
         velocity = cast("Tensor", batch["agents", "velocity"])[0]
-        device = next(self.policy.parameters(), velocity).device
+        device = next(getattr(self.policy, "parameters", lambda: iter(()))(), velocity).device
         batch = batch if device == velocity.device else batch.to(device)
         kind = ExplorationType.DETERMINISTIC if self.deterministic else ExplorationType.RANDOM
         with set_exploration_type(kind):
