@@ -14,13 +14,13 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "pedzoo"
 
-BUDGET = {"pedzoo": 48_000, "tests": 34_200, "tools": 7_800}
+BUDGET = {"pedzoo": 44_400, "tests": 32_200, "tools": 7_100}
 """Lines at most, which only fall: the aim is 38,000, 28,000 and 7,000."""
 
 LONGEST, TABLES = 400, 600
 """Lines of a file; of one table or one algorithm."""
 
-SLICES, LONELY_FOLDERS = 5, 5
+SLICES, LONELY_FOLDERS = 4, 5
 """Modules under 100 lines with one importer, and folders under 4 files, at most."""
 
 
