@@ -10,8 +10,8 @@ from pedzoo.maps.walls_numba import in_half_cells, quarter_at
 
 _MARGIN = int(ON_LINE * 2**40)
 
-ASKED = 2
-"""The question from a cell at which all corners in sight of it are found, which answer later ones."""
+ASKED = 5
+"""Questions from a cell that cost as much as to find all corners in sight of it: then that is done."""
 
 
 @jit
