@@ -9,6 +9,7 @@ NO_WALL = 1e6  # metres: agents without a wall in their way may go so far
 BUCKET = 0.5  # metres: the side of a bucket of segments
 ON_LINE = 1e-6  # cells: lines between centres miss other centres by far more, unless they meet them
 EPSILON = 1e-6  # metres: an agent so near to a point is on it
+LED_ON = 0.1  # metres: agents this near to a carrot are led on as much as to it
 
 HALF = BUCKET * math.sqrt(0.5) * (1 + 1e-4)
 """Metres from the middle of a bucket to its corners, and some for rounding: it must not lose a candidate."""

@@ -27,12 +27,10 @@ class Walking:
 
     Attributes:
         safety: Keep clear of others and walls, see `pedzoo.policies.safety_layer.layer`.
-        extend_goal: Do not slow down round corners, see `pedzoo.policies.walker.extend_goals`.
         keep_speed: Alone, walk at the preferred speed, see `pedzoo.models.architectures.sgan.at_own_speed`.
     """
 
     safety: bool = False
-    extend_goal: bool = False
     keep_speed: bool = False
 
 

@@ -6,13 +6,12 @@ from typing import Self, cast, get_args
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
-from torch.nn import functional
 
 from pedzoo.core import randomness
 from pedzoo.core.adapters import copied
 from pedzoo.core.batch import WAITING_SPEED_SHARE, agents_of, desired_speed_share, ids_of, is_walking
 from pedzoo.core.errors import UserError, as_integer, unknown
-from pedzoo.core.types import AHEAD_SECONDS, OBS_LEN, PRED_LEN, STEP_SECONDS, TRACE_SECONDS
+from pedzoo.core.types import OBS_LEN, PRED_LEN, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.models.base import Forecaster, Noise
 from pedzoo.models.blocks.timed_noise import timed_noise
 from pedzoo.policies.memory import FirstSeenMemory
@@ -88,7 +87,6 @@ class Walker(NamedPolicy):
         execute_steps: int = 1,
         noise_seed: int = 0,
         safety: bool | None = None,
-        extend_goal: bool | None = None,
     ) -> None:
         """Take a forecaster.
 
@@ -101,7 +99,6 @@ class Walker(NamedPolicy):
             noise_seed: Other seeds give other noise for the same scenes.
             safety: Whether steps are led off others and walls by `pedzoo.policies.safety_layer`; those before
                 are then written, too, as ``unconstrained_action`` (B, A, 2), m/s. None: as the model says.
-            extend_goal: Whether goals are moved out, see `extend_goals`. None: as the model says.
 
         Raises:
             UserError: A setting is out of range.
@@ -116,7 +113,6 @@ class Walker(NamedPolicy):
         self.name = model.name
         self.noise_seed = as_integer("noise_seed", noise_seed)
         self.safety = model.walking.safety if safety is None else safety
-        self.extend_goal = model.walking.extend_goal if extend_goal is None else extend_goal
         self._remember_nothing()
 
     def _remember_nothing(self) -> None:
@@ -172,7 +168,6 @@ class Walker(NamedPolicy):
     def _seen(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Return the scenes as the model sees them."""
         scenes = with_walked_history(tensordict)
-        scenes = extend_goals(scenes) if self.extend_goal else scenes
         return scenes if self._first_seen is None else self._first_seen.add(scenes)
 
     def noise_of(self, tensordict: TensorDictBase) -> Tensor | None:
@@ -209,27 +204,6 @@ def check_interval(scenes: TensorDictBase, decision_dt: float, what: str) -> Non
             f"{what} decides every {decision_dt:g} s, not every {trace.shape[2] * TRACE_SECONDS:g} s: "
             f"make_env(..., decision_dt={decision_dt:g})"
         )
-
-
-def extend_goals(batch: TensorDictBase) -> TensorDictBase:
-    """Return scenes in which no short-term goal is nearer than where the desired velocity leads in 3.2 s.
-
-    A model that learned from goals ``window_end`` of recordings slows down for a near one. A planner's goal
-    is near where the path turns a corner: people go round it at their own speed. Nearer goals are moved out
-    along the line to them. Scenes without goals stay.
-    """
-    agents = agents_of(batch)
-    if "goal" not in agents.keys():
-        return batch
-    position = cast("Tensor", agents["history"])[:, :, -1]
-    goal, desired = (cast("Tensor", agents[key]) for key in ("goal", "desired_velocity"))
-    away = goal - position
-    # an agent on its goal goes on as desired
-    ahead = functional.normalize(away + 0.1 * functional.normalize(desired, dim=-1), dim=-1)
-    lacking = AHEAD_SECONDS * desired.norm(dim=-1, keepdim=True) - away.norm(dim=-1, keepdim=True)
-    scenes = copied(batch)
-    scenes["agents", "goal"] = goal + torch.where(lacking > 0, lacking * ahead, 0.0)
-    return scenes
 
 
 def walkers(policy: NamedPolicy) -> list[Walker]:

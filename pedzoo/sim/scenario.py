@@ -261,7 +261,7 @@ class Rules:
     """Constants of all scenes of a simulation.
 
     Attributes:
-        guidance: The planner's carrots and desired velocities of all agents.
+        guidance: The planner's short-term goals and desired velocities of all agents.
         ticks: S, trace points of 0.1 s in one decision.
         substeps: M, sub-steps of every 0.1 s.
         goals: Goals that an agent has to reach.
@@ -342,6 +342,7 @@ def _guidance(prepared: PreparedScenario, state: State) -> Guidance:
     back = back * (state.pref_speed.unsqueeze(2) / speed).clamp_max(1.0)
     return guidance._replace(
         goal=torch.where(holds, guidance.goal_point, guidance.goal),
+        carrot=torch.where(holds, guidance.goal_point, guidance.carrot),
         desired_velocity=torch.where(holds, back, guidance.desired_velocity),
     )
 

@@ -305,7 +305,7 @@ def test_a_turned_mirrored_and_moved_scene_is_told_the_same() -> None:
     points = points + torch.rand(count, 2, generator=draws) * 0.02
     plain = guidance_of(planner, points, goals, ids, identity_pose(count), speed, 3.2)
     moved = guidance_of(planner, move_to_scene(points, pose), goals, ids, pose, speed, 3.2)
-    for name in ("goal", "waypoint", "goal_point"):
+    for name in ("goal", "carrot", "waypoint", "goal_point"):
         back = move_to_map(getattr(moved, name), pose)
         torch.testing.assert_close(back, getattr(plain, name), atol=1e-4, rtol=1e-4)
     torch.testing.assert_close(
@@ -330,9 +330,13 @@ def test_the_carrot_by_hand() -> None:
     seen = guide(around, torch.tensor([[2.5, 3.5], [2.5, 3.5]]), goal.expand(2), speed=1.0, ahead=2.0)
     # a metre up to the waypoint, then a metre to the right: in sight over the wall's corner
     assert seen.waypoint.tolist() == [[2.5, 4.5]] * 2
-    x, y = seen.goal[0].tolist()
+    x, y = seen.carrot[0].tolist()
     assert y == pytest.approx(4.5)
     assert 2.5 <= x <= 3.5
+    # the goal is on the same line, 2 m away
+    away = seen.goal[0] - torch.tensor([2.5, 3.5])
+    assert float(away.norm()) == pytest.approx(2.0, abs=0.01)
+    assert math.atan2(*away.tolist()) == pytest.approx(math.atan2(x - 2.5, 1.0), abs=0.05)
 
 
 @pytest.mark.parametrize("compiled", [True, False])
@@ -346,7 +350,7 @@ def test_the_carrot_is_seen_and_as_far_as_the_way(compiled: bool, monkeypatch: p
     for goal in planner.add_goals(0, [(7.0, 1.0), (0.5, 0.5), (4.1, 3.0)]):
         seen = guide(planner, points, goal.expand(len(points)), speed=1.3)
         ahead = 1.3 * 3.2
-        chord = seen.goal - points
+        chord = seen.carrot - points
         free = (seen.waypoint - points).norm(dim=1) >= ahead
         assert chord[free].norm(dim=1).numpy() == pytest.approx(ahead, abs=1e-4)
         assert (chord.norm(dim=1) < ahead + 1e-4).all()

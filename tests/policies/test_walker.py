@@ -1,8 +1,7 @@
-"""Any forecaster walks: whose noise it gets, how much of a prediction is walked, how far its goals are."""
+"""Any forecaster walks: whose noise it gets, and how much of a prediction is walked."""
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import pytest
@@ -13,13 +12,10 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 import pedzoo
 from pedzoo.core.errors import UserError
-from pedzoo.core.geometry import rotate
 from pedzoo.core.types import PRED_LEN
-from pedzoo.eval.rollout import rollout
-from pedzoo.metrics.closed_loop import measure
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.loading import load
-from pedzoo.policies.walker import Walker, extend_goals
+from pedzoo.policies.walker import Walker
 from pedzoo.sim.make import make_env
 
 
@@ -169,59 +165,3 @@ def test_plans_belong_to_scenes() -> None:
     drawn(walker, scenes=5)
     assert torch.allclose(drawn(walker, time=0.4), first)  # a new plan, at its first step
     assert torch.allclose(drawn(walker, time=0.8), 2 * first)
-
-
-def to_goals(goal: Tensor, desired: Tensor, position: Tensor) -> TensorDict:
-    """Return one scene of people (A, 2) who stand at ``position``."""
-    agents = {
-        "history": position.unsqueeze(1).expand(-1, 8, -1),
-        "goal": goal,
-        "desired_velocity": desired,
-    }
-    return TensorDict({"agents": TensorDict(agents, [len(goal)]).unsqueeze(0)}, [1])
-
-
-HERE = torch.tensor([[1.0, 1.0], [0.0, 0.0], [0.0, 0.0], [2.0, 0.0], [0.0, 0.0]])
-GOAL = torch.tensor([[2.0, 1.0], [5.0, 0.0], [3.2, 0.0], [2.0, 0.0], [0.0, 0.5]])
-DESIRED = torch.tensor([[1.0, 0.0], [1.0, 0.0], [1.0, 0.0], [0.0, 0.5], [0.0, 0.0]])
-
-
-def test_a_goal_is_at_least_as_far_as_the_desired_velocity_leads() -> None:
-    """A near one is moved out, a far and a fitting one stay; on it people go on; who wants to stand stays."""
-    given = to_goals(GOAL, DESIRED, HERE)
-    result = extend_goals(given)["agents", "goal"][0]
-    expected = torch.tensor([[4.2, 1.0], [5.0, 0.0], [3.2, 0.0], [2.0, 1.6], [0.0, 0.5]])
-    torch.testing.assert_close(result, expected, atol=1e-5, rtol=0)
-    assert torch.equal(given["agents", "goal"][0], GOAL)  # the scene is another one
-
-
-def test_goals_are_moved_out_along_the_line_to_them() -> None:
-    """To the left of where the next waypoint is: it stays to the left."""
-    goal, desired = torch.tensor([[1.0, 1.0]]), torch.tensor([[1.0, 0.0]])
-    result = extend_goals(to_goals(goal, desired, torch.zeros(1, 2)))["agents", "goal"][0, 0]
-    assert float(result.norm()) == pytest.approx(3.2, abs=0.01)
-    assert math.atan2(result[1], result[0]) == pytest.approx(math.pi / 4, abs=0.06)
-
-
-def test_turning_the_scene_turns_the_goals() -> None:
-    axis = torch.tensor([math.cos(2.0), math.sin(2.0)]).expand(len(GOAL), 2)
-    turned = extend_goals(to_goals(*(rotate(of, axis) for of in (GOAL, DESIRED, HERE))))["agents", "goal"][0]
-    result = extend_goals(to_goals(GOAL, DESIRED, HERE))["agents", "goal"][0]
-    torch.testing.assert_close(turned, rotate(result, axis), atol=1e-5, rtol=0)
-
-
-def test_scenes_without_goals_stay_as_they_are() -> None:
-    agents = TensorDict({"history": torch.zeros(1, 2, 8, 2)}, [1, 2])
-    batch = TensorDict({"agents": agents}, [1])
-    assert extend_goals(batch) is batch
-
-
-def test_models_of_recordings_do_not_creep_round_corners() -> None:
-    """The same weights, alone in an apartment: with extended goals they walk as fast again."""
-
-    def speed(settings: str) -> float:
-        scenario = "goals:map=apartment.0,people=1,goals=1,pool=6"
-        walked, _ = rollout(f"sgan_goal_map.controller_open:{settings}", scenario, "compiled", episodes=6)
-        return measure(walked)[0]["speed_m_per_s"]
-
-    assert speed("extend_goal=true") > 1.5 * speed("extend_goal=false")

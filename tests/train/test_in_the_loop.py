@@ -166,12 +166,12 @@ def test_any_generator_goes_into_the_loop(weights, capsys):
     config = yaml.safe_load((run / "config.yaml").read_text())
     before, after = pedzoo.load(weights), pedzoo.load(str(run / "checkpoints" / "best.ckpt"))
     generator = config["model"]["init_args"]["generator"]
-    held = {"safety": True, "extend_goal": True, "map_dropout": 0.0}
+    held = {"safety": True, "map_dropout": 0.0}
     held = {key: value for key, value in held.items() if key in before.config}
     assert generator["init_args"] == grouped(type(before), before.config | held)
     assert before.config | held == after.config
-    assert after.walking.safety is after.walking.extend_goal is ("safety" in held)
-    assert not before.walking.safety and not before.walking.extend_goal
+    assert after.walking.safety is ("safety" in held)
+    assert not before.walking.safety
     assert config["weights"] == weights and config["model"]["init_args"]["lr"] == pytest.approx(7e-4)
     pairs = zip(before.parameters(), after.parameters(), strict=True)
     assert any(not torch.equal(a, b) for a, b in pairs)

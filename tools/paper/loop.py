@@ -88,7 +88,7 @@ OPEN_LOOP = ("sgan_goal_map.controller_open", "sgan_goal.controller_open")
 
 APART = (
     "sgan_goal_map.indoor:safety=false",
-    f"{OPEN_LOOP[0]}:safety=true,extend_goal=true",
+    f"{OPEN_LOOP[0]}:safety=true",
     "go_to_goal:safety=true",
 )
 """What the training does without the safety layer, and the layer without the training, and all alone."""

@@ -140,7 +140,7 @@ def _to_hub(model: str, hub: str) -> dict[str, Any]:
 def _to_onnx(name: str, onnx: str, plan_name: str | None) -> dict[str, Any]:
     need("onnx", "--onnx")
     need("train", "--onnx")  # the check against torch reads recordings
-    from pedzoo.core.types import AHEAD_SECONDS, PRED_LEN
+    from pedzoo.core.types import PRED_LEN
     from pedzoo.maps.plans import load_plan
     from pedzoo.models.onnx import export_onnx, save_plan
     from pedzoo.models.zoo.loading import load, saved_config
@@ -162,8 +162,6 @@ def _to_onnx(name: str, onnx: str, plan_name: str | None) -> dict[str, Any]:
         print(f"  {check.scenes:>3} scenes of {check.people:>3} people: {check.difference:.1e}")
     if model.walking.safety:
         print("the safety layer, which keeps steps clear of people and walls, is not in the graph")
-    if model.walking.extend_goal:
-        print(f"nearer goals are not moved out to {AHEAD_SECONDS:g} s at the desired velocity in the graph")
     for extra in files[1:]:
         print(f"{extra}  map_image and map_affine of {plan_name}")
     return {"files": files, "parity": [check._asdict() for check in result.parity]}

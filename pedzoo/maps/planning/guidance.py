@@ -7,9 +7,10 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from pedzoo.core.types import BODY_RADIUS
-from pedzoo.maps.constants import EPSILON, SPACING
+from pedzoo.maps.constants import EPSILON, LED_ON, SPACING
 from pedzoo.maps.walls import LocalWalls
 
 _PARTS = 3
@@ -17,10 +18,10 @@ _PARTS = 3
 
 
 class Guidance(NamedTuple):
-    """Carrots and desired velocities of people, in the scene's frame, metres and seconds."""
+    """Short-term goals and desired velocities of people, in the scene's frame, metres and seconds."""
 
     goal: Tensor
-    """The carrot (P, 2)."""
+    """The short-term goal (P, 2): the carrot, moved out as far as recorded people get in that time."""
     desired_velocity: Tensor
     """``pref_speed`` towards the next waypoint (P, 2)."""
     waypoint: Tensor
@@ -29,6 +30,8 @@ class Guidance(NamedTuple):
     """The goal (P, 2)."""
     distance: Tensor
     """Length of the path to the goal (P,): ``inf`` where none leads to it, 0 for people without a goal."""
+    carrot: Tensor
+    """The point of the path ahead (P, 2), or the last one before it that is in sight."""
 
 
 class Waypoints(NamedTuple):
@@ -101,7 +104,7 @@ def guidance_along(
     walls: LocalWalls | None,
     fastest: float,
 ) -> Guidance:
-    """Return the carrots and desired velocities of agents (B, A) on their paths: see `Planner.guidance`."""
+    """Return the guidance of agents (B, A) along their paths: see `Planner.guidance`."""
     home, waypoint = paths.home, paths.waypoint
     with torch.no_grad():
         way, second = waypoint - home, paths.after - waypoint
@@ -126,8 +129,21 @@ def guidance_along(
     unit = way / distance.clamp_min(EPSILON)[..., None]
     # on the waypoint the path goes on along the second segment
     unit = torch.where((length < EPSILON)[..., None], frame.turn_to_scene(beyond), unit)
-    goal = torch.where(straight, points + unit * ahead.unsqueeze(-1), carrot)
-    return Guidance(goal, unit * pref_speed.unsqueeze(-1), waypoint, point, distance + paths.onward)
+    carrot = torch.where(straight, points + unit * ahead.unsqueeze(-1), carrot)
+    goal = _moved_out(carrot, points, unit, ahead.unsqueeze(-1))
+    velocity = unit * pref_speed.unsqueeze(-1)
+    return Guidance(goal, velocity, waypoint, point, distance + paths.onward, carrot)
+
+
+def _moved_out(carrot: Tensor, points: Tensor, unit: Tensor, ahead: Tensor) -> Tensor:
+    """Return short-term goals (*E, 2) as far ``ahead`` (*E, 1), metres, as those of recorded people are.
+
+    A carrot nearer to agents at ``points`` (*E, 2) is moved out along the line to it. That line bends towards
+    the desired direction ``unit`` (*E, 2) near the carrot, so that goals do not jump as agents pass it.
+    """
+    way = carrot - points
+    lacking = ahead * unit.norm(dim=-1, keepdim=True) - way.norm(dim=-1, keepdim=True)
+    return carrot + torch.where(lacking > 0, lacking * normalize(way + LED_ON * unit, dim=-1), 0.0)
 
 
 def _seen_beyond(
@@ -160,6 +176,7 @@ def differentiable(made: Guidance, points: Tensor, pref_speed: Tensor, seconds: 
     speed, ahead = pref_speed.unsqueeze(-1), pref_speed.unsqueeze(-1) * seconds
     beyond = made.desired_velocity / speed.detach()
     unit = torch.where(there, beyond, way / length)
-    carrot = torch.where(length.detach() >= ahead.detach(), points + unit * ahead, made.goal)
+    carrot = torch.where(length.detach() >= ahead.detach(), points + unit * ahead, made.carrot)
     distance = made.distance + (length - length.detach())[..., 0]
-    return Guidance(carrot, unit * speed, made.waypoint, made.goal_point, distance)
+    goal = _moved_out(carrot, points, unit, ahead)
+    return Guidance(goal, unit * speed, made.waypoint, made.goal_point, distance, carrot)

@@ -425,14 +425,18 @@ class Planner:
         look_ahead_seconds: float,
         fastest: float,
     ) -> Guidance:
-        """Return the carrots and desired velocities of the agents of B scenes, (B, A, ...).
+        """Return the short-term goals and desired velocities of the agents of B scenes, (B, A, ...).
 
         The carrot is the point of the path that is reached in ``look_ahead_seconds`` at ``pref_speed``. Past
-        the goal the last segment is prolonged, so that people walk through it instead of braking. A carrot
-        beyond the next waypoint is moved back until the line to it keeps a body's radius from walls. A half
-        of what is beyond is kept, a quarter, or nothing. Agents without a goal, or a path to it, stay.
+        the goal the last segment is prolonged, so that people walk through it instead of braking: whoever
+        has no other goal is stopped there by the scene's rules. A carrot beyond the next waypoint is moved
+        back until the line to it keeps a body's radius from walls. A half of what is beyond is kept, a
+        quarter, or nothing. Agents without a goal, or a path to it, stay.
 
-        On accelerators nothing is read back to the host. On the CPU compiled loops answer. Carrots,
+        The short-term goal is as far ahead as people walk in that time, as ``window_end`` goals of recordings
+        are. Where the carrot is nearer, it is moved out along the line to it.
+
+        On accelerators nothing is read back to the host. On the CPU compiled loops answer. Goals, carrots,
         velocities and distances are differentiable with respect to points and speeds; waypoints are
         constants.
 
@@ -442,7 +446,7 @@ class Planner:
             row: Floor plan of each scene in the bank (B,) long, -1 for none.
             pose: Scene poses (B, 4).
             pref_speed: Metres per second (B, A).
-            look_ahead_seconds: How far ahead the carrot is.
+            look_ahead_seconds: How far ahead goals are.
             fastest: No ``pref_speed`` is above it, m/s.
         """
         if not (self.compiled and points.device.type == "cpu" and installed("numba")):
@@ -453,8 +457,8 @@ class Planner:
         from pedzoo.maps.planning.planner_numba import guide
 
         given = (points.float(), goal_id, row, pose.float(), pref_speed.float())
-        carrot, desired, waypoint, goal = (torch.empty(*goal_id.shape, 2) for _ in range(4))
-        made = Guidance(carrot, desired, waypoint, goal, torch.empty(goal_id.shape))
+        goal, desired, waypoint, point, carrot = (torch.empty(*goal_id.shape, 2) for _ in range(5))
+        made = Guidance(goal, desired, waypoint, point, torch.empty(goal_id.shape), carrot)
         written: list[Any] = [part.numpy() for part in made]
         guide(
             *(part.detach().contiguous().numpy() for part in given),

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from pedzoo.core.compiled import compiled, jit
-from pedzoo.maps.constants import EPSILON, ON_LINE, SPACING
+from pedzoo.maps.constants import EPSILON, LED_ON, ON_LINE, SPACING
 from pedzoo.maps.walls_numba import in_half_cells, quarter_at
 
 _MARGIN = int(ON_LINE * 2**40)
@@ -187,7 +187,7 @@ def _sees(home, corner, end, part, frame, place, clear):
 
 @jit
 def guide(points, goals, rows, poses, speeds, seconds, ways, memory, walls, guidance):
-    """Write every agent's carrot, desired velocity, waypoint, goal and way: see `Planner.guidance`.
+    """Write every agent's short-term goal, desired velocity, waypoint and so on: see `Planner.guidance`.
 
     Args are the arrays of agents (B, A, ...), `Ways`, `Memory`, `Walls.map_arrays`, and a `Guidance` of
     arrays.
@@ -270,8 +270,17 @@ def guide(points, goals, rows, poses, speeds, seconds, ways, memory, walls, guid
                 carrot_x, carrot_y = home[0] + unit_x * ahead, home[1] + unit_y * ahead
             else:
                 carrot_x, carrot_y = way_x + beyond_x * rest, way_y + beyond_y * rest
+            aim_x, aim_y = carrot_x, carrot_y
+            if unit_x != 0 or unit_y != 0:
+                to_x, to_y = carrot_x - home[0], carrot_y - home[1]
+                lacking = ahead - math.sqrt(to_x * to_x + to_y * to_y)
+                if lacking > 0:
+                    to_x, to_y = to_x + LED_ON * unit_x, to_y + LED_ON * unit_y
+                    lacking /= math.sqrt(to_x * to_x + to_y * to_y)
+                    aim_x, aim_y = carrot_x + lacking * to_x, carrot_y + lacking * to_y
             for out, px, py, moved in (
-                (guidance.goal, carrot_x, carrot_y, 1.0),
+                (guidance.goal, aim_x, aim_y, 1.0),
+                (guidance.carrot, carrot_x, carrot_y, 1.0),
                 (guidance.desired_velocity, unit_x * speed, unit_y * speed, 0.0),
                 (guidance.waypoint, way_x, way_y, 1.0),
                 (guidance.goal_point, goal_x, goal_y, 1.0),

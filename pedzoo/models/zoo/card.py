@@ -37,6 +37,10 @@ class Config(msgspec.Struct, forbid_unknown_fields=True):
     training: dict[str, Any] = {}
 
 
+RETIRED = ("extend_goal",)
+"""Settings of older weights that say nothing any more: they are left out as configs are read."""
+
+
 class Training(msgspec.Struct, forbid_unknown_fields=True):
     """Which run made the weights; None stands for what is not known any more.
 
@@ -87,7 +91,7 @@ class Evaluation(TypedDict):
     rows: list[Row]
 
 
-_PARTS = {"config": Config, "training": Training, "data": Data, "evaluations": list[Evaluation]}
+_PARTS = {"training": Training, "data": Data, "evaluations": list[Evaluation]}
 
 
 class ModelCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -109,6 +113,7 @@ class ModelCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     def __post_init__(self) -> None:
         """Check everything that others rely on."""
         check_plain(msgspec.structs.asdict(self))
+        check_config(self.config)
         for key, form in _PARTS.items():
             check(getattr(self, key), form, key)
         for key, (pattern, expected) in _FORMS.items():
@@ -118,6 +123,13 @@ class ModelCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         check_limit(self.size, LARGEST_WEIGHTS, "size of weights", "bytes", "is the card right?")
         if self.architecture != (its := self.config["architecture"]):
             raise UserError(f"architecture {self.architecture!r}: its config is of {its!r}")
+
+
+def check_config(config: dict[str, Any]) -> None:
+    """Leave out `RETIRED` settings of a config from a file. Raises UserError: it is no `Config`."""
+    check(config, Config, "config")
+    for key in RETIRED:
+        config["init"].pop(key, None)
 
 
 def is_name(text: str) -> bool:
@@ -180,7 +192,7 @@ def read_file(path: str | Path, tensors: bool = True) -> tuple[dict[str, Any], d
     try:
         config = json.loads(metadata["config"])
         check_plain(config)
-        check(config, Config, "config")
+        check_config(config)
     except (ValueError, RecursionError) as error:
         raise UserError(f"{what} have a pedzoo config that cannot be read: {error}") from error
     return config, state

@@ -53,11 +53,11 @@ class Controller:
     """Moves the people of another simulator: call `step` with the positions of all agents.
 
     At the calls nearest to every ``policy.decision_dt`` the policy decides, from a scene batch as the
-    environment makes it: the last 8 positions 0.4 s apart, the planner's carrot and desired velocity, radii
-    and kinds. Velocities are those of the last ``dt``, at least of 0.1 s, by the positions. In between they
-    blend as in the environment: half-way in the first 0.1 s, and the decision ends where the decided velocity
-    alone would lead. The caller moves people: walls do not stop agents here, and positions may differ from
-    where the velocities lead.
+    environment makes it: the last 8 positions 0.4 s apart, the planner's short-term goal and desired
+    velocity, radii and kinds. Velocities are those of the last ``dt``, at least of 0.1 s, by the positions.
+    In between they blend as in the environment: half-way in the first 0.1 s, and the decision ends where the
+    decided velocity alone would lead. The caller moves people: walls do not stop agents here, and positions
+    may differ from where the velocities lead.
 
     People come and go: a person not named in a call is forgotten, and is new afterwards. For new people the
     policy decides at once, and later together with all others. Their history is a straight walk to here, at

@@ -288,9 +288,9 @@ class OnlineGoals(NamedTuple):
         )
 
     def guide(self, people: Roster, position: Array) -> Guidance:
-        """Return the carrots and desired velocities (N, 2) of agents at ``position`` (N, 2).
+        """Return the short-term goals and desired velocities (N, 2) of agents at ``position`` (N, 2).
 
-        Agents that stand, and others, have their position as carrot and desire no velocity.
+        Agents that stand, and others, have their position as goal and desire no velocity.
         """
         goal_id, speed = np.where(people.walks, people.state["goal_id"], -1), people.state["pref_speed"]
         points, goal, liked = (torch.from_numpy(part).unsqueeze(0) for part in (position, goal_id, speed))

@@ -186,7 +186,7 @@ def _seen(scenes: TensorDictBase, bodies: Fleet) -> tuple[Robot, DriveState, Obs
     agents = agents_of(scenes)
     count = bodies.radius.shape[-1]
     position = cast("Tensor", agents["history"])[:, :, -1]
-    velocity, goal = (cast("Tensor", agents[name]) for name in ("velocity", "goal"))
+    velocity, carrot = cast("Tensor", agents["velocity"]), cast("Tensor", scenes["robots", "carrot"])
     radius, heading = (cast("Tensor", agents[name])[..., 0] for name in ("radius", "heading"))
     others = other_agents(cast("Tensor", agents["mask"]), count).flatten(0, 1)
 
@@ -196,7 +196,7 @@ def _seen(scenes: TensorDictBase, bodies: Fleet) -> tuple[Robot, DriveState, Obs
     def around(value: Tensor) -> Tensor:
         return value.unsqueeze(1).expand(-1, count, *value.shape[1:]).flatten(0, 1)
 
-    robot = Robot(own(position), own(velocity), own(goal), own(radius), bodies.top_speed.flatten())
+    robot = Robot(own(position), own(velocity), carrot.flatten(0, 1), own(radius), bodies.top_speed.flatten())
     # the scene batch has no turn rates; a planner's window begins at none
     speed = own((velocity * direction_of(heading)).sum(-1))
     drive = DriveState(own(heading), speed, torch.zeros_like(speed))

@@ -131,6 +131,7 @@ class RobotEnv(PedestrianEnv):
         observation["robots"] = Composite(
             observation=Composite({name: one.spec(*shape) for name, one in entries.items()}, shape=shape),
             body=make_composite_from_td(self._body),
+            carrot=specs.real(*shape, 2),
             info=Composite({name: specs.flag(*shape) for name in INFO}, shape=shape),
             shape=shape,
         )
@@ -254,6 +255,7 @@ class RobotEnv(PedestrianEnv):
             "observation": tensordict_of(seen, robots, self.device),
             "info": tensordict_of(flags, robots, self.device),
             "body": self._body,
+            "carrot": guidance.carrot[:, -self.robots :],
         }
         put(batch, {"robots": tensordict_of(group, robots, self.device)})
         return batch

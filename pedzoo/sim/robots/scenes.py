@@ -196,7 +196,7 @@ class RobotScenes(Scenario):
         row, goal = planner.map_rows(layout.map_id), torch.where(layout.mask, layout.goal, -1)
         carrot = planner.guidance(
             layout.start, goal, row, pose, ahead.clamp_min(0.01), WARM_SECONDS, prepared.fastest
-        ).goal
+        ).carrot
         return torch.cat((layout.start[:, :people], carrot[:, people:].to(layout.start)), 1)
 
 

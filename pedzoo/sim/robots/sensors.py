@@ -137,7 +137,7 @@ class Goal(Sensor):
     """The goal, and the way to it, in the robot's own frame.
 
     ``goal`` and ``waypoint`` (B, R, 2), and ``remaining_path`` (B, R, 1), metres. The waypoint is the
-    planner's short-term goal: a point ahead on the way around walls, in sight.
+    planner's carrot: a point ahead on the way around walls, in sight.
     """
 
     readings: Mapping[str, Reading] = {
@@ -149,7 +149,7 @@ class Goal(Sensor):
         """See `Sensor.read`."""
         return {
             "goal": view.own_places(view.robot(view.state.goal_point)),
-            "waypoint": view.own_places(view.robot(view.guidance.goal)),
+            "waypoint": view.own_places(view.robot(view.guidance.carrot)),
             "remaining_path": view.robot(view.state.remaining_path).unsqueeze(-1),
         }
 

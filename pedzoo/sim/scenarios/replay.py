@@ -276,4 +276,4 @@ def _still(state: State) -> Guidance:
     """Return goals where people are, so that all stand."""
     position = state.position
     still, remaining_path = torch.zeros_like(position), torch.zeros_like(state.remaining_path)
-    return Guidance(position, still, position, state.goal_point, remaining_path)
+    return Guidance(position, still, position, state.goal_point, remaining_path, position)

@@ -101,7 +101,8 @@ def _straight(state: State) -> Guidance:
     way = goal - position
     distance = way.square().sum(-1).clamp_min(_NEAR**2).sqrt()
     ahead = way / distance.unsqueeze(-1) * state.pref_speed.unsqueeze(-1)
-    return Guidance(position + ahead * AHEAD_SECONDS, ahead, goal, goal, distance)
+    carrot = position + ahead * AHEAD_SECONDS
+    return Guidance(carrot, ahead, goal, goal, distance, carrot)
 
 
 def recorded(batch: TensorDict, steps: int) -> Unrolled:
