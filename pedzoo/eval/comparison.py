@@ -62,8 +62,8 @@ class Comparison:
             deterministic: Models walk with noise zero.
             metrics: Metrics of your own, as ``path/to/file.py:f``, beside the shipped ones.
             keep_episodes: So many episodes keep their positions in the report, for ``pedzoo report``.
-            settings: Of `pedzoo.make_env`: ``warm_start``, ``clearance``, ``device``, ``deadline``; None for
-                its own. A ``decision_dt`` that is not the policies' own is refused.
+            settings: Of `pedzoo.make_env`: ``warm_start``, ``clearance``, ``planner``, ``device``,
+                ``deadline``; None for its own. A ``decision_dt`` that is not the policies' own is refused.
         """
         named(metrics)
         if keep_episodes < 0:
@@ -71,7 +71,7 @@ class Comparison:
         self.refusal: UserError | None = None
         self.walked: list[PolicyRollout] = []
         self._metrics, self._kept, self._seed = metrics, keep_episodes, seed
-        usual = {"warm_start": "orca", "clearance": CLEARANCE, "device": "cpu"}
+        usual = {"warm_start": "orca", "clearance": CLEARANCE, "planner": "shortest", "device": "cpu"}
         settings = usual | {key: value for key, value in settings.items() if value is not None}
         self._prepared: dict[str, tuple[Policy | Walker, PedestrianEnv]] = {}
         made: Scenario | PreparedScenario = make_scenario(scenario)

@@ -16,6 +16,7 @@ from pedzoo.eval.parallel import Backend, finished
 from pedzoo.eval.results import SuiteColumns, summary
 from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite, WorkUnit
 from pedzoo.eval.work_units import Journal, Progress, ProgressReport, Rows, digest, work
+from pedzoo.maps.planning.astar import planner_class
 from pedzoo.metrics.closed_loop import NAMES, named
 from pedzoo.sim.make import physics_class
 from pedzoo.sim.scenario import check_deadline
@@ -23,7 +24,7 @@ from pedzoo.sim.scenario import check_deadline
 SUITE_NAMES = ("door", "goals", "encounters", "replay")
 """What is evaluated unless something else is asked for."""
 
-_IF_GIVEN = ("people", "robot", "own", "keep_episodes", "clearance", "deadline")
+_IF_GIVEN = ("people", "robot", "own", "keep_episodes", "clearance", "planner", "deadline")
 """Options that a protocol names only where they are given."""
 
 _LISTS = ("maps", "metrics", "folds", "people")
@@ -114,6 +115,8 @@ class Evaluation:
                 physics_class(case.physics).check()
                 if options.clearance is not None:
                     case = case._replace(clearance=options.clearance)
+                if options.planner is not None:
+                    case = case._replace(planner=options.planner)
                 if suite.warm_start != "recorded":  # people of recordings have the time that they took there
                     case = case._replace(deadline=options.deadline)
                 units = suite.units(case, self._policies, self._seeds, deterministic)
@@ -234,10 +237,14 @@ def _checked(options: EvaluationOptions, suites: Sequence[Suite]) -> EvaluationO
     if any("robot" in suite.accepted_options for suite in suites):
         if options.clearance is not None:
             raise UserError("clearance: ways beside robots keep that of the bodies: leave it or robots out")
+        if options.planner is not None:
+            raise UserError("planner: ways beside robots are the shortest: leave it or robots out")
         if options.deadline is not None:
             raise UserError("deadline: robots have their own times: leave it or robots out")
     if options.clearance is not None and options.clearance < 0:
         raise UserError(f"clearance {options.clearance}: expected at least 0 m")
+    if options.planner is not None:
+        planner_class(options.planner)
     if options.deadline is not None:
         check_deadline(options.deadline)
     for key in ("episodes", "maps", "rollouts", "folds", "people", "robot", "own"):

@@ -57,6 +57,7 @@ class EvaluationOptions(NamedTuple):
         own: Recordings of one's own, which ``replay`` walks instead of folds.
         keep_episodes: So many episodes of every row keep their positions, for ``pedzoo report``.
         clearance: Metres that planned ways keep from walls; None for the suites' own. Not of robots.
+        planner: ``shortest`` or ``astar``, see `pedzoo.make_env`; None for the suites' own. Not of robots.
         deadline: Seconds that people have for every goal; by default four times as many as their way takes
             freely, at least 20. Not of robots and recordings.
     """
@@ -75,6 +76,7 @@ class EvaluationOptions(NamedTuple):
     own: OwnRecordings | None = None
     keep_episodes: int = 0
     clearance: float | None = None
+    planner: str | None = None
     deadline: float | None = None
 
     def number(self, usual: int) -> int:
@@ -83,7 +85,7 @@ class EvaluationOptions(NamedTuple):
 
 
 class EvaluationCase(NamedTuple):
-    """Scenes that policies are compared on; ``physics``, ``clearance``, ``deadline`` as of the options.
+    """Scenes that policies are compared on; what the options have, too, is as there.
 
     Attributes:
         suite: Its name.
@@ -112,6 +114,7 @@ class EvaluationCase(NamedTuple):
     people: str = ""
     robot: str = ""
     clearance: float = CLEARANCE
+    planner: str = "shortest"
     deadline: float | None = None
 
 
@@ -217,7 +220,7 @@ class Suite(ABC):
         Episodes of all seeds count as one sample; ``per_agent`` says which seed each was of.
         """
         case = unit.case
-        scenario = prepared(case.scenario, case.inputs, case.clearance)
+        scenario = prepared(case.scenario, case.inputs, case.clearance, case.planner)
         parts = list(walk_unit(unit, scenario, unit.seeds, case.episodes, tell))
         rollout = joined(parts)
         result = row(unit.policy, rollout, self.more(rollout), unit.metrics)
@@ -232,18 +235,20 @@ def with_seeds(row: dict[str, Any], seeds: Sequence[int], episodes: int) -> None
         one["seed"] = seeds[seed]
 
 
-def prepared(name: str | Spec, inputs: str = "", clearance: float = CLEARANCE) -> PreparedScenario:
+def prepared(
+    name: str | Spec, inputs: str = "", clearance: float = CLEARANCE, planner: str = "shortest"
+) -> PreparedScenario:
     """Return the prepared scenario of a name with settings; errors as of `pedzoo.make_env`.
 
     One that was made before is returned again, unless ``inputs``, the digest of the files that it reads, has
     changed. A new one takes the ways of another one on the same floor plans.
     """
-    key = repr(name), inputs, clearance
+    key = repr(name), inputs, clearance, planner
     if (result := _kept.pop(key, None)) is None:
         made = make_scenario(name)
-        alike = (kept for kept in _kept.values() if kept.planner.clearance == clearance)
+        alike = (kept for (*_, room, kind), kept in _kept.items() if (room, kind) == (clearance, planner))
         adapted = next(filter(None, map(made.adapted, alike)), None)
-        result = adapted or prepare_scenario(made, clearance)
+        result = adapted or prepare_scenario(made, clearance, planner)
     _kept[key] = result  # the latest is the last
     if len(_kept) > 6:  # more than the cases that share a floor plan
         del _kept[next(iter(_kept))]
@@ -255,7 +260,8 @@ def walk_unit(
 ) -> Iterator[Rollout]:
     """Yield the ``episodes`` of every seed in parts: large crowds do not fit into memory at once."""
     case, still = unit.case, unit.deterministic
-    where = {"device": unit.device, "clearance": case.clearance, "deadline": case.deadline}
+    where = {"device": unit.device, "deadline": case.deadline}
+    where |= {"clearance": case.clearance, "planner": case.planner}
     for number, seed in enumerate(seeds):
 
         def progress(name: str, done: int, total: int, number: int = number) -> None:

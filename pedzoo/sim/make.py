@@ -1,6 +1,7 @@
 """Environments and scenarios by name, and scenarios in files."""
 
 import os
+from copy import copy
 from typing import Any
 
 from pedzoo.core.errors import UserError, installed, known_arguments, unknown
@@ -10,6 +11,8 @@ from pedzoo.core.size_limits import load_yaml, read_mapping
 from pedzoo.core.spec import Spec, SpecText, build, parse, unquoted
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.bank import MapBank
+from pedzoo.maps.planning.astar import planner_class
+from pedzoo.maps.planning.planner import Planner
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.physics._base import Physics
 from pedzoo.sim.scenario import PreparedScenario, Scenario
@@ -29,6 +32,7 @@ def make_env(
     num_envs: int = 1,
     physics: str = "compiled",
     clearance: float = CLEARANCE,
+    planner: str = Planner.name,
     **settings: Any,
 ) -> PedestrianEnv:
     """Return the environment of a scenario.
@@ -36,11 +40,12 @@ def make_env(
     Args:
         scenario: Its name with settings (``goals:map=office.yaml,people=5,goals=3``), ``mine.yaml``,
             ``file.py:Class`` with settings, ``Spec("goals", {"map": path})``, an instance, or what
-            its `prepare` returned, which environments of the same clearance may share.
+            its `prepare` returned, which environments of the same clearance and planner may share.
         num_envs: Scenes that are run at once.
         physics: ``compiled``, ``torch`` (differentiable alike, on any device), ``bullet`` (pybullet) or
             ``file.py:Class``, with settings.
         clearance: Metres that planned ways keep from walls.
+        planner: ``shortest`` paths, or those of ``astar`` on the grid of open cells, as in iGibson.
         settings: More of `PedestrianEnv`: ``seed``, ``decision_dt``, ``warm_start``, ``first_episode``,
             ``stride``, ``body_radius``, ``device``, and ``deadline``, seconds that people have for every
             goal. By default these are four times as many as their way takes freely, at least 20, and in
@@ -49,7 +54,7 @@ def make_env(
     Raises:
         UserError: An unknown name or setting, or a scene that cannot be.
     """
-    prepared = prepare_scenario(scenario, clearance)
+    prepared = prepare_scenario(scenario, clearance, planner)
     body_radius = settings.setdefault("body_radius", BODY_RADIUS)
     return PedestrianEnv(prepared, make_physics(physics, prepared.bank, body_radius), num_envs, **settings)
 
@@ -94,18 +99,25 @@ def make_scenario(scenario: str | Spec | Scenario) -> Scenario:
 
 
 def prepare_scenario(
-    scenario: str | Spec | Scenario | PreparedScenario, clearance: float = CLEARANCE
+    scenario: str | Spec | Scenario | PreparedScenario,
+    clearance: float = CLEARANCE,
+    planner: str = Planner.name,
 ) -> PreparedScenario:
-    """Return a scenario with its floor plans and ways; one that has them with this clearance is returned.
+    """Return a scenario with its floor plans and ways; one that has the asked for is returned.
 
     Raises:
-        UserError: As of `make_scenario`, a scene that cannot be, or a `prepare` that returns something else.
+        UserError: As of `make_scenario`, an unknown planner, a scene that cannot be, or a `prepare` that
+            returns something else.
     """
+    planner_class(planner)
     if isinstance(scenario, PreparedScenario):
-        if scenario.planner.clearance == clearance:
+        if (scenario.planner.clearance, scenario.planner.name) == (clearance, planner):
             return scenario
         scenario = scenario.scenario
     made = make_scenario(scenario)
+    if made.planner != planner:
+        made = copy(made)
+        made.planner = planner
     prepared = made.prepare(clearance)
     if not isinstance(prepared, PreparedScenario):
         raise UserError(

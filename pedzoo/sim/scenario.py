@@ -19,6 +19,7 @@ from pedzoo.core.size_limits import MOST_PEOPLE
 from pedzoo.core.types import AHEAD_SECONDS, GOAL_RADIUS, STEP_SECONDS, TOP_SPEED_RATIO
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
+from pedzoo.maps.planning.astar import planner_class
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.maps.planning.planner import Planner
 from pedzoo.sim.script import Script
@@ -116,12 +117,14 @@ class Scenario(ABC):
         meet: Seconds after the warm start at which people meet who walk from the start on; None where they
             need not. A robot, which stands in the warm start, then starts as far ahead.
         unknown: Meaning of unknown cells of the floor plans.
+        planner: Finds paths on them: one of `pedzoo.maps.planning.astar.PLANNERS`.
         place_of_robot: Settings by which one robot takes the place of one person, each with its values, the
             usual one first; empty where robots are more people than ``people`` says.
     """
 
     place_of_robot: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     unknown: Unknown = "wall"
+    planner: str = Planner.name
     finished: Literal["leave", "continue", "stand"] = "leave"
     wheels: bool = False
     begun: bool = False
@@ -206,7 +209,7 @@ class Scenario(ABC):
 
     def prepare(self, clearance: float) -> PreparedScenario:
         """Return the scenario with floor plans, and with ways to all goals, ``clearance`` m from walls."""
-        planner = Planner(MapBank(self.plans(), self.unknown), clearance)
+        planner = planner_class(self.planner)(MapBank(self.plans(), self.unknown), clearance)
         return PreparedScenario(scenario=self, planner=planner)
 
     def speeds(self, draws: Draws) -> Tensor:

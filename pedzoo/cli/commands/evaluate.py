@@ -44,6 +44,7 @@ def evaluate(
     robot: str | None = None,
     keep_episodes: int = 0,
     clearance: float | None = None,
+    planner: Literal["shortest", "astar"] | None = None,
     deadline: float | None = None,
     backend: Literal["processes", "ray"] = "processes",
     resume: str | None = None,
@@ -79,6 +80,7 @@ def evaluate(
         robot: The body of robots, ``diff_drive:radius=0.35``.
         keep_episodes: So many episodes of every row keep their positions, for ``pedzoo report``.
         clearance: Metres that planned ways keep from walls; by default the suites' own. Not of robots.
+        planner: Ways that are as short as can be, or those of A* on the grid of open cells. Not of robots.
         deadline: Seconds that people have for every goal; by default four times as many as their way takes
             freely, at least 20. Not of robots and recordings.
         backend: What the workers are: ``processes`` of this machine, or ``ray``.
@@ -123,7 +125,8 @@ def evaluate(
         raise UserError("--data.dt, --data.map, --data.homography: of --data.files; folds have their own")
     settings: dict[str, Any] = {"episodes": episodes, "quick": quick, "physics": physics, "robot": robot}
     settings |= {"rollouts": rollouts, "device": device, "keep_episodes": keep_episodes, "root": data_root}
-    settings |= {"clearance": clearance, "deadline": deadline, "own": own if own.files else None}
+    settings |= {"clearance": clearance, "planner": planner, "deadline": deadline}
+    settings |= {"own": own if own.files else None}
     lists = {"maps": maps, "metrics": metrics, "folds": data_fold, "people": split_names(people)}
     settings |= {key: tuple(value or ()) for key, value in lists.items()}
     numbers, options = whole_numbers("--seeds", seeds), EvaluationOptions(**settings)

@@ -20,6 +20,7 @@ def rollout(
     deterministic: bool = False,
     warm_start: Literal["orca", "static", "recorded"] = "orca",
     clearance: float = 0.25,
+    planner: Literal["shortest", "astar"] = "shortest",
     decision_dt: float | None = None,
     device: str = "cpu",
     keep_episodes: int = 0,
@@ -48,6 +49,7 @@ def rollout(
         deterministic: Models walk with noise zero.
         warm_start: The first 2.8 s, which are not counted.
         clearance: Metres that planned ways keep from walls.
+        planner: Ways that are as short as can be, or those of A* on the grid of open cells.
         decision_dt: Seconds; refused unless it is the policies' own.
         device: Where scenes and models are, such as ``cuda``.
         keep_episodes: So many episodes keep their positions in the report, for ``pedzoo report``.
@@ -77,6 +79,7 @@ def rollout(
         raise UserError(f"--video_seconds {video_seconds}: expected a number > 0")
     walking = {"physics": physics, "episodes": episodes, "seed": seed, "deterministic": deterministic}
     walking |= {"warm_start": warm_start, "clearance": clearance, "decision_dt": decision_dt}
+    walking |= {"planner": planner}
     walking |= {"device": device, "keep_episodes": keep_episodes, "deadline": deadline, "metrics": metrics}
     with Comparison(policies, scenario, **walking) as comparison:
 

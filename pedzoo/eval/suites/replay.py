@@ -141,7 +141,7 @@ class Replay(Suite):
     def rows(self, unit: WorkUnit, tell: ShareDone | None = None) -> list[dict[str, Any]]:
         """Walk one unit; policies without noise walk once."""
         case = unit.case
-        scenario = cast(PreparedReplay, prepared(case.scenario, case.inputs, case.clearance))
+        scenario = cast(PreparedReplay, prepared(case.scenario, case.inputs, case.clearance, case.planner))
         if unit.walks == REAL:
             rows = reference_rows(scenario, unit.metrics)
             if unit.keep_episodes:

@@ -8,7 +8,7 @@ most promising are looked at. Another way of planning is another class with `Pla
 from __future__ import annotations
 
 import copy
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -80,7 +80,7 @@ class Ways(NamedTuple):
     onward: Any
     """The next corner on the way there, int32, -1 for the goal itself."""
     first: Any
-    """Where paths from open cells bend first, int32; only on accelerators."""
+    """Where paths from open cells bend first, int32; `AStarPlanner` has it, and accelerators."""
 
     def cell(self, home: Tensor, row: Tensor) -> Tensor:
         """Return the open cells of positions (2, P) on maps ``row`` (P,), -1 for none."""
@@ -162,9 +162,12 @@ class Planner:
         snap: Metres that a goal may be moved to the nearest open cell.
         cell: Metres to which finer cells are joined for the search.
         origin: Of the maps' frame in the caller's (2,), metres: messages name places in the caller's.
+        name: What options call this kind of planner.
         compiled: Whether compiled loops are used on the CPU.
     """
 
+    name: ClassVar[str] = "shortest"
+    searched: ClassVar[type] = CornerGraph
     compiled = True
 
     def __init__(
@@ -218,7 +221,7 @@ class Planner:
         """Return the corners of the bank's map ``row``."""
         if row not in self._corners:
             grid = self.bank.grids[row].coarser(self.cell)
-            self._corners[row] = CornerGraph(OpenGraph(grid, self.bank.unknown, self.clearance))
+            self._corners[row] = self.searched(OpenGraph(grid, self.bank.unknown, self.clearance))
         return self._corners[row]
 
     def add_goals(self, row: int, points: ArrayLike | Tensor) -> Tensor:
@@ -353,7 +356,7 @@ class Planner:
         if device in self._copies and self._copies[device][0] is ways:
             return self._copies[device][1]
         everything = ways
-        if device.type != "cpu":
+        if device.type != "cpu" and len(ways.first) == 1:
             firsts, goal, used = [ways.first], ways.goal.copy(), 1
             for number, row in enumerate(goal.row for goal in self._goals):
                 if row >= 0:

@@ -100,6 +100,8 @@ def _first_corner(ways, memory, cell, goal, on_map):
         return -1
     if number != on_map:
         return -2
+    if len(ways.first) > 1:
+        return ways.first[ways.goal[3, goal + 1] + cell]
     x, y, to_x, to_y = ways.place[0, cell], ways.place[1, cell], ways.place[0, at], ways.place[1, at]
     _, first_cell, _, cells, begin, count = ways.begin[:, number]
     width, metre, offset = ways.begin[0, number], ways.metre[number], ways.goal[2, goal + 1]

@@ -21,8 +21,8 @@ from pedzoo.core.randomness import Draws
 from pedzoo.core.types import AHEAD_SECONDS, OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
+from pedzoo.maps.planning.astar import planner_class
 from pedzoo.maps.planning.guidance import Guidance
-from pedzoo.maps.planning.planner import Planner
 from pedzoo.maps.plans import load_plan
 from pedzoo.policies.controller.arguments import (
     PREF_SPEED,
@@ -85,6 +85,7 @@ class Controller:
         seed: int = 0,
         deterministic: bool = False,
         clearance: float = 0.25,
+        planner: str = "shortest",
         unknown: Unknown = "wall",
     ) -> None:
         """Take a policy and the floor plan that people walk on.
@@ -99,6 +100,7 @@ class Controller:
             seed: Of the noise: that of the environment's first scene of this seed, for ids 0, 1, ...
             deterministic: Without noise.
             clearance: Metres that paths keep from walls.
+            planner: ``shortest`` paths, or those of ``astar`` on the grid of open cells.
             unknown: Meaning of unknown cells of the floor plan.
 
         Raises:
@@ -122,10 +124,10 @@ class Controller:
         bank = MapBank([] if grid is None else [grid], unknown)
         self.policy, self.dt = policy, clock.dt
         self.pref_speed, self.deterministic = pref_speed, deterministic
-        planner = Planner(bank, clearance, origin=origin)
+        ways = planner_class(planner)(bank, clearance, origin=origin)
         if bank.grids:  # at the first step they would come too late
-            _ = planner.corners(0).matrix, bank.walls
-        self._online_goals = OnlineGoals(planner, origin, set())
+            _ = ways.corners(0).matrix, bank.walls
+        self._online_goals = OnlineGoals(ways, origin, set())
         self._warned = False
         # with one call per decision there is nothing to blend
         blends = policy.decision_dt > 1.5 * clock.dt

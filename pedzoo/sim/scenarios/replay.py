@@ -18,6 +18,7 @@ from pedzoo.data.own_files import OwnFiles
 from pedzoo.data.recordings import OpenFold, Scene, find_fold, open_fold
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
+from pedzoo.maps.planning.astar import planner_class
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.maps.planning.planner import Planner
 from pedzoo.maps.plans import load_plan
@@ -129,7 +130,7 @@ class Replay(Scenario):
         # steps of 0.4 s from 0 on; a track with a hole goes on as another person's
         tracks = [scene.tracks.resampled(STEP_SECONDS) for scene in recorded]
         bank = MapBank([scene.grid for scene in recorded if scene.grid is not None], self.unknown)
-        planner = Planner(bank, clearance, cell=CELL)
+        planner = planner_class(self.planner)(bank, clearance, cell=CELL)
         map_id = torch.tensor([scene.grid.map_id if scene.grid else -1 for scene in recorded])
         people, xy = people_of(tracks, bank.index(map_id).tolist(), planner, **self._options)
         if not people.controlled.any():
