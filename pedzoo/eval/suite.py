@@ -18,7 +18,7 @@ from pedzoo.sim.scenario import PreparedScenario
 QUICK = 10
 """A quick run has one in so many episodes."""
 
-_kept: dict[tuple[str, str, float], PreparedScenario] = {}
+_kept: dict[tuple[str, str, float, str], PreparedScenario] = {}
 
 
 class OwnRecordings(NamedTuple):
@@ -99,6 +99,7 @@ class EvaluationCase(NamedTuple):
         shares: Names what takes time to prepare and serves several cases, such as the ways on a floor plan.
         people: Policy of people beside a robot; empty where there is none, or people are played back.
         robot: The robot's body; empty where there is none.
+        warm_start: As of `pedzoo.make_env`; usually the suite's.
     """
 
     suite: str
@@ -116,6 +117,7 @@ class EvaluationCase(NamedTuple):
     clearance: float = CLEARANCE
     planner: str = "shortest"
     deadline: float | None = None
+    warm_start: str = "orca"
 
 
 class WorkUnit(NamedTuple):
@@ -194,6 +196,7 @@ class Suite(ABC):
     ) -> EvaluationCase:
         """Return a case of this suite with the physics and number of episodes of ``options``, else these."""
         physics, episodes = options.physics or physics, options.number(episodes)
+        more = {"warm_start": self.warm_start} | more
         return EvaluationCase(self.name, name, scenario, physics, episodes, case, **more)
 
     def check(self, policy: str) -> None:
@@ -261,7 +264,7 @@ def walk_unit(
     """Yield the ``episodes`` of every seed in parts: large crowds do not fit into memory at once."""
     case, still = unit.case, unit.deterministic
     where = {"device": unit.device, "deadline": case.deadline}
-    where |= {"clearance": case.clearance, "planner": case.planner}
+    where |= {"clearance": case.clearance, "planner": case.planner, "warm_start": case.warm_start}
     for number, seed in enumerate(seeds):
 
         def progress(name: str, done: int, total: int, number: int = number) -> None:

@@ -74,7 +74,8 @@ class PedestrianEnv(EnvBase):
             seed: Of all scenes; scene i of a seed is the same however many are run at once. None: 0, and in
                 processes that Python has started, such as a collector's workers, the number of the process.
             decision_dt: Seconds between two decisions, a multiple of 0.1.
-            warm_start: Where the first 8 observed steps come from.
+            warm_start: Where the first 8 observed steps come from: ``orca``, ``igibson`` (its ORCA, in this
+                physics), ``static``, or ``recorded``.
             first_episode: Number of the first scene.
             stride: A scene that ends is followed by the one this many numbers on: ``num_envs`` by default,
                 and ``num_envs`` times the number of workers where several share a seed.

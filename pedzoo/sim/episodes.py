@@ -24,10 +24,15 @@ from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.sim.scenario import MIN_INITIAL_PATH, Layout, PreparedScenario, Rules, deadline, filled, planned
 from pedzoo.sim.state import PAST_LEN, TRACE_PER_STEP, State
 
-WarmStart = Literal["orca", "static", "recorded"]
+WarmStart = Literal["orca", "igibson", "static", "recorded"]
+"""``igibson``: its own ORCA, 10 times a second and in the physics of the scenes; the others begin alike in
+all backends. It sees no walls, keeps 1 m between people, and walks no faster than they like to."""
 
-ORCA = OrcaSettings(radius=0.2, dt=STEP_SECONDS, max_obstacles=8)
-"""How people walk in the warm start: the same for every row of a table and every policy."""
+WALKS = {
+    "orca": OrcaSettings(radius=0.2, dt=STEP_SECONDS, max_obstacles=8),
+    "igibson": OrcaSettings(preset="igibson", dt=TRACE_SECONDS, walls=False),
+}
+"""How people walk in a warm start: the same for every row of a table and every policy."""
 
 TRIES = 8
 """Most draws of a goal for a person who begins near one."""
@@ -49,8 +54,8 @@ class Episodes:
     ) -> None:
         """Take a prepared scenario, and what says how its scenes begin.
 
-        ``physics`` says how wide bodies are where nothing else does. Scenes are laid out on the CPU, alike
-        for every ``device``, and then are there.
+        ``physics`` says how wide bodies are where nothing else does, and moves them in iGibson's warm start.
+        Scenes are laid out on the CPU, alike for every ``device``, and then are there.
 
         Raises:
             UserError: There is no such warm start.
@@ -59,8 +64,8 @@ class Episodes:
             raise unknown("warm_start", warm_start, get_args(WarmStart))
         self._prepared, self._warm_start = prepared, warm_start
         self._rules, self._device = rules, torch.device(device)
-        # episodes begin alike in all backends
-        self._physics = Compiled(prepared.bank, physics.body_radius)
+        alike = Compiled(prepared.bank, physics.body_radius)
+        self._physics = physics if warm_start == "igibson" else alike
 
     @torch.no_grad()
     def begin(self, draws: Draws) -> State:
@@ -84,8 +89,8 @@ class Episodes:
             for value in (layout.velocity, layout.deadline, layout.heading)
         )
         taken = state.controlled
-        if not begun and self._warm_start == "orca":
-            state = self._rolled(state)
+        if not begun and self._warm_start in WALKS:
+            state = self._rolled(state, WALKS[self._warm_start])
         guidance = rules.guidance(state)
         for _ in range(0 if begun else TRIES):  # goals that are too near are redrawn
             walks = state.mask & (state.stands <= 0) & (state.goal_id >= 0) & (state.next_goal >= 0)
@@ -161,15 +166,14 @@ class Episodes:
             goals.append(goal.view(scenes, agents))
         return torch.where((first >= 0).unsqueeze(2), torch.stack(goals, 2), -1)
 
-    def _rolled(self, state: State) -> State:
-        """Return the state after 7 steps with ORCA of people who begin to walk; reached goals are renewed.
+    def _rolled(self, state: State, orca: OrcaSettings) -> State:
+        """Return the state after 7 steps of 0.4 s with ORCA of people who begin to walk; goals are renewed.
 
         Robots, agents with wheels and agents that stand or wait where they start stay in place. The time
         of standing starts afterwards.
         """
-        rules = replace(
-            self._rules, ticks=TRACE_PER_STEP, leave=False, keep_goal=True, script=None, waits=None
-        )
+        ticks = round(orca.dt / TRACE_SECONDS)
+        rules = replace(self._rules, ticks=ticks, leave=False, keep_goal=True, script=None, waits=None)
         agents, controlled, stands = state.mask.shape[1], state.controlled, state.stands
         walks = controlled & (stands <= 0) & (state.drive == HOLONOMIC) & (state.kind != ROBOT)
         state = state._replace(controlled=walks, stands=torch.zeros_like(stands))
@@ -177,19 +181,20 @@ class Episodes:
         guidance = rules.guidance(state)
         # people are on their way already
         velocity = torch.where(walks.unsqueeze(2), guidance.desired_velocity, 0.0)
-        state, top_speed = state._replace(velocity=velocity, goal_point=guidance.goal_point), state.top_speed
-        radius = ORCA.radii(state.radius, state.kind == ROBOT, state.controlled)
-        for _ in range(OBS_LEN - 1):
-            reach = ORCA.wall_reach(top_speed, radius).flatten()
-            place = state.position.flatten(0, 1)
-            near = self._prepared.bank.segments_near(place, map_id, poses, reach, ORCA.max_obstacles)
+        state = state._replace(velocity=velocity, goal_point=guidance.goal_point)
+        top_speed = state.top_speed.minimum(orca.top_speed_ratio * state.pref_speed)
+        radius, near = orca.radii(state.radius, state.kind == ROBOT, state.controlled), None
+        for _ in range((OBS_LEN - 1) * TRACE_PER_STEP // ticks):
+            if orca.walls:
+                reach, place = orca.wall_reach(top_speed, radius).flatten(), state.position.flatten(0, 1)
+                near = self._prepared.bank.segments_near(place, map_id, poses, reach, orca.max_obstacles)
             wanted = torch.where(walks.unsqueeze(2), guidance.desired_velocity, 0.0)
             action = orca_velocity(
-                state.position, state.velocity, wanted, top_speed, state.mask, ORCA, near, None, radius
+                state.position, state.velocity, wanted, top_speed, state.mask, orca, near, None, radius
             )
             before = state.position
             state, guidance, _ = kernel.step(state, action, self._physics, rules)
-            state = state._replace(velocity=(state.position - before) / STEP_SECONDS)
+            state = state._replace(velocity=(state.position - before) / orca.dt)
         return state._replace(controlled=controlled, stands=stands)
 
     def _check(self, layout: Layout) -> None:

@@ -141,7 +141,7 @@ def test_command_prints_what_it_writes(tmp_path: Path, capsys: pytest.CaptureFix
     report = json.loads(file.read_text())
     assert report["command"] == "rollout" and report["seeds"] == [2] and "torch" in report["versions"]
     where = {"scenario": "door", "physics": "compiled", "episodes": 3}
-    how = {"noise": "none", "device": "cpu", "warm_start": "static", "clearance": 0.25}
+    how = {"noise": "none", "device": "cpu", "warm_start": "static", "clearance": 0.25, "planner": "shortest"}
     assert report["protocol"] == where | how
     assert [result["name"] for result in report["rows"]] == policies
     shown = [cell.strip() for line in printed.splitlines() for cell in line.split("│")]

@@ -22,8 +22,10 @@ from pedzoo.policies.rule_based.go_to_goal import GoToGoal
 from pedzoo.sim import kernel
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env, prepare_scenario
-from pedzoo.sim.scenario import Layout, PreparedScenario
+from pedzoo.sim.physics.compiled import Compiled
+from pedzoo.sim.scenario import Layout, PreparedScenario, Rules
 from pedzoo.sim.scenarios.door import BEFORE, Door
+from pedzoo.sim.state import Decision, State
 
 SCENES = ("door", "goals:people=[2,4],goals=2,pool=6")
 
@@ -272,6 +274,49 @@ def test_the_warm_start_leads_to_the_first_goal() -> None:
     assert torch.equal(rolled.state.goal_index > 0, ~same)
     came = rolled.state.past[~same][:, -1] - still.state.goal_point[~same]
     assert (came.norm(dim=-1) < 2).all()
+
+
+class Counting(Compiled):
+    """Counts the decisions of 0.1 s and of 0.4 s that it is asked for."""
+
+    def decide(self, state: State, commands: Tensor, rules: Rules) -> Decision | None:
+        """Count this one."""
+        asked.append(rules.ticks)
+        return super().decide(state, commands, rules)
+
+
+asked: list[int] = []
+
+
+def test_the_warm_start_of_igibson_is_in_the_physics_of_the_scenes_at_10_hz() -> None:
+    prepared = prepare_scenario("circle:people=4")
+    cases: list[tuple[Any, list[int]]] = [("igibson", [1] * 28), ("orca", []), ("static", [])]
+    for kind, expected in cases:
+        asked.clear()
+        PedestrianEnv(prepared, Counting(prepared.bank), warm_start=kind).reset()
+        assert asked == expected
+
+
+@pytest.mark.parametrize("physics", ["compiled", "torch", "bullet"])
+def test_the_warm_start_of_igibson_keeps_people_a_metre_apart(physics: str) -> None:
+    """As its ORCA does. Nobody is faster than they like to be, and alone they walk just as they like."""
+    if physics == "bullet":
+        pytest.importorskip("pybullet")
+
+    def starts(scenario: str, kind: Any) -> tuple[Tensor, Tensor]:
+        env = make_env(scenario, 6, physics, warm_start=kind, seed=2)
+        env.reset()
+        return env.state.past, env.state.pref_speed
+
+    least = {}
+    for kind in ("igibson", "orca"):
+        past, speed = starts("goals:map=flat,people=4,pool=8", kind)
+        apart = (past.unsqueeze(2) - past.unsqueeze(1)).norm(dim=-1)
+        least[kind] = float(apart[:, *torch.triu_indices(4, 4, 1)].min())
+    assert least["igibson"] > 0.99 > least["orca"]
+    past, speed = starts("door:people=1", "igibson")
+    steps = past.diff(dim=2).norm(dim=-1)
+    torch.testing.assert_close(steps, (0.1 * speed).unsqueeze(2).expand_as(steps), atol=2e-3, rtol=0)
 
 
 def test_recorded_warm_start() -> None:

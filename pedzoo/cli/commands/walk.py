@@ -18,7 +18,7 @@ def rollout(
     episodes: int = 20,
     seed: int = 0,
     deterministic: bool = False,
-    warm_start: Literal["orca", "static", "recorded"] = "orca",
+    warm_start: Literal["orca", "igibson", "static", "recorded"] = "orca",
     clearance: float = 0.25,
     planner: Literal["shortest", "astar"] = "shortest",
     decision_dt: float | None = None,
@@ -47,7 +47,7 @@ def rollout(
         episodes: Scenes per policy.
         seed: Of the scenes, the same for all policies.
         deterministic: Models walk with noise zero.
-        warm_start: The first 2.8 s, which are not counted.
+        warm_start: The first 2.8 s, which are not counted: ``igibson`` is its ORCA, in the physics asked for.
         clearance: Metres that planned ways keep from walls.
         planner: Ways that are as short as can be, or those of A* on the grid of open cells.
         decision_dt: Seconds; refused unless it is the policies' own.
