@@ -1,7 +1,8 @@
-"""The machine: its devices by name, and the versions of installed packages."""
+"""The machine: its devices by name, its usual physics, and the versions of installed packages."""
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from contextlib import suppress
@@ -49,6 +50,16 @@ def usable(device: torch.device | str) -> torch.device:
             f"device {str(device)!r} cannot be used here ({reason}): expected cpu, cuda, cuda:1, ..."
         ) from error
     return device
+
+
+def usual_physics(fast: bool = False) -> str:
+    """Return the physics where none is named: what the variable ``PEDZOO_PHYSICS`` says.
+
+    Without it that is ``bullet``, or ``compiled`` where there is no pybullet, or where walks are to be
+    ``fast``, as in environments and trainings.
+    """
+    usual = "bullet" if installed("pybullet") and not fast else "compiled"
+    return os.environ.get("PEDZOO_PHYSICS") or usual
 
 
 def compiles(*tensors: Tensor) -> bool:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from pedzoo.core.errors import UserError
+from pedzoo.core.machine import usual_physics
 from pedzoo.eval.packed_episodes import packed_episodes
 from pedzoo.eval.rollout import Progress, prepare, walk
 from pedzoo.metrics.arrival import arrived_in_time, finish_seconds
@@ -15,7 +16,7 @@ from pedzoo.metrics.ratios import Ratio, summarised
 from pedzoo.policies.policy import Policy
 from pedzoo.policies.walker import Walker
 from pedzoo.sim.env import PedestrianEnv
-from pedzoo.sim.make import CLEARANCE, make_scenario, usual_physics
+from pedzoo.sim.make import CLEARANCE, make_scenario
 from pedzoo.sim.rollout import Rollout, joined
 from pedzoo.sim.scenario import PreparedScenario, Scenario
 

@@ -12,7 +12,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError, at_least_one
 from pedzoo.core.geometry import limit_speed
-from pedzoo.core.machine import usable
+from pedzoo.core.machine import usable, usual_physics
 from pedzoo.core.spec import Spec
 from pedzoo.core.types import TOP_SPEED_RATIO
 from pedzoo.policies.load import load_policy
@@ -20,7 +20,7 @@ from pedzoo.policies.policy import Policy
 from pedzoo.policies.teams import Teams
 from pedzoo.policies.walker import Walker
 from pedzoo.sim.env import PedestrianEnv
-from pedzoo.sim.make import make_env, physics_class, usual_physics
+from pedzoo.sim.make import make_env, physics_class
 from pedzoo.sim.robots.rollout import RobotRollout
 from pedzoo.sim.rollout import Rollout, joined, rollout_of
 from pedzoo.sim.scenario import PreparedScenario, Scenario, planned
@@ -52,8 +52,8 @@ def rollout(
     Args:
         policy: Its name with settings, or a mixed crowd, as of `pedzoo.policies.load.load_policy`.
         scenario: Its name with settings, or a prepared one.
-        physics: ``compiled``, ``torch``, ``bullet`` or ``file.py:Class``; None for bullet, or compiled where
-            there is no pybullet.
+        physics: ``compiled``, ``torch``, ``bullet`` or ``file.py:Class``; None for the variable
+            ``PEDZOO_PHYSICS``, or bullet, or compiled where there is no pybullet.
         episodes: E.
         seed: Of the scenes.
         deterministic: Without noise.

@@ -4,7 +4,8 @@ import os
 from copy import copy
 from typing import Any
 
-from pedzoo.core.errors import UserError, installed, known_arguments, unknown
+from pedzoo.core.errors import UserError, known_arguments, unknown
+from pedzoo.core.machine import usual_physics
 from pedzoo.core.paths import expanded
 from pedzoo.core.registry import PHYSICS, SCENARIOS
 from pedzoo.core.size_limits import load_yaml, read_mapping
@@ -30,7 +31,7 @@ EXPECTED = "people: [{from: [-3, 0], to: [3, 0]}, ...], metres"
 def make_env(
     scenario: str | Spec | Scenario | PreparedScenario,
     num_envs: int = 1,
-    physics: str = "compiled",
+    physics: str | None = None,
     clearance: float = CLEARANCE,
     planner: str = Planner.name,
     **settings: Any,
@@ -43,7 +44,7 @@ def make_env(
             its `prepare` returned, which environments of the same clearance and planner may share.
         num_envs: Scenes that are run at once.
         physics: ``compiled``, ``torch`` (differentiable alike, on any device), ``bullet`` (pybullet) or
-            ``file.py:Class``, with settings.
+            ``file.py:Class``, with settings; None: what ``PEDZOO_PHYSICS`` says, or ``compiled``.
         clearance: Metres that planned ways keep from walls.
         planner: ``shortest`` paths, or those of ``astar`` on the grid of open cells, as in iGibson.
         settings: More of `PedestrianEnv`: ``seed``, ``decision_dt``, ``warm_start``, ``first_episode``,
@@ -56,7 +57,12 @@ def make_env(
     """
     prepared = prepare_scenario(scenario, clearance, planner)
     body_radius = settings.setdefault("body_radius", BODY_RADIUS)
-    return PedestrianEnv(prepared, make_physics(physics, prepared.bank, body_radius), num_envs, **settings)
+    return PedestrianEnv(
+        prepared,
+        make_physics(physics, prepared.bank, body_radius),
+        num_envs,
+        **settings,
+    )
 
 
 def scenario_spec(scenario: str | Spec) -> Spec | SpecText:
@@ -127,15 +133,11 @@ def prepare_scenario(
     return prepared
 
 
-def make_physics(name: str, bank: MapBank, body_radius: float) -> Physics:
+def make_physics(name: str | None, bank: MapBank, body_radius: float) -> Physics:
     """Return the physics backend of a name with settings, where what it needs is installed."""
+    name = name or usual_physics(fast=True)
     physics_class(name).check()
     return build(PHYSICS, name, Physics, bank=bank, body_radius=body_radius)
-
-
-def usual_physics() -> str:
-    """Return the physics of walks where none is named: `bullet`, or `compiled` where there is no pybullet."""
-    return "bullet" if installed("pybullet") else "compiled"
 
 
 def physics_class(name: str) -> type[Physics]:

@@ -19,6 +19,7 @@ from torchmetrics import Metric
 
 from pedzoo.core.adapters import logged_step
 from pedzoo.core.errors import UserError, unknown
+from pedzoo.core.machine import usual_physics
 from pedzoo.core.types import OBS_LEN
 from pedzoo.models.base import Forecaster
 from pedzoo.train.module import ForecastModule, is_own
@@ -97,7 +98,7 @@ class ClosedLoopValidation(Callback):
         scenarios: list[str] | None = None,
         every: int = 1,
         episodes: int = 16,
-        physics: str = "compiled",
+        physics: str | None = None,
         seed: int = 0,
         deterministic: bool = False,
         picture: bool = True,
@@ -109,7 +110,8 @@ class ClosedLoopValidation(Callback):
             scenarios: With settings, as ``door,goals:people=4,goals=2``; null for none.
             every: Validations from one rollout to the next.
             episodes: Of each scenario.
-            physics: ``compiled`` (fastest), ``torch``, ``bullet`` (pybullet) or ``file.py:Class``.
+            physics: ``compiled`` (fastest), ``torch``, ``bullet`` (pybullet) or ``file.py:Class``; null for
+                what the variable ``PEDZOO_PHYSICS`` says, or ``compiled``.
             seed: Of the scenes.
             deterministic: Without noise.
             picture: Send a picture of the paths to Weights & Biases if that is a logger.
@@ -124,6 +126,7 @@ class ClosedLoopValidation(Callback):
         if twice := next((name for name in names if names.count(name) > 1), None):
             raise UserError(f"--rollout.scenarios: {twice!r} is given twice")
         self.scenarios: dict[str, Any] = {name: name for name in names}
+        physics = physics or usual_physics(fast=True)
         if not {*names, physics} <= {*USUAL}:
             from pedzoo.sim.make import make_scenario, physics_class
 

@@ -21,6 +21,9 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import direction_of, identity_pose, move_to_scene
+from pedzoo.core.machine import usual_physics
+from pedzoo.eval.suite import EvaluationOptions
+from pedzoo.eval.suites.scenes import Door
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, boxes
 from pedzoo.sim.drawing import (
@@ -33,11 +36,14 @@ from pedzoo.sim.drawing import (
     person_color,
     scene_to_grid,
 )
+from pedzoo.sim.make import make_env
 from pedzoo.sim.physics import _pybullet
 from pedzoo.sim.physics._base import Bodies, Physics
 from pedzoo.sim.physics.bullet import Bullet
 from pedzoo.sim.physics.compiled import Compiled
 from pedzoo.sim.physics.torch import Torch
+from pedzoo.sim.robots.env import make_robot_env
+from pedzoo.train.validation import ClosedLoopValidation
 
 RADIUS, RADII = 0.15, torch.tensor([[0.15, 0.5, 0.25]])
 
@@ -368,3 +374,18 @@ def test_looking_for_a_gpu_runs_no_code_of_the_working_directory(
     monkeypatch.setattr(Path, "exists", lambda self: True)  # a device
     assert _pybullet.egl_plugin.__wrapped__() is None
     assert os.listdir() == ["pybullet.py"]
+
+
+def test_one_setting_names_the_physics_of_environments_and_trainings(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("PEDZOO_PHYSICS", raising=False)
+    usual = usual_physics()
+    assert usual == ("bullet" if importlib.util.find_spec("pybullet") else "compiled")
+    assert type(make_env("door").physics) is Compiled and ClosedLoopValidation().physics == "compiled"
+    monkeypatch.setenv("PEDZOO_PHYSICS", "torch")
+    assert usual_physics() == usual_physics(fast=True) == ClosedLoopValidation().physics == "torch"
+    assert type(make_env("door").physics) is Torch is type(make_robot_env("door").physics)
+    assert type(make_env("door", physics="compiled").physics) is Compiled
+    assert [case.physics for case in Door("door").cases(EvaluationOptions())] == ["torch"]
+    monkeypatch.setenv("PEDZOO_PHYSICS", "bulet")
+    with pytest.raises(UserError, match="unknown physics 'bulet': did you mean 'bullet'"):
+        make_env("door")

@@ -68,7 +68,7 @@ def demo(out: str = "demo", epochs: int = 20) -> int:
     """
     need("train", "the demo")
     need("video", "the demo")
-    from pedzoo.sim.make import usual_physics
+    from pedzoo.core.machine import usual_physics
 
     at_least_one("--epochs", epochs)
     folder, written = Path(out), shlex.quote(out)

@@ -5,7 +5,7 @@ from typing import Literal
 from pedzoo.cli.output import check_outputs, print_report, progress_bar, write_and_print
 from pedzoo.cli.parsing import command
 from pedzoo.core.errors import UserError, at_least_one, installed, need
-from pedzoo.core.machine import versions
+from pedzoo.core.machine import usual_physics, versions
 from pedzoo.core.registry import METRICS
 
 
@@ -42,8 +42,8 @@ def rollout(
         scenario: Its name, mine.yaml or file.py:Class, with settings: door:width=0.9,people=4,
             hallway:width=[1.5,2.5] (one per scene), goals:map=apartment.7 (or a file; if its path has commas,
             in quotes: "goals:map='/a,b/plan.yaml'"). pedzoo --help lists all.
-        physics: ``compiled`` (the fastest), ``torch``, ``bullet`` or ``file.py:Class``; by default bullet, or
-            compiled where there is no pybullet.
+        physics: ``compiled`` (the fastest), ``torch``, ``bullet`` or ``file.py:Class``; by default what
+            the variable PEDZOO_PHYSICS says, or bullet, or compiled where there is no pybullet.
         episodes: Scenes per policy.
         seed: Of the scenes, the same for all policies.
         deterministic: Models walk with noise zero.
@@ -129,7 +129,7 @@ def view(
     episodes: int | None = None,
     seed: int = 0,
     speed: float = 1.0,
-    physics: str = "compiled",
+    physics: str | None = None,
 ) -> int:
     """Watch people walk now: pybullet's window, or a page on this machine.
 
@@ -153,7 +153,7 @@ def view(
     if not window and not serve:
         why = "pybullet is not installed" if has_display() else "there is no display (DISPLAY is not set)"
         print(f"no window: {why}; here is the page instead (--serve)")
-    live = Live(policy, scenario, physics, seed, speed)
+    live = Live(policy, scenario, physics or usual_physics(fast=True), seed, speed)
     if window:
         live.walk(episodes, BulletWindow(live.env, speed))
         return 0

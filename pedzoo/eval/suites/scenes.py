@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 
 import torch
 
+from pedzoo.core.machine import usual_physics
 from pedzoo.core.registry import SCENARIOS
 from pedzoo.core.spec import Spec
 from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite
@@ -13,7 +14,6 @@ from pedzoo.maps.plans import load_plan
 from pedzoo.metrics.ratios import Ratio
 from pedzoo.metrics.realism.crowds import measured
 from pedzoo.metrics.realism.features import every_step
-from pedzoo.sim.make import usual_physics
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.scenarios._lanes import Encounter
 

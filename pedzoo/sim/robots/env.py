@@ -283,7 +283,7 @@ def make_robot_env(
     num_envs: int = 1,
     sensors: str | Sensor | Sequence[str | Sensor] = SENSES,
     reward: Mapping[str, float] | None = None,
-    physics: str = "compiled",
+    physics: str | None = None,
     clearance: float | None = None,
     robot_goals: int = 1,
     present: bool = True,

@@ -111,7 +111,7 @@ class ActiveCourse:
     """A course with its environment and the age of each scene."""
 
     course: Course
-    env: PedestrianEnv  # the environment, with the default physics
+    env: PedestrianEnv  # the environment, with physics that has gradients
     # segments since each scene began (B,) long; negative ones begin next time; none before the first
     age: Tensor = field(default_factory=lambda: torch.zeros(0))
     epoch: int | None = None  # in which its scenes began
@@ -168,7 +168,7 @@ class CourseSampler:
         number = int((lot >= self._shares).sum().clamp_max(len(self.courses) - 1))
         if number not in self._active:
             course = self.courses[number]
-            env = make_env(course.scenario, course.scenes, device=device)
+            env = make_env(course.scenario, course.scenes, "compiled", device=device)
             env.policy_name = "the model in training"
             self._active[number] = ActiveCourse(course, env)
         active = self._active[number]

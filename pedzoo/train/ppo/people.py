@@ -38,14 +38,15 @@ class Collection:
     Attributes:
         envs: Scenes of an iteration.
         steps: Decisions of 0.4 s in each of them.
-        physics: ``compiled`` (fastest), ``torch``, ``bullet`` (pybullet) or ``file.py:Class``.
+        physics: ``compiled`` (fastest), ``torch``, ``bullet`` (pybullet) or ``file.py:Class``; null for what
+            the variable ``PEDZOO_PHYSICS`` says, or ``compiled``.
         noise: Of the generator, as of `Walker`.
         std: Standard deviation of velocities at the beginning, m/s.
     """
 
     envs: int = 32
     steps: int = 32
-    physics: str = "compiled"
+    physics: str | None = None
     noise: Noise | None = None
     std: float = 0.15
 

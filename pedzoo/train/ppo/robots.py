@@ -131,7 +131,7 @@ class RobotPPO(PPO):
         steps: int = 64,
         updates: int = 10,
         episodes: int = 100,
-        physics: str = "compiled",
+        physics: str | None = None,
         imitate: int = 0,
         teacher: str = CONSTANT_VELOCITY,
         std: float = 0.4,
