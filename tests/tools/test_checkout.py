@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import torch
+import yaml
 
 from pedzoo.cli.commands import delegated
 from pedzoo.cli.main import main, overview
@@ -107,6 +108,33 @@ def test_the_lock_has_the_versions_of_the_constraints() -> None:
     versions = {name_of(line): line.partition("==")[2] for line in lines if not line.startswith("#")}
     assert versions.pop("torch")
     assert {name: packages[name][0] for name in versions} == versions
+
+
+def test_an_installation_brings_what_pedzoo_is_named_for_and_a_smaller_one_all_else() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    lines = (ROOT / "requirements-small.txt").read_text().splitlines()
+    small, wanted = [line for line in lines if not line.startswith("#")], project["dependencies"]
+    named = {"torch", "lightning", "torchrl", "tensordict", "opencv-python-headless", "wandb", "pybullet"}
+    assert named <= {name_of(one) for one in wanted}
+    left_out = {"lightning", "wandb", "pybullet"}
+    assert small == [one for one in wanted if name_of(one) not in left_out]
+    for extra, name in (("train", "lightning"), ("wandb", "wandb"), ("bullet", "pybullet")):
+        (again,) = project["optional-dependencies"][extra]
+        assert name_of(again) == name and again.split(";")[0] in {one.split(";")[0] for one in wanted}
+
+
+def test_the_citation_names_the_works_that_models_come_from() -> None:
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert cited["cff-version"] == "1.2.0" and cited["title"] and cited["message"] and cited["authors"]
+    titles = [one["title"] for one in cited["references"]]
+    for start in (
+        "Interactive Pedestrian Simulation in iGibson",
+        "Social GAN:",
+        "Social-VRNN:",
+        "ImageNet Class",
+    ):
+        assert sum(title.startswith(start) for title in titles) == 1
+    assert all(one["type"] and one["authors"] for one in cited["references"])
 
 
 def test_the_lock_has_all_dependencies_and_all_is_every_extra() -> None:
