@@ -10,6 +10,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -73,8 +74,9 @@ def starts(scenes: int, people: int) -> Iterator[TimedCase]:
 
 
 def environments(scenes: int, people: int) -> Iterator[TimedCase]:
-    """Give the bare environment with the physics that need no scene of their own."""
-    for physics in ("compiled", "torch"):
+    """Give the bare environment with each physics; pybullet where it is, for as many as walks run at once."""
+    bullet = scenes <= 64 and find_spec("pybullet") is not None
+    for physics in ("compiled", "torch", "bullet")[: 2 + bullet]:
         yield walk("environment", "go_to_goal", scenes, people, physics)
 
 
