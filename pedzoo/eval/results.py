@@ -29,6 +29,10 @@ _LEGEND = {
     "outcome_through": "in which both arrive, but their centres come closer than 0.15 m",
     "outcome_circle": "in which both arrive and turn around each other: by 90 degrees or more within 0.6 m",
     "outcome_pass": "in which both arrive at a distance, or one after the other",
+    "both_pass": "share of episodes in which both pass the door and arrive in time",
+    "no_contact": "without any contact with people or walls",
+    "one_slows": "in which both get through, and exactly one walks at less than half their speed before it",
+    "as_in_paper": "in which all three hold, as the paper shows of its model",
     "bearing_sweep_deg": "how far the bearing of the other turns while they are closer than 0.6 m",
     "realism": "mean distance of six distributions (speed, acceleration, heading rate, nearest distance, "
     "time to collision, lateral deviation) to the real ones, in real standard deviations: lower is better",

@@ -11,6 +11,7 @@ from pathlib import Path
 from statistics import fmean, stdev
 from typing import Any, ClassVar
 
+from pedzoo.core.spec import parse
 from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.parallel import finished
 from pedzoo.eval.results import INTERVALS, ResultTable, legend, markdown_table, protocol_line
@@ -116,8 +117,8 @@ class Walked(Reproduction):
     ) -> None:
         """Say what is to be done, by ``models`` instead of the usual ones; errors as of `pedzoo.evaluate`."""
         present = set(zoo_names())
-        self.missing = [] if models else [name for name in self.models if name not in present]
-        self.policies = list(models) or [name for name in self.models if name in present]
+        self.missing = [] if models else [name for name in self.models if parse(name).name not in present]
+        self.policies = list(models) or [name for name in self.models if name not in self.missing]
         names = [*self.policies, *self.baselines]
         self.evaluation = Evaluation(names, self.suites, options, seeds, resume=journal)
         self.others = self.evaluation.others
@@ -135,12 +136,15 @@ class Walked(Reproduction):
         """Return the report of the evaluation with notes, and what others have printed."""
         result = self.evaluation.report()
         shown = protocol_line(result, self.evaluation.shown) if result["rows"] else "nothing is done yet"
-        # megabytes of what each person did are left out: `pedzoo evaluate --suite` has them
-        rows = [{key: row[key] for key in row if key != "per_agent"} for row in result["rows"]]
+        rows = [self.kept(row) for row in result["rows"]]
         notes = [f"{shown}. {INTERVALS}", *self.notes(), *result["notes"]]
         if self.missing:
             notes.append(f"not here, no such weights: {', '.join(self.missing)}")
         return {**result, "rows": rows, "notes": notes, "missing": self.missing, "paper": self.printed()}
+
+    def kept(self, row: Mapping[str, Any]) -> dict[str, Any]:
+        """Return what a report keeps of a row; `pedzoo evaluate --suite` also has what each person did."""
+        return {key: row[key] for key in row if key != "per_agent"}
 
     def legend(self) -> dict[str, str]:
         """Return what the metrics of the suites' tables are."""

@@ -76,6 +76,11 @@ def table1_notes(missing: Mapping[str, str]) -> list[str]:
         " social_vrnn it is an upper bound (20 draws of its latent); constant_velocity is given a Gaussian"
         " as wide at every step as the training windows stray from it",
         "the paper does not say how it scores samples; the column `paper` quotes its Table I",
+        "the paper's method: `sgan`, `sgan_goal` and `sgan_goal_map` are its three networks (social pooling,"
+        " goal, AlexNet on the floor plan), and `social_vrnn` is its other baseline. All else is ours",
+        "safety layer: none, since no person walks here. Residual: the paper's networks decode steps, and"
+        " `approach_net` adds its output to the bent line to the goal, which stands beside it untrained. GAN:"
+        " the paper's networks have an adversarial loss, other networks have none",
     ]
     reasons: dict[str, list[str]] = {}
     for name, why in missing.items():

@@ -20,11 +20,18 @@ import math
 import torch
 from torch import Tensor
 
-from pedzoo.metrics import arrival, contacts, door
+from pedzoo.core.types import STEP_SECONDS
+from pedzoo.metrics import arrival, contacts, door, smoothness
 from pedzoo.metrics.ratios import Ratio, finite, ratio, share
 from pedzoo.sim.rollout import Rollout
 
 OUTCOMES = ("blocked", "lost", "through", "circle", "pass")
+
+PAPERS_OUTCOMES = ("both_pass", "no_contact", "one_slows", "as_in_paper")
+"""What the paper shows of its own model: both pass the door, no contact, one slows down; and all three."""
+
+SLOWED = 0.5
+"""Share of their preferred speed below which people have slowed down."""
 
 ABOUT = 0.6
 """Metres: people farther away are not turned around."""
@@ -57,10 +64,40 @@ def outcome_ratios(rollout: Rollout) -> dict[str, Ratio]:
     sweep = bearing_sweep(door.of_pair(rollout.trace, pair), both)
     body = door.of_pair(rollout.radius, pair).mean(1)
     result = outcomes((arrived | ~rollout.mask).all(1), stuck.any(1), near, sweep, body)
+    papers = dict(zip(PAPERS_OUTCOMES, as_the_paper(rollout), strict=True))
     return {
         **{f"outcome_{name}": share(which) for name, which in result.items()},
+        **({name: share(which) for name, which in papers.items()} if bool(meets.any()) else {}),
         "bearing_sweep_deg": finite(torch.rad2deg(sweep)),
     }
+
+
+def as_the_paper(rollout: Rollout) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Return in which episodes what `PAPERS_OUTCOMES` names holds, (E,) bool each. Errors of `pair_at_door`.
+
+    One slows down: before passing the door exactly one of the two is, over some 0.4 s, slower than half of
+    the preferred speed. Contacts are those of people and walls.
+    """
+    gate, pair, met = pair_at_door(rollout)
+    seconds = door.of_pair(door.passing_seconds(rollout.path, rollout.scored, gate), pair)
+    arrived = (arrival.arrived_in_time(rollout) | ~rollout.mask).all(1)
+    both = seconds.isfinite().all(1) & arrived & met
+    velocity, known = (door.of_pair(value, pair) for value in smoothness.moves(rollout))
+    slow = one_slows(velocity, known, seconds, door.of_pair(rollout.pref_speed, pair))
+    free = contacts.untouched(rollout)
+    return both, free, slow & met, both & free & slow
+
+
+def one_slows(velocity: Tensor, known: Tensor, seconds: Tensor, pref_speed: Tensor) -> Tensor:
+    """Return where exactly one of a pair slows down before the door (E,) bool, and both get through.
+
+    Velocities (E, 2, S, 2), m/s, over steps of 0.4 s and which are ``known`` (E, 2, S); when each passed
+    (E, 2), seconds, infinite for people not through; preferred speeds (E, 2), m/s.
+    """
+    end = STEP_SECONDS * torch.arange(1, velocity.shape[2] + 1, device=velocity.device)
+    before = known & (end <= seconds.unsqueeze(2))
+    slow = (velocity.norm(dim=-1) < SLOWED * pref_speed.unsqueeze(2)) & before
+    return (slow.any(2).sum(1) == 1) & seconds.isfinite().all(1)
 
 
 def outcomes(arrived: Tensor, stuck: Tensor, least: Tensor, sweep: Tensor, body: Tensor) -> dict[str, Tensor]:

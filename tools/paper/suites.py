@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any, ClassVar
@@ -23,7 +23,15 @@ from pedzoo.metrics.ratios import Ratio, ratio, summarised
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.walker import has_noise, walkers
 from pedzoo.sim.rollout import Rollout
-from tools.paper.meetings import OUTCOMES, first_through, outcome_ratios, passing_side, varied
+from tools.paper.meetings import (
+    OUTCOMES,
+    PAPERS_OUTCOMES,
+    first_through,
+    outcome_ratios,
+    passing_side,
+    varied,
+)
+from tools.paper.method import PAPERS_WORLD, WORLDS
 from tools.zoo.robots import PEOPLE
 
 Columns = ClassVar[tuple[str, ...]]
@@ -33,13 +41,17 @@ Columns = ClassVar[tuple[str, ...]]
 APARTMENTS_2 = tuple(f"apartment.{seed}" for seed in range(3))
 """Floor plans of Table II where none is given: every episode draws one of them."""
 
-SPEEDS = {"1.3": (1.3, 0.2), "0.5": (0.5, 0.0)}
-"""m/s, mean and deviation: as people walk, and as all of iGibson's do."""
+SPEEDS = {"0.5": (0.5, 0.0), "1.3": (1.3, 0.2)}
+"""m/s, mean and deviation: as all of iGibson's people do, and as people walk."""
 
 
 class Table2(Suite):
-    """Table II: each cell at both speeds, on the floor plans that are given or on three drawn ones."""
+    """Table II: each cell at both speeds, on the floor plans that are given or on three drawn ones.
 
+    All policies walk in the paper's world; in each world with one change the first of them walks, too.
+    """
+
+    warm_start: ClassVar[str] = WORLDS[PAPERS_WORLD].warm_start
     accepted_options: Columns = ("episodes", "maps")
     columns: Columns = (
         *("success", "episode_success", "time_s", "seconds_per_goal", "goals_per_person"),
@@ -47,20 +59,29 @@ class Table2(Suite):
     )
 
     def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
-        """Return five cases for each speed; errors of a floor plan that is not there."""
+        """Return five cases for each world and speed; errors of a floor plan that is not there."""
         files = list(options.maps or APARTMENTS_2)
         name = "drawn" if not options.maps else Path(files[0]).stem if len(files) == 1 else GIVEN
         inputs = " ".join(load_plan(file).digest for file in files)
         result = []
-        for (speed, (mean, deviation)), (people, goals) in product(SPEEDS.items(), CELLS):
+        every = product(WORLDS.items(), SPEEDS.items(), CELLS)
+        for (world, how), (speed, (mean, deviation)), (people, goals) in every:
             cell = {"map": files, "people": people, "goals": goals, "pool": POOL}
             spec = Spec("goals", cell | {"speed": mean, "speed_std": deviation})
-            where = {"map": name, "speed": speed, "people": str(people), "goals": str(goals)}
-            more: dict[str, Any] = {"inputs": inputs, "effort": people * goals / mean}
-            more |= {"table": f"{self.name} {speed} m/s", "shares": ", ".join(files)}
-            label = f"{speed} m/s {people}/{goals}"
-            result.append(self.case(options, label, spec, EPISODES, where, "bullet", **more))
+            where = {"map": name, "world": world, "speed": speed}
+            where |= {"people": str(people), "goals": str(goals)}
+            more: dict[str, Any] = {"inputs": inputs, "effort": people * goals / mean, **how.settings}
+            more |= {"table": f"{self.name} {speed} m/s, {world}", "shares": ", ".join(files)}
+            label = f"{world} {speed} m/s {people}/{goals}"
+            result.append(self.case(options, label, spec, EPISODES, where, how.physics, **more))
         return result
+
+    def units(
+        self, case: EvaluationCase, policies: Sequence[str], seeds: tuple[int, ...], deterministic: bool
+    ) -> list[WorkUnit]:
+        """Return the work on a case: of all policies in the paper's world, of the first one in others."""
+        walk = policies if case.case["world"] == PAPERS_WORLD else policies[:1]
+        return super().units(case, walk, seeds, deterministic)
 
     def more(self, rollout: Rollout) -> dict[str, Ratio]:
         """Return ``seconds_per_goal``, of episodes in which every person reaches all goals in time."""
@@ -85,20 +106,24 @@ NARROW_DOORS = {
 class Figure4(Suite):
     """Figure 4: two people of equal speed, two of unequal speed, and one alone, at a narrow door."""
 
+    warm_start: ClassVar[str] = WORLDS[PAPERS_WORLD].warm_start
     accepted_options: Columns = ("episodes",)
     headline: Columns = ("success", "agent_contact_episodes")
     columns: Columns = (
-        *("success", *(f"outcome_{name}" for name in OUTCOMES)),
+        *("success", *(f"outcome_{name}" for name in OUTCOMES), *PAPERS_OUTCOMES),
         *("agent_contact_episodes", "wall_contact_episodes", "time_s", "least_distance_m"),
         *("symmetry_index", "yield_delay_s", "bearing_sweep_deg"),
     )
 
     def cases(self, options: EvaluationOptions) -> list[EvaluationCase]:
-        """Return the three cases, each with a table of its own: a mean over them says nothing."""
-        return [
-            self.case(options, name, scenario, 100, {"speeds": name}, "bullet", table=f"{self.name} {name}")
-            for name, scenario in NARROW_DOORS.items()
-        ]
+        """Return three cases for each speed, each with a table of its own: a mean over them says nothing."""
+        how, result = WORLDS[PAPERS_WORLD], []
+        for speed, (name, scenario) in product(SPEEDS, NARROW_DOORS.items()):
+            where, more = {"speed": speed, "speeds": name}, {"table": f"{self.name} {speed} m/s {name}"}
+            spec = f"{scenario},speed={speed}"
+            more |= how.settings
+            result.append(self.case(options, f"{speed} {name}", spec, 100, where, how.physics, **more))
+        return result
 
     def more(self, rollout: Rollout) -> dict[str, Ratio]:
         """Return how the two get past each other."""
