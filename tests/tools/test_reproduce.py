@@ -385,7 +385,8 @@ def test_figure_4_writes_page_report_and_picture(
     assert result[("go_to_goal", *where)]["as_in_paper"] == 0 == result[("go_to_goal", *where)]["no_contact"]
     page = (folder / "FIGURE4.md").read_text()
     for text in (page, said):
-        assert "not here, no such weights: sgan.nowhere" in text and "(c) ORCA" in text
+        assert "not here, no such weights: sgan.nowhere" in text
+    assert "(c) ORCA, radius 0.1<br>orca:preset=igibson" in page and "form a circular pattern" in page
     assert "![FIGURE4](FIGURE4.png)" in page and "Made by `pedzoo reproduce figure4 --episodes 1" in page
     assert "* `outcome_circle`: in which both arrive and turn around each other" in page
 
