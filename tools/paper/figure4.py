@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -121,13 +121,13 @@ class Figure4(Walked):
         case, walked = unit.case, dict[str, PolicyRollout]()
         ours = [name for name in (*self.policies, *self.baselines) if name not in PANELS]
         for name in [*(name for name in self._order if name in PANELS), *ours[:4]]:
-            how = {"planner": case.planner, "warm_start": case.warm_start}
+            how: dict[str, Any] = {"planner": case.planner, "warm_start": case.warm_start}
             result, env = rollout(name, case.scenario, case.physics, 1, unit.seeds[0], **how)
             env.physics.close()
             walked[name] = PolicyRollout(name, result, env)
         figure = Figure(figsize=(4 * PANEL[0], 4 * PANEL[1] + 1.6), layout="constrained")
         figure.legend(handles=legend(), loc="outside lower center", ncols=5, frameon=False, fontsize=8)
-        papers, below = figure.subfigures(2, 1)
+        papers, below = cast("Any", figure.subfigures(2, 1))
         below.add_artist(
             Line2D([0.01, 0.99], [1, 1], transform=below.transSubfigure, color="black", linewidth=1.5)
         )

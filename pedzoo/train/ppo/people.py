@@ -309,7 +309,7 @@ class PPOModule(PPO, ForecastModule):
         self._objective = Objective(acting, self.critic, self.how, self.device)
         scenes, physics = self.collection.envs, self.collection.physics
         rank, processes = self.trainer.global_rank, self.trainer.world_size
-        shares = {"first_episode": rank * scenes, "stride": processes * scenes}
+        shares: dict[str, Any] = {"first_episode": rank * scenes, "stride": processes * scenes}
         for scenario in self._prepared:
             env = make_env(scenario, scenes, physics, **shares)
             env.policy_name = "the model in training"
