@@ -57,12 +57,7 @@ def make_env(
     """
     prepared = prepare_scenario(scenario, clearance, planner)
     body_radius = settings.setdefault("body_radius", BODY_RADIUS)
-    return PedestrianEnv(
-        prepared,
-        make_physics(physics, prepared.bank, body_radius),
-        num_envs,
-        **settings,
-    )
+    return PedestrianEnv(prepared, make_physics(physics, prepared.bank, body_radius), num_envs, **settings)
 
 
 def scenario_spec(scenario: str | Spec) -> Spec | SpecText:

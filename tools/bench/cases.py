@@ -10,7 +10,6 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ import torch
 from answering import Sizes, Step, TimedCase, serve  # pyright: ignore[reportMissingImports]
 
 import pedzoo
+from pedzoo.core.errors import installed
 
 MODEL = "sgan_goal_map.indoor"
 PLAN, CROWDED = "apartment.7", "office.7"
@@ -75,8 +75,8 @@ def starts(scenes: int, people: int) -> Iterator[TimedCase]:
 
 def environments(scenes: int, people: int) -> Iterator[TimedCase]:
     """Give the bare environment with each physics; pybullet where it is, for as many as walks run at once."""
-    bullet = scenes <= 64 and find_spec("pybullet") is not None
-    for physics in ("compiled", "torch", "bullet")[: 2 + bullet]:
+    bullet = ["bullet"] * (scenes <= 64 and installed("pybullet"))
+    for physics in ("compiled", "torch", *bullet):
         yield walk("environment", "go_to_goal", scenes, people, physics)
 
 
