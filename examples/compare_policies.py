@@ -8,7 +8,7 @@ from __future__ import annotations
 import pedzoo
 from pedzoo.viz.trajectories import PolicyRollout, plot_rollouts
 
-POLICIES = ("sgan_goal_map.indoor", "orca:radius=0.3", "social_force:preset=indoor", "go_to_goal")
+POLICIES = ("approach_net_goal_map.indoor", "orca:radius=0.3", "social_force:preset=indoor", "go_to_goal")
 SHOWN = ("success", "agent_contacts_per_min", "time_ratio", "yield_delay_s")
 
 

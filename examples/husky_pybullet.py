@@ -31,7 +31,7 @@ def main(seconds: float = 12.0) -> float:
     people = {one: np.array([5.0, side]) for one, side in enumerate((-1.0, 0.0, 1.0))}
     goals = {one: (-6.0, -place[1]) for one, place in people.items()}
     bodies = {one: pybullet.createMultiBody(0, -1, shape, [*xy, 0.85]) for one, xy in people.items()}
-    controller = pedzoo.controller("sgan_goal_map.indoor", dt=DT)
+    controller = pedzoo.controller("approach_net_goal_map.indoor", dt=DT)
 
     nearest = math.inf
     for _ in range(round(seconds / DT)):

@@ -15,7 +15,7 @@ DT = 0.1
 
 def main(seconds: float = 12.0) -> float:
     """Drive a robot along the hall of an apartment, and return how near a person came to its edge, metres."""
-    controller = pedzoo.controller("sgan_goal_map.indoor", "apartment.25", dt=DT)
+    controller = pedzoo.controller("approach_net_goal_map.indoor", "apartment.25", dt=DT)
     people = {"anna": np.array([1.0, 5.6]), "ben": np.array([7.5, 5.6]), "eve": np.array([3.0, 8.0])}
     goals = {"anna": (11.5, 3.0), "ben": (0.9, 5.2), "eve": (1.0, 2.0)}
     robot, speed, radius, nearest = np.array([6.5, 5.3]), np.array([-0.5, 0.0]), 0.3, np.inf

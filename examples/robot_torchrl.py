@@ -29,7 +29,7 @@ def main(scenes: int = 16, decisions: int = 100) -> None:
     env: Any = pedzoo.make_robot_env(
         "door:width=1.0,people=3",
         robot="diff_drive:radius=0.25",
-        people="sgan_goal_map.indoor",
+        people="approach_net_goal_map.indoor",
         sensors=["goal", "odometry", "lidar:beams=32"],
         reward={"progress": 1.0, "success": 5.0, "collision": 5.0},
         num_envs=scenes,

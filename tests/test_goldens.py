@@ -19,14 +19,14 @@ from pedzoo.cli.main import main
 from pedzoo.metrics.realism.two_sample import TREES
 
 FILE = Path(__file__).with_name("goldens.json")
-POLICIES = ["orca:dt=0.4", "social_force", "sgan_goal_map.indoor", "social_walker.styled"]
+POLICIES = ["orca:dt=0.4", "social_force", "approach_net_goal_map.indoor", "social_walker.styled"]
 SCENES = ["door", "goals:people=4,goals=2,pool=8", "two_way"]
 TRAININGS = ["sgan", "sgan_goal_map", "closed_loop/social_walker", "robot/ppo"]
-SCORED = ["orca:radius=0.3", "sgan_goal_map.indoor", "social_walker.styled"]
+SCORED = ["orca:radius=0.3", "approach_net_goal_map.indoor", "social_walker.styled"]
 CARDS = [
-    "sgan.zara1",
+    "sgan_nopool.zara1",
     "sgan_goal.zara1",
-    "sgan_goal_map.indoor",
+    "approach_net_goal_map.indoor",
     "social_vrnn.zara1",
     "anchor_net_goal.zara1",
     "social_walker.styled",

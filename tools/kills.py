@@ -46,7 +46,7 @@ TRAININGS = {
         "sgan in two processes": f"sgan {SHORT} {TWO}",
         "anchor_net": f"anchor_net {SHORT} --monitor=val/ade",
         "PPO in two processes": f"ppo/sgan_goal {PPO} {TWO}",
-        "closed_loop/sgan_goal": f"closed_loop/sgan_goal {LOOP}",
+        "closed_loop/approach_net_goal": f"closed_loop/approach_net_goal {LOOP}",
         "closed_loop/social_walker": f"closed_loop/social_walker {LOOP} --trainer.max_epochs=3",
         "robot/ppo": f"robot/ppo {ROBOT}=\"['crowdnav:crowds=16']\"",
         "robot/rooms": f"robot/rooms {ROBOT}=\"['door:people=2']\"",

@@ -21,7 +21,7 @@ from io import StringIO
 from types import FrameType
 from typing import Any
 
-MODEL = "sgan_goal_map.indoor"
+MODEL = "approach_net_goal_map.indoor"
 EPISODE = f"rollout {MODEL} --scenario door --episodes 1 --physics compiled"
 FIT = "fit --config sgan_goal --data.fold embedded --runs=FOLDER --trainer.max_epochs=1"
 FIT += " --trainer.limit_train_batches=1 --trainer.limit_val_batches=0"

@@ -1,6 +1,6 @@
 """A ROS 2 node that moves HuNav's people by any policy of pedzoo: it serves ``compute_agents``.
 
-python people_node.py --ros-args -p policy:=sgan_goal_map.indoor -p map:=/path/to/map.yaml
+python people_node.py --ros-args -p policy:=approach_net_goal_map.indoor -p map:=/path/to/map.yaml
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def main() -> None:
 
     rclpy.init()
     node = rclpy.create_node("pedzoo_people")
-    usual = {"policy": "sgan_goal_map.indoor", "map": "", "dt": 0.1}
+    usual = {"policy": "approach_net_goal_map.indoor", "map": "", "dt": 0.1}
     given = {name: node.declare_parameter(name, value).value for name, value in usual.items()}
     people = HunavPeople(given["policy"], given["map"] or None, given["dt"])
 

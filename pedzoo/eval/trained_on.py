@@ -15,7 +15,8 @@ def for_fold(policy: str, fold: str) -> str:
     """Return the policy to walk on a fold: where there are any, weights that did not see it.
 
     Weights are named after the fold that they did not see. On hotel ``sgan_goal.zara1:noise=step`` becomes
-    ``sgan_goal.hotel:noise=step``, and ``sgan_goal.indoor``, of all recordings, ``sgan_goal.indoor_hotel``.
+    ``sgan_goal.hotel:noise=step``, and ``approach_net_goal.indoor``, of all recordings, becomes
+    ``approach_net_goal.indoor_hotel``.
     Anything else stays as it is. In a mixed crowd this holds for each policy.
     """
     return "+".join(_for_fold(part, fold) for part in parts(policy))

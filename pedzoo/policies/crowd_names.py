@@ -1,4 +1,4 @@
-"""Names of policies and of mixed crowds: ``orca:share=0.5+sgan_goal_map.indoor``. Needs no torch.
+"""Names of policies and of mixed crowds: ``orca:share=0.5+approach_net_goal_map.indoor``. Needs no torch.
 
 The policies of a crowd are joined by ``+``. The setting ``share`` belongs to the team, not to the policy. A
 ``+`` does not join policies in these places:

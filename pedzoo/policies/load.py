@@ -42,9 +42,9 @@ def load(
     """Return any model or policy by its name; see `policy` and `controller` for what walks.
 
     Args:
-        name: A model, as of `pedzoo.models.zoo.loading.load`: ``sgan_goal_map.indoor``, a file, an address,
+        name: A model, as of `pedzoo.models.zoo.loading.load`: ``sgan_goal.zara1``, a file, an address,
             ``path/to/file.py:Class``. A policy, as of `load_policy`: ``orca:radius=0.3``, a model with
-            settings of how it walks (``sgan_goal_map.indoor:safety=false``), or a mixed crowd.
+            settings of how it walks (``approach_net_goal_map.indoor:safety=false``), or a mixed crowd.
         goal: The goal protocol for untrained models that ask for it.
         device: Where the weights are, such as ``cuda``.
         pretrained: False for a model whose weights are drawn anew, see `untrained`.
@@ -133,7 +133,7 @@ def load_policy(name: str) -> Policy | Walker:
     Args:
         name: ``orca:radius=0.3``, or a name that `pedzoo.load` takes, with settings of `Walker`:
             ``sgan_goal.zara1:noise=step``. For a mixed crowd several of these, joined by ``+``, each with
-            its share of the agents: ``orca:share=0.5+sgan_goal_map.indoor``.
+            its share of the agents: ``orca:share=0.5+approach_net_goal_map.indoor``.
 
     Raises:
         UserError: Unknown name or setting, with the nearest spelling in the message; impossible shares.

@@ -177,7 +177,7 @@ def test_files_that_are_no_checkpoints_are_called_so(command, capsys):
 
 def test_mistakes_inside_a_command_leave_nothing(capsys, elsewhere, monkeypatch):
     monkeypatch.delenv("PEDZOO_DATA", raising=False)
-    assert "PEDZOO_DATA" in refused(capsys, "fit", "--config", "sgan", "--data.fold", "zara1")
+    assert "PEDZOO_DATA" in refused(capsys, "fit", "--config", "sgan_nopool", "--data.fold", "zara1")
     assert "none" in refused(capsys, *FIT, "--data.goal", "none")
     assert "--ckpt_path" in refused(capsys, "test", *FIT[1:])
     assert "unknown model" in refused(capsys, "forecast", "nothing")

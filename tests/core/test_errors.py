@@ -43,9 +43,9 @@ sys.meta_path[:] = [Without(finder) for finder in sys.meta_path]
 WALKS = """
 import pedzoo
 
-controller = pedzoo.controller("sgan_goal_map.indoor")
+controller = pedzoo.controller("approach_net_goal_map.indoor")
 velocity = controller.step({"ann": (0, 0), "bo": (3, 0)}, goals={"ann": (3, 0), "bo": (0, 0)})
-walked, env = pedzoo.rollout("sgan_goal_map.indoor", "perpendicular:people=2", episodes=1)
+walked, env = pedzoo.rollout("approach_net_goal_map.indoor", "perpendicular:people=2", episodes=1)
 row = pedzoo.evaluate(["go_to_goal"], ["door"], episodes=1)["rows"][0]
 said = {
     "model": type(pedzoo.load("sgan_goal.zara1")).__name__,
@@ -61,7 +61,7 @@ print(json.dumps(said))
 COMMANDS = {
     "rollout go_to_goal --plot OUT.png": "video",
     "rollout go_to_goal --video OUT.webm": "video",
-    "fit --config sgan": "train",
+    "fit --config sgan_nopool": "train",
     "forecast constant_velocity": "train",
     "demo --out OUT": "train",
     "rollout go_to_goal --physics bullet": "bullet",

@@ -29,12 +29,12 @@ FAR = [np.array([10_000.37, -9_871.11]), np.array([500_000.5, 4_649_776.25])]
 
 FORECASTERS = (
     *("anchor_mlp.zara1", "anchor_net_goal.zara1", "anchors.zara1", "bent_line", "constant_velocity"),
-    *("sgan.zara1", "sgan_pool.zara1", "sgan_goal_map.indoor"),
+    *("sgan_nopool.zara1", "sgan.zara1", "approach_net_goal_map.indoor"),
     *("social_vrnn.zara1", "social_walker.eth_ucy", "straight_line"),
 )
 """Weights of every architecture, with and without a goal and a floor plan."""
 
-WALKERS = ("orca", "sgan_goal_map.indoor", "social_walker.eth_ucy")
+WALKERS = ("orca", "approach_net_goal_map.indoor", "social_walker.eth_ucy")
 
 
 def plaza(folder: Path, offset: NDArray[np.float64], frames: int = 60) -> tuple[str, str]:

@@ -126,7 +126,7 @@ def test_commands(page: str, readers_folder: Path, shared: Path, monkeypatch: py
         assert main([*first, *SHORT]) == 0
     for one in (words for words in commands(page) if not elsewhere(words)):
         shorter = ["--no-evaluation"] if "--zoo" in one else LESS[one[0]]
-        shorter = [*shorter, *LOOP] if "closed_loop/sgan_goal_map" in one else shorter
+        shorter = [*shorter, *LOOP] if "closed_loop/approach_net_goal_map" in one else shorter
         assert main([*one, *shorter]) == 0, one
     for file in MADE.get(page, ()):
         assert (readers_folder / file).is_file(), file

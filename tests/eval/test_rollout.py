@@ -241,5 +241,5 @@ def test_what_rollout_returns_is_measured_as_it_is() -> None:
 
 
 def test_models_have_a_short_repr() -> None:
-    shown = repr(pedzoo.load("sgan_goal_map.indoor"))
+    shown = repr(pedzoo.load("approach_net_goal_map.indoor"))
     assert re.fullmatch(r"SGAN\('sgan_goal_map\.indoor', goal \w+, [\d,]+ weights\)", shown)

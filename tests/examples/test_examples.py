@@ -44,7 +44,7 @@ def test_people_walk_around_a_robot_of_ones_own(capsys: pytest.CaptureFixture[st
 
 def test_policies_are_compared(tmp_path: Path) -> None:
     results = run("compare_policies.py", episodes=2, out=str(tmp_path / "door.png"))
-    assert results["sgan_goal_map.indoor"]["clean"] == 1.0 > results["go_to_goal"]["clean"]
+    assert results["approach_net_goal_map.indoor"]["clean"] == 1.0 > results["go_to_goal"]["clean"]
     assert (tmp_path / "door.png").read_bytes().startswith(b"\x89PNG")
 
 

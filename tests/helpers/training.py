@@ -13,7 +13,7 @@ from torch.utils._pytree import tree_flatten
 
 from pedzoo.cli.main import main
 
-FIT = ["fit", "--config", "sgan", "--data.fold", "embedded", "--data.loading.batch_size", "8"]
+FIT = ["fit", "--config", "sgan_nopool", "--data.fold", "embedded", "--data.loading.batch_size", "8"]
 FIT += ["--trainer.limit_train_batches", "2", "--trainer.limit_val_batches", "1", "--trainer.max_epochs", "1"]
 FIT += ["--model.samples", "2", "--trainer.enable_progress_bar", "false"]
 """A training of a second, and ..."""

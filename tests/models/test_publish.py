@@ -176,10 +176,10 @@ def test_damaged_records_of_a_run_are_told(name, content, tmp_path):
         *(
             (config, {"fold": fold, "clock": clock}, f"{name}{'' if clock == 'true' else '_benchmark'}")
             for config, fold, name in (
-                ("open_loop/sgan_goal_map", "eth_ucy", "sgan_goal_map.controller_open"),
-                ("open_loop/sgan_goal_map", "zara1", "sgan_goal_map.controller_open_zara1"),
-                ("closed_loop/sgan_goal_map", "eth_ucy", "sgan_goal_map.indoor"),
-                ("closed_loop/sgan_goal", "hotel", "sgan_goal.indoor_hotel"),
+                ("open_loop/approach_net_goal_map", "eth_ucy", "approach_net_goal_map.controller_open"),
+                ("open_loop/approach_net_goal_map", "zara1", "approach_net_goal_map.controller_open_zara1"),
+                ("closed_loop/approach_net_goal_map", "eth_ucy", "approach_net_goal_map.indoor"),
+                ("closed_loop/approach_net_goal", "hotel", "approach_net_goal.indoor_hotel"),
                 ("ppo/sgan_goal", "eth_ucy", "sgan_goal.eth_ucy_ppo"),
                 ("closed_loop/social_walker", "zara1", "social_walker.zara1"),
                 ("closed_loop/social_walker_styled", "zara1", "social_walker.styled_zara1"),

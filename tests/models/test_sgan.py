@@ -28,7 +28,7 @@ SMALL: dict[str, Any] = {
     "best_k": 4,
 }
 GOAL: dict[str, Any] = {"goal_dim": 4, "goal_protocol": "window_end"}
-VARIANTS = ["sgan", "sgan_pool", "sgan_goal", "sgan_goal_map", "sgan_goal_map_alexnet"]
+VARIANTS = ["sgan", "sgan", "sgan_goal", "sgan_goal_map", "sgan_goal_map"]
 
 
 def seeded(seed: int = 0) -> torch.Generator:

@@ -282,7 +282,7 @@ def row_of(batch: Any, radius: float) -> int:
     return int(rows[0])
 
 
-@pytest.mark.parametrize(("name", "goal"), [("sgan_goal_map.zara1", (0.8, 0.0)), ("sgan_goal.indoor", None)])
+@pytest.mark.parametrize(("name", "goal"), [("sgan_goal_map.zara1", (0.8, 0.0)), ("approach_net_goal.indoor", None)])
 def test_who_has_arrived_stands_until_another_goal(name: str, goal: Any):
     room_of_ten = rectangles(room((-5, -5), (5, 5), 0.1), resolution=0.1)
     controller = pedzoo.controller(name, room_of_ten, dt=0.1)
@@ -379,7 +379,7 @@ def test_a_clock_that_jitters_gives_regular_histories():
         assert (history[1] + start + expected).norm(dim=-1).max() < 0.01
 
 
-@pytest.mark.parametrize("name", ["sgan_goal_map.indoor", "social_walker.eth_ucy"])
+@pytest.mark.parametrize("name", ["approach_net_goal_map.indoor", "social_walker.eth_ucy"])
 def test_a_policy_asked_by_a_controller_still_has_gradients(name: str) -> None:
     """A controller asks in inference mode; nothing that is kept may be a tensor of that mode."""
     policy = pedzoo.policy(name)

@@ -112,7 +112,7 @@ AT_WALLS = (3.2, 0.1), (3.9, 3.0), (3.95, 3.0), (3.8, 4.0), (0.07, 5.93)
     [
         *(("go_to_goal", goal) for goal in AT_WALLS),
         ("orca", AT_WALLS[2]),
-        ("sgan_goal_map.indoor", AT_WALLS[4]),
+        ("approach_net_goal_map.indoor", AT_WALLS[4]),
     ],
 )
 def test_a_goal_at_a_wall_is_moved_with_a_warning(name: str, goal: Any) -> None:
@@ -132,7 +132,7 @@ def test_a_goal_at_a_wall_is_moved_with_a_warning(name: str, goal: Any) -> None:
     assert place[0] < 4  # on this side of the wall
 
 
-CROWD = "orca:share=0.5+sgan_goal_map.indoor"
+CROWD = "orca:share=0.5+approach_net_goal_map.indoor"
 WALKER = "social_walker.styled"
 
 
@@ -173,7 +173,7 @@ def test_a_reset_forgets_how_people_began() -> None:
 
 
 @pytest.mark.parametrize("again", [copy.deepcopy, lambda walk: pickle.loads(pickle.dumps(walk))])
-@pytest.mark.parametrize("name", ["go_to_goal", "sgan_goal_map.indoor"])
+@pytest.mark.parametrize("name", ["go_to_goal", "approach_net_goal_map.indoor"])
 def test_a_copy_goes_on_as_the_controller(name: str, again: Any) -> None:
     walk = Controller(load_policy(name), PLAN, dt=0.1)
     start, goal = {1: (-4.0, 0.1)}, {1: (4.0, 0.0)}
@@ -299,7 +299,7 @@ CELLS[[3, 4, 17, 18], 10] = CELLS[[7, 8, 15, 16], 21] = CELLS[12, [4, 5, 15, 16,
         ("go_to_goal", "apartment.7", 60),
         ("go_to_goal", OccupancyGrid(CELLS, 0.5), 60),
         ("orca", OccupancyGrid(CELLS, 0.5), 4),
-        ("sgan_goal_map.indoor", OccupancyGrid(CELLS, 0.5), 3),
+        ("approach_net_goal_map.indoor", OccupancyGrid(CELLS, 0.5), 3),
     ],
 )
 def test_people_who_walk_alone_arrive(name: str, plan: Any, people: int) -> None:

@@ -22,8 +22,8 @@ from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.load import load_policy
 
 RULES = ("go_to_goal", "orca", "social_force:preset=indoor")
-LEARNED = ("go_to_goal:safety=true", "sgan_goal_map.indoor", "social_walker.indoor")
-CROWD = "orca:share=0.5+sgan_goal_map.indoor"
+LEARNED = ("go_to_goal:safety=true", "approach_net_goal_map.indoor", "social_walker.indoor")
+CROWD = "orca:share=0.5+approach_net_goal_map.indoor"
 
 policy_of = cache(load_policy)
 Array = NDArray[Any]
@@ -94,7 +94,7 @@ def test_goals_that_come_change_and_go_at_any_moment(name: str, dt: float) -> No
     assert np.linalg.norm(answers[math.ceil(2.9 / dt) : math.ceil(4 / dt), 4], axis=1).min() > 0.3
 
 
-@pytest.mark.parametrize("name", ["orca", "go_to_goal:safety=true", "sgan_goal_map.indoor"])
+@pytest.mark.parametrize("name", ["orca", "go_to_goal:safety=true", "approach_net_goal_map.indoor"])
 def test_nobody_is_touched_where_many_arrive(name: str) -> None:
     """Eight people with one goal, or with two for four each, in a room of 8 m."""
     plan = rectangles(room((-4, -4), (4, 4), 0.1), resolution=0.1)
@@ -203,7 +203,7 @@ def test_milliseconds_are_noticed_and_pauses_allowed() -> None:
     controller.step(people, time=20.02)
 
 
-@pytest.mark.parametrize(("name", "dt"), [("go_to_goal", 0.4), ("orca", 0.1), ("sgan_goal_map.indoor", 0.1)])
+@pytest.mark.parametrize(("name", "dt"), [("go_to_goal", 0.4), ("orca", 0.1), ("approach_net_goal_map.indoor", 0.1)])
 @pytest.mark.parametrize("host", ["noise", "lag", "block"])
 def test_hosts_may_move_people_otherwise_than_told(name: str, dt: float, host: str) -> None:
     """Noise of 1 cm, commands that come a call late, and people held for 2 s: all arrive and stand."""

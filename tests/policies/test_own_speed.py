@@ -16,7 +16,7 @@ from pedzoo.policies.walker import Walker
 from pedzoo.sim.make import make_env
 from pedzoo.sim.scenarios.custom import Custom
 
-DEFAULT = "sgan_goal_map.indoor"
+DEFAULT = "approach_net_goal_map.indoor"
 
 
 @pytest.mark.parametrize("name", ["go_to_goal", "orca", "social_force", DEFAULT])

@@ -96,7 +96,7 @@ def test_distances_are_those_of_recordings() -> None:
     assert float(torch.minimum(*shares).sum()) > 0.55  # that both have in common
 
 
-@pytest.mark.parametrize("name", ["sgan_goal_map.controller_open", "anchor_net_goal.zara1"])
+@pytest.mark.parametrize("name", ["approach_net_goal_map.controller_open", "anchor_net_goal.zara1"])
 def test_models_of_recordings_do_not_creep_round_corners(name: str) -> None:
     """Alone in an apartment they are about as fast as they like to be."""
     scenario = prepared("goals:map=apartment.0,people=1,goals=1,pool=6")
@@ -105,7 +105,7 @@ def test_models_of_recordings_do_not_creep_round_corners(name: str) -> None:
 
 
 def test_the_setting_of_older_weights_says_nothing_any_more() -> None:
-    model = pedzoo.load("sgan_goal_map.indoor")
+    model = pedzoo.load("approach_net_goal_map.indoor")
     assert "extend_goal" not in model.config and "extend_goal" not in model.card.config["init"]
     with pytest.raises(UserError, match="extend_goal"):
-        pedzoo.policy("sgan_goal_map.indoor:extend_goal=false")
+        pedzoo.policy("approach_net_goal_map.indoor:extend_goal=false")

@@ -140,7 +140,7 @@ def test_a_plus_in_the_name_of_an_existing_file_is_part_of_it(
     [
         ("orca:share=0.5,radius=0.3+go_to_goal", {"orca:radius=0.3": 0.5, "go_to_goal": 0.5}),
         ("orca:share=1", {"orca": 1.0}),
-        ("orca+go_to_goal+sgan.zara1", {"orca": 1 / 3, "go_to_goal": 1 / 3, "sgan.zara1": 1 / 3}),
+        ("orca+go_to_goal+sgan_nopool.zara1", {"orca": 1 / 3, "go_to_goal": 1 / 3, "sgan_nopool.zara1": 1 / 3}),
     ],
 )
 def test_teams_without_a_share_share_the_rest(text: str, shares: dict[str, float]) -> None:
@@ -159,7 +159,7 @@ def test_teams_without_a_share_share_the_rest(text: str, shares: dict[str, float
         ("orca:share=nan+go_to_goal", "share nan: expected a number above 0"),
         ("orca+", "a policy is missing beside '\\+'"),
         ("orca+go_to_gaol", "unknown policy 'go_to_gaol': did you mean 'go_to_goal'"),
-        ("orca:share=0.5+sgan_goal.indor", "did you mean 'sgan_goal.indoor'"),
+        ("orca:share=0.5+sgan_goal.indor", "did you mean 'approach_net_goal.indoor'"),
         ("orca:share=0.5,raduis=1+go_to_goal", "did you mean 'radius'"),
         ("orca:dt=0.3+go_to_goal", "teams decide every 0.3, 0.4 s: expected multiples of the shortest"),
         ("orca+sgan_goal.zara1:execute_steps=2", "execute_steps 2: a team decides anew"),
@@ -298,7 +298,7 @@ def walked(policy: str, scenario: str = "hallway", scenes: int = 3, **settings: 
         return run(made, env)
 
 
-@pytest.mark.parametrize("policy", ["orca", "sgan_goal_map.indoor", "sgan_goal.zara1:execute_steps=2"])
+@pytest.mark.parametrize("policy", ["orca", "approach_net_goal_map.indoor", "sgan_goal.zara1:execute_steps=2"])
 def test_a_crowd_of_one_team_is_that_team(policy: str) -> None:
     setting = "," if "=" in policy else ":"
     one, crowd = (walked(name, "door", 2) for name in (policy, f"{policy}{setting}share=1"))
@@ -328,7 +328,7 @@ def test_an_episode_is_the_same_in_every_batch() -> None:
 
 
 def test_learned_people_walk_beside_orca_through_resets() -> None:
-    crowd = load_policy("orca:share=0.5+sgan_goal.indoor")
+    crowd = load_policy("orca:share=0.5+approach_net_goal.indoor")
     assert crowd.decision_dt == pytest.approx(0.1) and has_noise(crowd) and len(walkers(crowd)) == 1
     env = make_env("hallway", num_envs=3, decision_dt=0.1)
     with torch.no_grad():
@@ -338,11 +338,11 @@ def test_learned_people_walk_beside_orca_through_resets() -> None:
 
 
 def test_an_environment_of_another_step_is_refused() -> None:
-    crowd = load_policy("orca+sgan_goal.indoor")
+    crowd = load_policy("orca+approach_net_goal.indoor")
     with pytest.raises(UserError, match=r"this crowd decides every 0.1 s, not every 0.4 s.*decision_dt=0.1"):
         crowd(make_env("door").reset())
     with pytest.raises(UserError, match="its fastest team does"):
-        prepare("orca+sgan_goal.indoor", "door", "compiled", 1, decision_dt=0.4)
+        prepare("orca+approach_net_goal.indoor", "door", "compiled", 1, decision_dt=0.4)
 
 
 @pytest.mark.parametrize(("dt", "value"), [(0.1, ".nan"), (0.4, ".inf")])
@@ -392,18 +392,18 @@ def test_recorded_people_stay_with_their_team() -> None:
 
 
 def test_rollout_of_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    crowd, report = "orca:share=0.5+sgan_goal_map.indoor", tmp_path / "report.json"
+    crowd, report = "orca:share=0.5+approach_net_goal_map.indoor", tmp_path / "report.json"
     command = ["rollout", crowd, "--scenario", "door", "--physics", "compiled", "--episodes", "3"]
     assert main([*command, "--json", str(report)]) == 0
     row = json.loads(report.read_text())["rows"][0]
     assert (row["name"], row["decision_dt_s"], row["n"]) == (crowd, 0.1, 3)
     assert crowd in capsys.readouterr().out
     assert main(["rollout", "orca:share=0.5+sgan_goal_map.indor"]) == 2
-    assert "did you mean 'sgan_goal_map.indoor'" in capsys.readouterr().err
+    assert "did you mean 'approach_net_goal_map.indoor'" in capsys.readouterr().err
 
 
 def test_policies_are_listed() -> None:
-    assert {"orca", "sgan_goal_map.indoor", "bent_line"} <= set(pedzoo.list_policies())
+    assert {"orca", "approach_net_goal_map.indoor", "bent_line"} <= set(pedzoo.list_policies())
     assert pedzoo.list_policies("orc*") == ["orca"]
 
 

@@ -126,7 +126,7 @@ def test_the_gradient_is_that_of_what_is_asked_for() -> None:
     ("place", "encounter"),
     [("open", "parked"), ("open", "head-on"), ("open", "crossing"), ("corridor", "head-on")],
 )
-@pytest.mark.parametrize("policy", ["orca", "social_force:preset=indoor", "sgan_goal_map.indoor"])
+@pytest.mark.parametrize("policy", ["orca", "social_force:preset=indoor", "approach_net_goal_map.indoor"])
 def test_robots_are_respected(tool: ModuleType, policy: str, place: str, encounter: str) -> None:
     """The corridor leaves 0.7 m beside a robot. All offsets: tools/pages/robots_respected.py."""
     for share in (0.0, 0.5):
@@ -136,13 +136,13 @@ def test_robots_are_respected(tool: ModuleType, policy: str, place: str, encount
 
 @pytest.mark.parametrize("encounter", ["overtaken", "overtakes"])
 def test_robots_behind_and_slower_ones_are_respected(tool: ModuleType, encounter: str) -> None:
-    run = tool.walked("sgan_goal_map.indoor", "open", encounter, 0.0)
+    run = tool.walked("approach_net_goal_map.indoor", "open", encounter, 0.0)
     assert run.nearest >= 0.65 - 1e-3 and run.arrived
 
 
 def test_a_husky_of_three_discs_is_walked_around() -> None:
     """A parked box of 0.99 x 0.67 m, lengthwise in the way: three discs of 0.37 m."""
-    controller = Controller(load_policy("sgan_goal_map.indoor"), dt=0.1)
+    controller = Controller(load_policy("approach_net_goal_map.indoor"), dt=0.1)
     place, nearest = torch.zeros(2, dtype=torch.float64), math.inf
     discs = torch.tensor([[2.7, 0.1], [3.0, 0.1], [3.3, 0.1]], dtype=torch.float64)
     for _ in range(80):

@@ -86,7 +86,7 @@ def test_people_begin_as_they_do_without_the_robot(scenes: str) -> None:
         torch.testing.assert_close(mine, people_of(other, people), rtol=0, atol=1e-6, msg=name)
     for name in ("key", "map_id", "pose", "clock"):
         assert torch.equal(getattr(alone.state, name), getattr(joined.state, name)), name
-    walker = Walker(load("sgan_goal_map.indoor"))
+    walker = Walker(load("approach_net_goal_map.indoor"))
     noise: Any = walker.noise_of(first)
     assert torch.equal(noise, people_of(walker.noise_of(second), people))  # type: ignore[arg-type]
     assert noise.abs().sum() > 0

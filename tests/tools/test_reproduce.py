@@ -72,7 +72,7 @@ def scored(name: str, fold: str, ade: float, **case: str) -> dict[str, Any]:
 
 def test_mean_over_folds_has_the_interval_of_a_mean() -> None:
     """Deviations of 0.03 and 0.04 to either side, twice: the mean's are divided by the root of two."""
-    rows = [scored("sgan", "eth", 0.2), scored("sgan", "zara1", 0.4), scored("sgan_pool", "eth", 0.2)]
+    rows = [scored("sgan", "eth", 0.2), scored("sgan", "zara1", 0.4), scored("sgan", "eth", 0.2)]
     (mean,) = means(rows, ["eth", "zara1"])
     assert mean["name"] == "sgan" and mean["n"] == 20
     assert mean["metrics"]["ade_m"] == pytest.approx(0.3) and mean["metrics"]["fde_m"] == pytest.approx(0.6)
@@ -94,14 +94,14 @@ def test_ratio_of_means_and_seeds_on_the_pages() -> None:
     rows = [scored("sgan", fold, 0.5, pred_len="12") for fold in FOLDS]
     line = "constant_velocity"
     rows += [scored(line, fold, 0.6, pred_len=steps) for fold in FOLDS for steps in ("8", "12")]
-    block = {"pred_len": "12", "goal": "none", "tag": "_pred12", "rows": [line, "sgan", "sgan_pool"]}
+    block = {"pred_len": "12", "goal": "none", "tag": "_pred12", "rows": [line, "sgan", "sgan"]}
     report = {
         "protocol": {"folds": list(FOLDS)},
         "rows": rows,
         "means": means(rows, FOLDS),
-        "missing": {f"sgan_pool.{fold}_pred12": "no such weights" for fold in FOLDS[1:]},
+        "missing": {f"sgan.{fold}_pred12": "no such weights" for fold in FOLDS[1:]},
         "blocks": [block],
-        "training_seeds": {"sgan.eth": {"seeds": {0: 0.1, 1: 0.3}, "seed": 0, "chosen_by": "val/ade"}},
+        "training_seeds": {"sgan_nopool.eth": {"seeds": {0: 0.1, 1: 0.3}, "seed": 0, "chosen_by": "val/ade"}},
     }
     rows[0]["blocks"] = 3
     for row in rows:
@@ -116,7 +116,7 @@ def test_ratio_of_means_and_seeds_on_the_pages() -> None:
     assert overview[1][3:] == ["0.500 / 1.000"] * 4 + ["-"]
     best = pages["8 -> 12, goal none: best of 20 per scene"]
     assert best.head == ["model", *(f"{fold} (10)" for fold in FOLDS), "mean (50)"]
-    assert [row[0] for row in best.rows][1:3] == ["sgan", "sgan_pool"]
+    assert [row[0] for row in best.rows][1:3] == ["sgan", "sgan"]
     assert best.rows[2][1:] == ["-", *["no weights"] * 4, "-"]
     assert best.rows[3][1] == "0.71\n1.29"
     nats = next(page.rows for title, page in pages.items() if "negative log-likelihood" in title)
@@ -125,7 +125,7 @@ def test_ratio_of_means_and_seeds_on_the_pages() -> None:
     assert likely.rows[1][1] == "0.500 ~[0.470, 0.540]\n1.000"  # of three blocks
     assert likely.rows[1][2] == "0.500 [0.470, 0.540]\n1.000"
     (seeds,) = pages["Spread over training seeds, in validation (from the model cards)"].rows
-    assert seeds == ["sgan.eth", "2", "val/ade", "0.2000 ± 0.1414", "0: 0.1000, 1: 0.3000", "0"]
+    assert seeds == ["sgan_nopool.eth", "2", "val/ade", "0.2000 ± 0.1414", "0: 0.1000, 1: 0.3000", "0"]
     paper = next(iter(pages.values()))
     assert paper.rows[1][:4] == ["Social-VRNN", "0.41\n0.70", "social_vrnn\ngoal none", "-"]
 
@@ -148,8 +148,8 @@ def test_present_models_are_scored_and_missing_ones_named(
         assert (NATS in row["metrics"]) == (row["case"]["goal"] == "none")
         assert row["blocks"] == row["windows"] // (8 + int(row["case"]["pred_len"]))
         assert row["n"] == 3 * row["windows"] == 3 * (60 - 8 - int(row["case"]["pred_len"]) + 1)
-    assert set(report["missing"]) >= {"sgan.zara1", "sgan_goal.zara1_destination", "sgan_pool.zara1_pred12"}
-    assert "not here, no such weights: anchors.zara1, sgan.zara1, sgan_pool.zara1" in report["notes"][-1]
+    assert set(report["missing"]) >= {"sgan_nopool.zara1", "sgan_goal.zara1_destination", "sgan.zara1_pred12"}
+    assert "not here, no such weights: anchors.zara1, sgan_nopool.zara1, sgan.zara1" in report["notes"][-1]
 
     monkeypatch.setattr(module, "work", None)  # nothing is left to be done
     again = Table1(["zara1"], root=recordings, journal=journal)

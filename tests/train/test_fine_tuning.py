@@ -101,7 +101,7 @@ def test_a_checkpoint_brings_the_config_of_its_run():
 
 
 def test_a_fine_tuning_run_goes_on_without_its_first_weights():
-    first = fit("--config", "sgan", "--data.fold", "embedded")
+    first = fit("--config", "sgan_nopool", "--data.fold", "embedded")
     second = fit("--weights", last(first))
     Path(last(first)).unlink()
     assert main(["fit", "--resume", str(second), "--trainer.max_epochs", "2"]) == 0
@@ -130,7 +130,7 @@ def test_what_does_not_fit_is_refused_before_a_run_begins(capsys, elsewhere):
     assert "did you mean 'sgan_goal_map.zara1'?" in error
     error = refused(capsys, "--weights", NAME, "--resume", "runs/x/y")
     assert "--weights begins a training and --resume goes on with one" in error
-    for config in ([], ["--config", "closed_loop/sgan_goal"]):
+    for config in ([], ["--config", "closed_loop/approach_net_goal"]):
         error = refused(capsys, "--weights", "constant_velocity", *config, *fold)
         assert "--weights constant_velocity: expected a trained model" in error
     save_weights(SGAN(), elsewhere / "mine.safetensors", training={"config": "my_own"})
@@ -150,7 +150,7 @@ def test_weights_name_no_dataset_in_a_file_of_code(capsys):
     Path("own.py").write_text(TRAP)
     protocol = {"fold": "own.py:Mine", "goal": "none"}
     save_weights(SGAN(), Path("trap.safetensors"), training={"config": "sgan"}, protocol=protocol)
-    for more in ([], ["--config", "closed_loop/sgan_goal"]):
+    for more in ([], ["--config", "closed_loop/approach_net_goal"]):
         error = refused(capsys, "--weights", "trap.safetensors", *more)
         assert "'--data.fold=own.py:Mine' is in a file of code" in error and "--data.fold file.py" in error
     run = fit("--weights", "trap.safetensors", "--data.fold", "embedded")
@@ -193,7 +193,7 @@ def _whole_config() -> dict[str, Any]:
 
 
 def test_the_config_beside_a_checkpoint_gives_no_orders(elsewhere, monkeypatch):
-    first = fit("--config", "sgan", "--data.fold", "embedded")
+    first = fit("--config", "sgan_nopool", "--data.fold", "embedded")
     config = yaml.safe_load((first / "config.yaml").read_text())
     orders = {"callbacks": {"class_path": "trap.Mine"}, "logger": {"class_path": "trap.Mine"}}
     orders |= {"default_root_dir": "theirs", "profiler": "advanced", "plugins": "trap.Mine"}

@@ -27,7 +27,7 @@ from pedzoo.train.closed_loop.loop_losses import LoopLosses
 from pedzoo.train.closed_loop.segments import Course, Segment, unrolled
 from pedzoo.train.run import rows_of
 
-CONFIG = "closed_loop/sgan_goal_map"
+CONFIG = "closed_loop/approach_net_goal_map"
 COURSES = '[{"scenario": "door:width=0.9", "scenes": 3}, {"scenario": "circle:people=2", "scenes": 2}]'
 QUICK = ["--model.courses", COURSES, "--model.steps", "3", "--model.samples", "2", "--data.fold", "embedded"]
 QUICK += ["--data.loading.batch_size", "4", "--data.imitated.batch_size", "4", "--data.imitated.steps", "5"]
@@ -112,7 +112,7 @@ def test_every_tensor_is_registered_once():
 @pytest.mark.parametrize("named", [True, False])
 def test_a_run_saves_the_dropout_that_it_ran_with(named, monkeypatch):
     """The config decides, not the weights, also where the weights name their config themselves."""
-    weights = "sgan_goal_map.zara1" if named else "sgan_goal_map.indoor"
+    weights = "sgan_goal_map.zara1" if named else "approach_net_goal_map.indoor"
     assert pedzoo.load(weights).config["map_dropout"] == 0.5
     ran: list[float] = []
 
@@ -146,14 +146,14 @@ def test_a_controller_of_your_own_recordings(capsys):
     np.savetxt("a.csv", tracks, "%g", ",", header="frame,agent,x,y", comments="")
     files = ["--data.files", "a.csv", "--data.dt", "0.1", "--data.map", str(folder / "plaza.yaml")]
     short = ["--trainer.max_epochs", "1", *QUICK[QUICK.index("--trainer.limit_train_batches") :]]
-    assert main(["fit", "--config", "open_loop/sgan_goal_map", *files, *short, *STILL]) == 0
-    weights = "runs/open_loop.sgan_goal_map/a-seed0/checkpoints/best.ckpt"
+    assert main(["fit", "--config", "open_loop/approach_net_goal_map", *files, *short, *STILL]) == 0
+    weights = "runs/open_loop.approach_net_goal_map/a-seed0/checkpoints/best.ckpt"
     onwards = ["fit", "--config", CONFIG, "--weights", weights]
     assert main([*onwards, *short]) == 2
     assert "--data.files a.csv,b.csv" in capsys.readouterr().err
     quick = [word for word in QUICK if word not in ("--data.fold", "embedded")]
     assert main([*onwards, *files, *quick, *STILL, "--trainer.max_epochs", "1"]) == 0
-    after = pedzoo.load("runs/closed_loop.sgan_goal_map/a-seed0/checkpoints/best.ckpt")
+    after = pedzoo.load("runs/closed_loop.approach_net_goal_map/a-seed0/checkpoints/best.ckpt")
     assert after.walking.safety and after.needs == {"goal", "map"}
 
 
@@ -162,7 +162,7 @@ def test_any_generator_goes_into_the_loop(weights, capsys):
     """Its architecture and data win over the config's; checkpoints are chosen by all scenarios together."""
     walks = ["--rollout.scenarios", '["circle:people=2", "hallway"]', "--rollout.episodes", "2"]
     run = fit(weights, *walks, "--monitor", "rollout/clean", "--monitor_mode", "max")
-    assert run == Path("runs/closed_loop.sgan_goal_map/embedded-seed0")
+    assert run == Path("runs/closed_loop.approach_net_goal_map/embedded-seed0")
     config = yaml.safe_load((run / "config.yaml").read_text())
     before, after = pedzoo.load(weights), pedzoo.load(str(run / "checkpoints" / "best.ckpt"))
     generator = config["model"]["init_args"]["generator"]

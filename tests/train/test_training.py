@@ -92,7 +92,7 @@ def test_a_cut_run_ends_as_an_uninterrupted_one(kind, tmp_path):
 
 
 def test_fit_twice_two_epochs_is_fit_four(tmp_path):
-    fit = ["fit", "--config", "sgan", *QUICK, *CONSTANT, "--trainer.max_epochs"]
+    fit = ["fit", "--config", "sgan_nopool", *QUICK, *CONSTANT, "--trainer.max_epochs"]
     assert main([*fit, "4", "--runs", "whole"]) == 0
     assert main([*fit, "2", "--runs", "halves"]) == 0
     whole, halves = (next(tmp_path.glob(f"{name}/*/*/checkpoints/last.ckpt")) for name in ("whole", "halves"))
@@ -110,7 +110,7 @@ def test_fit_twice_two_epochs_is_fit_four(tmp_path):
 
 
 def test_options_win_over_checkpoints_and_strangers_are_refused(tmp_path, capsys):
-    assert main(["fit", "--config", "sgan", *QUICK, *CONSTANT, "--trainer.max_epochs", "1"]) == 0
+    assert main(["fit", "--config", "sgan_nopool", *QUICK, *CONSTANT, "--trainer.max_epochs", "1"]) == 0
     last = next(tmp_path.glob("runs/*/*/checkpoints/last.ckpt"))
     run = last.parent.parent
     assert _rates(last) == [1e-3, 1e-3]

@@ -22,7 +22,7 @@ from answering import Sizes, Step, TimedCase, serve  # pyright: ignore[reportMis
 import pedzoo
 from pedzoo.core.errors import installed
 
-MODEL = "sgan_goal_map.indoor"
+MODEL = "approach_net_goal_map.indoor"
 PLAN, CROWDED = "apartment.7", "office.7"
 POLICIES = (
     "orca",
@@ -207,7 +207,7 @@ def forecasts(scenes: int, people: int) -> Iterator[TimedCase]:
     def build(name: str) -> Step:
         return torch.no_grad()(partial(pedzoo.load(name).sample, straight(scenes, people), 20, 8))
 
-    for name in ("sgan.zara1", "sgan_pool.zara1", "anchor_net.zara1"):
+    for name in ("sgan_nopool.zara1", "sgan.zara1", "anchor_net.zara1"):
         yield TimedCase("forecast", name, partial(build, name), scenes, people, "20 futures of 8 steps")
 
 
@@ -232,7 +232,7 @@ def trainings(scenes: int, people: int) -> Iterator[TimedCase]:
         data = TrajectoryDataModule("embedded")
         data.setup("fit")
         batches = iter(data.train_dataloader())
-        model = pedzoo.load("sgan_pool", pretrained=False).train()
+        model = pedzoo.load("sgan", pretrained=False).train()
         optimizer = torch.optim.Adam(model.parameters(), 1e-4)
 
         def step() -> None:

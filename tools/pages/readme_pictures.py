@@ -33,7 +33,8 @@ from pedzoo.viz.video import film
 ROOT = Path(__file__).parents[2]
 PICTURES = ROOT / "docs" / "pictures"
 
-APARTMENT, PEOPLE, WALKERS, ROBOT, DRIVER = 25, 7, "sgan_goal_map.indoor", "turtlebot4:radius=0.25", "orca"
+APARTMENT, PEOPLE, WALKERS = 25, 7, "approach_net_goal_map.indoor"
+ROBOT, DRIVER = "turtlebot4:radius=0.25", "orca"
 """Seed of the floor plan, number of people, their policy, the robot's body and its policy."""
 
 EPISODES, SECONDS, SIZE = 30, 12.0, (1200, 800)

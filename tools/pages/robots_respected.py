@@ -31,8 +31,8 @@ from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.load import load_policy
 
 POLICIES = (
-    "sgan_goal_map.indoor",
-    "sgan_goal.indoor",
+    "approach_net_goal_map.indoor",
+    "approach_net_goal.indoor",
     "social_walker.indoor",
     "social_walker.styled",
     "orca",

@@ -27,7 +27,7 @@ from pedzoo.viz.episodes import Replay
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 
-POLICIES = ["orca:radius=0.3", "sgan_goal_map.indoor"]
+POLICIES = ["orca:radius=0.3", "approach_net_goal_map.indoor"]
 SCENARIO = "goals:map=apartment.7,people=8,goals=3,pool=8"
 MOMENT = "t=9.4&who=3.3"
 """What the report shows: seconds, and the person that is clicked, in the page's address."""

@@ -33,16 +33,16 @@ Key = tuple[str, str]
 """A case and a metric of checkpoints/results/LOOP.md."""
 
 CHOICE = {
-    "sgan_goal_map.indoor": "people walk around your robot: the default",
+    "approach_net_goal_map.indoor": "people walk around your robot: the default",
     "social_walker.indoor": "people walk in groups that you name, and brake nearly as recorded ones do",
     "social_walker.styled": "people are hardest to tell from recorded ones",
     "sgan_goal_map.zara1": "you forecast with goals and floor plans, as the iGibson paper; not for walking",
-    "sgan.zara1": "you forecast without goals: Social GAN; not for walking",
+    "sgan_nopool.zara1": "you forecast without goals: Social GAN; not for walking",
     "robot_ppo.mix": "you want a robot with a lidar to compare with",
 }
 """The README's models, and when one takes them."""
 
-LEARNED = ("sgan_goal_map.indoor", "social_walker.styled")
+LEARNED = ("approach_net_goal_map.indoor", "social_walker.styled")
 RULES = ("go_to_goal:safety=true", "orca:radius=0.2", "orca:radius=0.3", "social_force:preset=indoor")
 """Rows of the README's results; the first one is compared with all rules."""
 
@@ -89,9 +89,9 @@ SHOWN: dict[str, Key] = {
 }
 """Rows of docs/results.md about controllers in the loop."""
 
-SEEDED = ("sgan_goal_map.indoor", "sgan_goal.indoor")
+SEEDED = ("approach_net_goal_map.indoor", "approach_net_goal.indoor")
 POLICIES = {name: [f"{name}{seed}" for seed in ("", "-seed1", "-seed2")] for name in SEEDED}
-WALKERS = ("social_walker.eth_ucy", "social_walker.styled", "sgan_goal_map.controller_open")
+WALKERS = ("social_walker.eth_ucy", "social_walker.styled", "approach_net_goal_map.controller_open")
 POLICIES |= {name: [name] for name in (*WALKERS, *RULES)}
 """Their columns, and those of LOOP.md of which they show the least and the most, if any."""
 

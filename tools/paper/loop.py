@@ -83,11 +83,11 @@ FORCE = "social_force:preset=indoor"
 BASELINES = ("orca:radius=0.2", ORCA, "orca:radius=0.5", FORCE, "go_to_goal")
 """All see the walls."""
 
-OPEN_LOOP = ("sgan_goal_map.controller_open", "sgan_goal.controller_open")
+OPEN_LOOP = ("approach_net_goal_map.controller_open", "approach_net_goal.controller_open")
 """Weights that were trained to forecast alone, with which trainings in the loop begin."""
 
 APART = (
-    "sgan_goal_map.indoor:safety=false",
+    "approach_net_goal_map.indoor:safety=false",
     f"{OPEN_LOOP[0]}:safety=true",
     "go_to_goal:safety=true",
 )
@@ -145,7 +145,7 @@ class Loop(Walked):
     title = "Controllers in the loop: what they have to show"
     stem = "LOOP"
     suites = ("loop_doors", "loop_buildings", "loop_noise", "loop_replay")
-    models = ("sgan_goal_map.indoor", "sgan_goal.indoor")
+    models = ("approach_net_goal_map.indoor", "approach_net_goal.indoor")
     baselines = (*APART, *OPEN_LOOP, *BASELINES)
 
     def notes(self) -> list[str]:

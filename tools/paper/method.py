@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 PAPER = "sgan_goal_map.eth_ucy:safety=false"
 """The paper's network, trained on recordings alone, without a safety layer: as the paper has it."""
 
-LAYER, IN_LOOP = "sgan_goal_map.eth_ucy:safety=true", "sgan_goal_map.indoor:safety=false"
+LAYER, IN_LOOP = "sgan_goal_map.eth_ucy:safety=true", "approach_net_goal_map.indoor:safety=false"
 """The same weights with our safety layer, and the same network taught in the loop without it."""
 
 APPROACH = "approach_net_goal_map.indoor"

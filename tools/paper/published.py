@@ -34,7 +34,7 @@ TABLE_1 = [
         ("SGAN", (0.21, 0.42), "sgan", "none"),
         ("Social-VRNN", (0.41, 0.70), "social_vrnn", "none"),
         ("SGAN + goal", (0.07, 0.07), "sgan_goal", "window_end"),
-        ("SGAN + goal + image (partial)", (0.17, 0.27), "sgan_goal_map_alexnet", "window_end"),
+        ("SGAN + goal + image (partial)", (0.17, 0.27), "sgan_goal_map", "window_end"),
     )
 ]
 """The paper's Table I on ZARA1, 8 observed and 8 predicted steps, and what stands beside each row here.
@@ -52,7 +52,7 @@ RELEASED: list[dict[str, Any]] = [
     },
     {
         "label": "SGAN-20VP-20 (released)",
-        "ours": "sgan_pool",
+        "ours": "sgan",
         "errors": {
             "8": _by_fold((0.57, 1.14), (0.38, 0.73), (0.42, 0.79), (0.22, 0.43), (0.24, 0.48)),
             "12": _by_fold((0.77, 1.39), (0.43, 0.88), (0.75, 1.50), (0.34, 0.68), (0.36, 0.73)),

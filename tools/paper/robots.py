@@ -42,7 +42,7 @@ class RobotTransfer(Walked):
     models = tuple(
         f"robot_ppo.{kind}{f'-seed{seed}' if seed else ''}" for kind in PEOPLE for seed in range(SEEDS)
     )
-    baselines = ("straight", "orca", "sampling", "sgan_goal_map.indoor")
+    baselines = ("straight", "orca", "sampling", "approach_net_goal_map.indoor")
 
     def notes(self) -> list[str]:
         """Return what has to be known to read the numbers."""
@@ -53,8 +53,8 @@ class RobotTransfer(Walked):
             f"people: {kinds}",
             f"places: {places}",
             f"`robot_ppo.KIND` learned among people of that kind; mean [least, largest] of {SEEDS} trainings",
-            "orca, sampling and sgan_goal_map.indoor see the true state of all; learned robots see 5 m of "
-            "lidar and the people around. orca and sgan_goal_map.indoor drive as themselves",
+            "orca, sampling and approach_net_goal_map.indoor see the true state of all; learned robots see 5 m of "
+            "lidar and the people around. orca and the walker drive as themselves",
             f"recorded people who react are moved by `{PEOPLE[REACTING]}` from where they are recorded",
         ]
 

@@ -32,8 +32,8 @@ ROOMS = ["--config", "robot/rooms", "--model.people"]
 PEOPLE = {
     "orca": "orca",
     "social_force": "social_force:preset=indoor",
-    "sgan": "sgan_goal_map.indoor",
-    "mix": "orca:share=0.34+social_force:preset=indoor,share=0.33+sgan_goal_map.indoor:share=0.33",
+    "sgan": "approach_net_goal_map.indoor",
+    "mix": "orca:share=0.34+social_force:preset=indoor,share=0.33+approach_net_goal_map.indoor:share=0.33",
 }
 """Among whom robots in rooms are trained, by name."""
 

@@ -8,7 +8,7 @@ from pedzoo.cli.parsing import call, command
 from pedzoo.core.errors import at_least_one, need
 from pedzoo.core.registry import COMMANDS
 
-CONTROLLER = "sgan_goal_map.indoor"
+CONTROLLER = "approach_net_goal_map.indoor"
 """The best that there is to walk with, trained in the loop."""
 
 NAME = "sgan_goal_map.eth_ucy"

@@ -68,7 +68,7 @@ def evaluate(
     """The closed-loop table: policies on suites of cases, with intervals.
 
     Args:
-        policies: orca:radius=0.3, go_to_goal, or any model; mixed crowds: orca:share=0.5+sgan_goal.indoor.
+        policies: orca:radius=0.3, go_to_goal, or any model; mixed crowds: orca:share=0.5+social_force.
         suite: Some suites between commas, also robots, crowdnav or file.py:Class.
         seeds: Of the scenes, between commas; they count as one sample.
         episodes: Per case and seed; by default the suites' own numbers. Not of recordings: see rollouts.
@@ -93,7 +93,7 @@ def evaluate(
         data_dt: Seconds per frame number of these files.
         data_map: Their floor plan; by default no walls.
         data_homography: Their 3x3 matrix from positions to world metres.
-        people: Who walks beside robots, between commas: orca,sgan_goal_map.indoor,replay:fold=zara1.
+        people: Who walks beside robots, between commas: orca,approach_net_goal_map.indoor,replay:fold=zara1.
         data_root: Recordings for replay; by default PEDZOO_DATA.
         workers: Processes; the table stays the same.
         from_card: Do what the models' cards say again, forecasts too. Exit code 1 where a number is another.

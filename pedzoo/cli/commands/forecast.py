@@ -90,7 +90,7 @@ def _trained(configs: str, argv: list[str], runs: str) -> list[str]:
     return result
 
 
-@command("pedzoo score mine.csv sgan_goal_map.indoor --against zara1 --json score.json")
+@command("pedzoo score mine.csv approach_net_goal_map.indoor --against zara1 --json score.json")
 def score(
     crowds: list[str],
     /,

@@ -38,7 +38,7 @@ def rollout(
 
     Args:
         policies: orca:radius=0.3, go_to_goal, or any model, one row each; or mixed:
-            orca:share=0.5+sgan_goal.indoor.
+            orca:share=0.5+approach_net_goal.indoor.
         scenario: Its name, mine.yaml or file.py:Class, with settings: door:width=0.9,people=4,
             hallway:width=[1.5,2.5] (one per scene), goals:map=apartment.7 (or a file; if its path has commas,
             in quotes: "goals:map='/a,b/plan.yaml'"). pedzoo --help lists all.
@@ -119,7 +119,7 @@ def rollout(
     return 0
 
 
-@command("pedzoo view door sgan_goal_map.indoor --serve")
+@command("pedzoo view door approach_net_goal_map.indoor --serve")
 def view(
     scenario: str,
     policy: str,

@@ -27,7 +27,7 @@ EPISODES = 50
 ROBOT = "disc"
 """The body where nothing else is said."""
 
-PEOPLE = ("orca", "social_force:preset=indoor", "sgan_goal_map.indoor", "replay")
+PEOPLE = ("orca", "social_force:preset=indoor", "approach_net_goal_map.indoor", "replay")
 """Policies of the people by default."""
 
 REPLAY = "replay"

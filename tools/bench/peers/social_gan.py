@@ -33,7 +33,7 @@ def cases(asked: Sizes) -> list[TimedCase]:
     """Return training and sampling for the sizes that are asked about."""
     torch.set_num_threads(1)
     works = {"train": ("Social GAN's generator, best of 20", training)}
-    works["forecast"] = ("sgan_pool.zara1", sampling)
+    works["forecast"] = ("sgan.zara1", sampling)
     return [
         TimedCase(section, name, lambda work=work, b=b, a=a: work(b, a), b, a)
         for section, (name, work) in works.items()
