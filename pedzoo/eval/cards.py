@@ -16,6 +16,7 @@ from pedzoo.data.datamodule import PROTOCOL, STAGES, TrajectoryDataModule
 from pedzoo.data.recordings import find_fold
 from pedzoo.eval.evaluate import Evaluation
 from pedzoo.eval.forecast import forecast_row
+from pedzoo.eval.inputs import input_use
 from pedzoo.eval.suite import EvaluationOptions
 from pedzoo.models.zoo.card import ModelCard
 from pedzoo.models.zoo.loading import load, saved_config
@@ -72,7 +73,7 @@ def measure(
 
     Forecast errors are those of the windows that the weights did not see, under the model's own goal
     protocol: of validation windows where no scene was left out. The embedded recordings follow, and the door,
-    goals and encounters in closed loop.
+    goals and encounters in closed loop; and which inputs the forecasts use, see `pedzoo.eval.inputs`.
 
     Args:
         model: What `pedzoo.load` accepts of saved models.
@@ -92,7 +93,9 @@ def measure(
     own |= {"goal": load(model).goal_protocol or "none", "samples": SAMPLES}
     own["split"] = "val" if fold and fold.whole else "test"
     embedded = own | {"fold": EMBEDDED, "split": "test"}
-    wanted = [("forecast", own), ("forecast", embedded)][own["fold"] == EMBEDDED :]
+    wanted = [("inputs", own), ("forecast", own), ("forecast", embedded)]
+    if own["fold"] == EMBEDDED:
+        wanted.pop()
     if own["obs_len"] == OBS_LEN:  # so many steps are seen by what walks
         wanted += [("evaluate", protocol) for protocol in WALKS]
     result = []
@@ -194,7 +197,7 @@ class Job(NamedTuple):
 
 
 def report_of(command: str, job: Job) -> Report:
-    """Return the report of ``forecast`` on one model, or the tables' rows of ``evaluate``.
+    """Return the report of ``forecast`` or ``inputs`` on one model, or the tables' rows of ``evaluate``.
 
     Raises:
         UserError: The recordings are absent, or the protocol asks for something unknown.
@@ -235,6 +238,13 @@ def _forecasts(job: Job) -> tuple[Report, list[Report]]:
     return dict(protocol), [row]
 
 
+def _inputs(job: Job) -> tuple[Report, list[Report]]:
+    protocol = job.protocol
+    data = TrajectoryDataModule(root=job.root, **only(protocol, PROTOCOL))
+    how = {"seed": job.seeds[0], "split": protocol["split"], "progress": job.progress}
+    return dict(protocol), input_use(job.model, load(job.model), data, **how)
+
+
 def _walks(job: Job) -> tuple[Report, list[Report]]:
     asked = only(job.protocol, EvaluationOptions._fields)
     lists: dict[str, Any] = {key: tuple(value) for key, value in asked.items() if isinstance(value, list)}
@@ -260,5 +270,7 @@ _OPTIONAL = {"quick": bool, "deterministic": bool, "physics": str, "maps": list,
 _OPTIONAL |= {"rollouts": int, "people": list, "robot": str}
 _WALKS = defstruct("evaluate", [("suites", list), *((*one, None) for one in _OPTIONAL.items())])
 
-_MAKERS = {"forecast": (_FORECAST, _forecasts), "evaluate": (_WALKS, _walks)}
+_MAKERS = {
+    "forecast": (_FORECAST, _forecasts), "inputs": (_FORECAST, _inputs), "evaluate": (_WALKS, _walks)
+}  # fmt: skip
 """By the command: the form of its protocol, and the function that makes the report."""

@@ -294,7 +294,7 @@ class _InputReader(AlexNetEncoder):
 
     def features(self, at: Viewpoints) -> Tensor:
         assert isinstance(at.bank, PlanInput)
-        return at.bank.read(at.position.unsqueeze(1))[:, 0]
+        return at.bank.read(at.points(self.get_buffer("offsets")))
 
 
 @torch.no_grad()

@@ -172,7 +172,7 @@ def test_features_are_read_exactly_at_a_persons_place(monkeypatch, resolution):
     ids = torch.full((4,), grids[0].map_id)
     at = Viewpoints(MapBank(grids), move_to_scene(places, pose), places, ids, pose)
     atlas_of.cache_clear()
-    result = AlexNetEncoder(cell=0.4).features(at)[:, :2]
+    result = AlexNetEncoder(cell=0.4).features(at)[:, 0, :2]
     atlas_of.cache_clear()
     pixel = torch.tensor([width / math.ceil(width * 40 - 1e-6), height / math.ceil(height * 40 - 1e-6)])
     assert (pixel <= 0.4 / 16 + 1e-6).all()
@@ -185,13 +185,13 @@ def test_alexnet_tells_walls_from_floor_and_is_not_saved():
     encoder = AlexNetEncoder()
     at = people(MapBank([grid]), grid)
     first = encoder.features(at)
-    assert first.shape == (6, 256) and first.std(0).max() > 0.1
+    assert first.shape == (6, 5, 256) and first.std(0).max() > 0.1
     assert encoder.features(at._replace(map_id=torch.full_like(at.map_id, -1))).abs().max() == 0
     at.position.requires_grad_()
     encoder(at).sum().backward()
     assert at.position.grad is not None and at.position.grad.abs().sum() > 0
-    assert encoder.state_dict().keys() == {"head.0.weight", "head.0.bias"}
-    assert sum(weight.numel() for weight in encoder.parameters()) == 257 * 32
+    assert encoder.state_dict().keys() == {"head.weight", "head.bias"}
+    assert sum(weight.numel() for weight in encoder.parameters()) == (5 * 256 + 1) * 32
 
     # Another bank, in which the same room is moved: the same features at moved places; the old map is gone.
     at = at._replace(bank=MapBank([moved]), position=at.position + torch.tensor([10.0, 5.0]))

@@ -174,7 +174,9 @@ def test_shipped_weights_are_listed_loaded_by_name_and_checked(model, checkpoint
         load("sgan")
     for name in ("sgan_goal.zara1", "sgan_nopool.zara1"):
         write_model(model, checkpoints, name)
-    assert list_models() == ["sgan_nopool.zara1", "sgan_goal.zara1"] and list_models("sgan.*") == ["sgan_nopool.zara1"]
+    assert list_models() == ["sgan_nopool.zara1", "sgan_goal.zara1"] and list_models("sgan.*") == [
+        "sgan_nopool.zara1"
+    ]
     assert torch.equal(answers(pedzoo.load("sgan_goal.zara1")), answers(model))
     with pytest.raises(UserError, match=r"name its weights: sgan\.zara1"):
         load("sgan")

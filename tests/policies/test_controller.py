@@ -282,7 +282,9 @@ def row_of(batch: Any, radius: float) -> int:
     return int(rows[0])
 
 
-@pytest.mark.parametrize(("name", "goal"), [("sgan_goal_map.zara1", (0.8, 0.0)), ("approach_net_goal.indoor", None)])
+@pytest.mark.parametrize(
+    ("name", "goal"), [("sgan_goal_map.zara1", (0.8, 0.0)), ("approach_net_goal.indoor", None)]
+)
 def test_who_has_arrived_stands_until_another_goal(name: str, goal: Any):
     room_of_ten = rectangles(room((-5, -5), (5, 5), 0.1), resolution=0.1)
     controller = pedzoo.controller(name, room_of_ten, dt=0.1)

@@ -203,7 +203,9 @@ def test_milliseconds_are_noticed_and_pauses_allowed() -> None:
     controller.step(people, time=20.02)
 
 
-@pytest.mark.parametrize(("name", "dt"), [("go_to_goal", 0.4), ("orca", 0.1), ("approach_net_goal_map.indoor", 0.1)])
+@pytest.mark.parametrize(
+    ("name", "dt"), [("go_to_goal", 0.4), ("orca", 0.1), ("approach_net_goal_map.indoor", 0.1)]
+)
 @pytest.mark.parametrize("host", ["noise", "lag", "block"])
 def test_hosts_may_move_people_otherwise_than_told(name: str, dt: float, host: str) -> None:
     """Noise of 1 cm, commands that come a call late, and people held for 2 s: all arrive and stand."""

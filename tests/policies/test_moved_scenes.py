@@ -21,7 +21,13 @@ from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.neighbours import ROOM, separation_push
 
-WEIGHTS = ("sgan_nopool.zara1", "sgan.zara1", "approach_net_goal.indoor", "approach_net_goal_map.indoor", "social_vrnn.zara1")
+WEIGHTS = (
+    "sgan_nopool.zara1",
+    "sgan.zara1",
+    "approach_net_goal.indoor",
+    "approach_net_goal_map.indoor",
+    "social_vrnn.zara1",
+)
 BASELINES = ("constant_velocity", "straight_line", "bent_line", "go_to_goal:safety=true")
 WALKERS = (*POLICIES.names(), *BASELINES, *WEIGHTS)
 AVOIDING = ("orca", "social_force")
@@ -163,7 +169,9 @@ def test_people_with_spots_of_their_own_are_not_pushed() -> None:
     assert (away[2:] == 0).all()
 
 
-@pytest.mark.parametrize(("name", "seeds"), [*((name, 8) for name in AVOIDING), ("approach_net_goal_map.indoor", 4)])
+@pytest.mark.parametrize(
+    ("name", "seeds"), [*((name, 8) for name in AVOIDING), ("approach_net_goal_map.indoor", 4)]
+)
 def test_seeds_decide_encounters_of_mirror_images(name: str, seeds: int) -> None:
     """Two people head-on: they pass each other, on the one side by some seeds and on the other by others."""
     begin, goals = np.array([[-4.0, 0.0], [4.0, 0.0]]), np.array([[4.0, 0.0], [-4.0, 0.0]])

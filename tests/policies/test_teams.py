@@ -140,7 +140,10 @@ def test_a_plus_in_the_name_of_an_existing_file_is_part_of_it(
     [
         ("orca:share=0.5,radius=0.3+go_to_goal", {"orca:radius=0.3": 0.5, "go_to_goal": 0.5}),
         ("orca:share=1", {"orca": 1.0}),
-        ("orca+go_to_goal+sgan_nopool.zara1", {"orca": 1 / 3, "go_to_goal": 1 / 3, "sgan_nopool.zara1": 1 / 3}),
+        (
+            "orca+go_to_goal+sgan_nopool.zara1",
+            {"orca": 1 / 3, "go_to_goal": 1 / 3, "sgan_nopool.zara1": 1 / 3},
+        ),
     ],
 )
 def test_teams_without_a_share_share_the_rest(text: str, shares: dict[str, float]) -> None:
@@ -298,7 +301,9 @@ def walked(policy: str, scenario: str = "hallway", scenes: int = 3, **settings: 
         return run(made, env)
 
 
-@pytest.mark.parametrize("policy", ["orca", "approach_net_goal_map.indoor", "sgan_goal.zara1:execute_steps=2"])
+@pytest.mark.parametrize(
+    "policy", ["orca", "approach_net_goal_map.indoor", "sgan_goal.zara1:execute_steps=2"]
+)
 def test_a_crowd_of_one_team_is_that_team(policy: str) -> None:
     setting = "," if "=" in policy else ":"
     one, crowd = (walked(name, "door", 2) for name in (policy, f"{policy}{setting}share=1"))

@@ -24,7 +24,13 @@ SCENES = {
     "groups": "groups",
     "recorded people": "replay:fold=embedded",
 }
-POLICIES = ("go_to_goal:safety=true", "orca", "social_force", "approach_net_goal_map.indoor", "social_walker.styled")
+POLICIES = (
+    "go_to_goal:safety=true",
+    "orca",
+    "social_force",
+    "approach_net_goal_map.indoor",
+    "social_walker.styled",
+)
 
 
 @torch.no_grad()

@@ -43,7 +43,9 @@ def test_cells_are_the_numbers_of_the_results_and_of_the_card() -> None:
 def test_the_zoo_lists_every_model_with_its_held_out_scene() -> None:
     page = tables.zoo()
     assert all(f"| `{name}` |" in page for name in tables.shipped())
-    (row,) = (line for line in page.splitlines() if line.startswith("| `approach_net_goal_map.indoor_zara1` |"))
+    (row,) = (
+        line for line in page.splitlines() if line.startswith("| `approach_net_goal_map.indoor_zara1` |")
+    )
     assert "| zara1 | window_end, true |" in row and "| yes |" in row
 
 

@@ -42,20 +42,25 @@ def test_config_trains(name, tmp_path, request, monkeypatch):
         return
     assert "val/ade" in logged
     # networks with a goal walk, those with anchors in the loop alone
-    walks = name.startswith("closed_loop/") or name.rpartition("/")[2].startswith("sgan_goal")
+    plain = name.rpartition("/")[2]
+    walks = (
+        name.startswith("closed_loop/") or plain.startswith(("sgan_goal", "approach_net")) or plain == "sgan"
+    )
     assert ("rollout/success" in logged) == walks
 
 
 def test_closed_loop_configs_differ_in_what_people_see_alone():
     """The numbers of two controllers are compared: they were trained alike."""
-    one, other = (load_config(f"closed_loop/{name}") for name in ("sgan_goal_map", "sgan_goal"))
+    one, other = (
+        load_config(f"closed_loop/{name}") for name in ("approach_net_goal_map", "approach_net_goal")
+    )
     plan = {"map": "rings", "map_dim": 24}
     other["model"]["init_args"]["generator"]["init_args"]["architecture"] |= plan
     assert one | {"weights": ""} == other | {"weights": ""}
     assert all(make_scenario(name) for name in one["rollout"]["scenarios"])
 
 
-@pytest.mark.parametrize("name", ["sgan_goal_map", "sgan_goal", "anchor_net_goal_map"])
+@pytest.mark.parametrize("name", ["approach_net_goal_map", "approach_net_goal", "anchor_net_goal_map"])
 def test_a_closed_loop_config_says_what_its_weights_say(name):
     """With these weights on the command line, as releases are made, it is the same training."""
     config = load_config(f"closed_loop/{name}")

@@ -17,7 +17,7 @@ EVERYTHING = "eth_ucy"
 """The fold of ETH/UCY that leaves nothing out."""
 
 GOALS: dict[str, GoalProtocol] = {
-    "sgan": "none", "sgan": "none", "social_vrnn": "none", "sgan_goal_destination": "destination",
+    "sgan_nopool": "none", "sgan": "none", "social_vrnn": "none", "sgan_goal_destination": "destination",
     "closed_loop/social_walker": "destination",
     "closed_loop/social_walker_indoor": "destination",
     "closed_loop/social_walker_styled": "destination",
@@ -65,7 +65,7 @@ class Recipe:
             return "rollout/stl"
         if self.config in ANCHORED:
             return "val/min_ade_20_agent"
-        return "val/min_ade_20_scene" if self.config in ("sgan", "sgan") else "val/ade"
+        return "val/min_ade_20_scene" if self.config in ("sgan", "sgan_nopool") else "val/ade"
 
     @property
     def best(self) -> Callable[..., Any]:
@@ -122,19 +122,20 @@ class Recipe:
         return {seed: self.best(monitored(self.run(seed, root).path, self.monitor).values()) for seed in done}
 
 
-CONFIGS = ("sgan_goal_map", "sgan_goal", "sgan", "social_vrnn", "sgan_goal_map", "sgan")
+CONFIGS = ("sgan_goal_map", "sgan_goal", "sgan", "sgan_nopool", "social_vrnn")
 
 ANCHORED = ("anchors", "anchor_mlp", "anchor_net")
 """Those whose modes are futures of a fixed length; a best of 20 is what they are made for."""
 
-CONTROLLERS, CONTROLLER = ("sgan_goal", "sgan_goal_map", "anchor_net_goal_map"), ("open_loop", "closed_loop")
-"""Their configs, and the halves of a controller's training, each with its weights."""
+CONTROLLERS = ("approach_net_goal", "approach_net_goal_map", "anchor_net_goal_map")
+CONTROLLER = ("open_loop", "closed_loop")
+"""Configs of controllers, and the halves of a controller's training, each with its weights."""
 
 RECIPES = [
     *(Recipe(config, EVERYTHING) for config in CONFIGS),
     *(Recipe(config, fold) for config in CONFIGS for fold in SCENES),
     *(Recipe("sgan_goal_destination", fold) for fold in SCENES),
-    *(Recipe(config, fold, pred_len=12) for config in ("sgan", "sgan") for fold in SCENES),
+    *(Recipe(config, fold, pred_len=12) for config in ("sgan", "sgan_nopool") for fold in SCENES),
     *(Recipe(config, fold, pred_len) for pred_len in (12, 8) for config in ANCHORED for fold in SCENES),
     *(Recipe(f"anchor_net_goal{end}", fold) for end in ("_destination", "") for fold in SCENES),
     *(Recipe(f"{half}/{config}", EVERYTHING) for config in CONTROLLERS for half in CONTROLLER),

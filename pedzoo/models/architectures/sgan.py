@@ -18,9 +18,9 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.types import PRED_LEN, STEP_SECONDS, TIMED, GoalProtocol
 from pedzoo.models.base import Forecaster, Random, Walking, normal
 from pedzoo.models.blocks.map_encoders import ENCODERS, Viewpoints
-from pedzoo.models.blocks.mlp import init_like_sgan, init_with_zeros, mlp
+from pedzoo.models.blocks.mlp import ACTIVATIONS, Activation, init_like_sgan, init_with_zeros, mlp
 from pedzoo.models.blocks.people import ego_frame, linear_extrapolation
-from pedzoo.models.blocks.people.approach import ApproachPooling
+from pedzoo.models.blocks.people.approach import ApproachPooling, OwnFramePooling
 from pedzoo.models.blocks.people.crowd import Crowd
 from pedzoo.models.blocks.people.pooling import SocialPooling
 from pedzoo.models.blocks.recurrent import DisplacementDecoder, DisplacementEncoder
@@ -56,6 +56,9 @@ class Architecture:
         noise: One z per ``scene`` (published models) or per ``agent``; ``mixed`` likewise, and half of it is
             redrawn at every step of walking people.
         bottleneck_dim: Width of social pooling; 0 for none.
+        activation: Of the layer before the decoder.
+        conditions: Where features of goal and floor plan go: through the ``context`` layer before the
+            decoder, or beside its result into the ``decoder``, as in the paper.
         goal_dim: Width of the goal's linear layer; 0 for no goal.
         goal_protocol: The goal protocol of the training data.
         map: Floor plan encoder; None for no floor plan.
@@ -63,8 +66,8 @@ class Architecture:
         approach_dim: Width of features of people's closest approach; 0 for none.
         trait_dim: Width of the network by which noise changes the reading of a situation; 0 for none.
         frame: Directions in the ``world``, or in each person's own ``heading``, so that turning the scene
-            turns the answer (pooling stays in the world). ``way`` is the direction to the goal, which does
-            not turn with every small step.
+            turns the answer. Social pooling is in the same frame. ``way`` is the direction to the goal,
+            which does not turn with every small step.
         residual: The trivial continuation that the output is added to.
     """
 
@@ -75,6 +78,8 @@ class Architecture:
     noise_dim: int = 8
     noise: Literal["scene", "agent", "mixed"] = "scene"
     bottleneck_dim: int = 0
+    activation: Activation = "relu"
+    conditions: Literal["context", "decoder"] = "context"
     goal_dim: int = 0
     goal_protocol: GoalProtocol = "none"
     map: Literal["patch", "alexnet", "rings"] | None = None
@@ -140,18 +145,26 @@ class SGAN(Forecaster):
         map_dim = a.map_dim if a.map else 0
         self.needs = frozenset(["goal"] * (a.goal_dim > 0) + ["map"] * (a.map is not None))
         self.encoder = DisplacementEncoder(a.embedding_dim, a.encoder_dim)
-        pooled = a.encoder_dim, a.embedding_dim, 512, a.bottleneck_dim
-        self.pooling = SocialPooling(*pooled) if a.bottleneck_dim else None
+        self.pooling = None
+        if a.bottleneck_dim:
+            widths = a.encoder_dim, a.embedding_dim, 512, a.bottleneck_dim
+            world = a.frame == "world"
+            self.pooling = (
+                SocialPooling(*widths) if world else OwnFramePooling(a.encoder_dim, a.bottleneck_dim)
+            )
         self.goal = nn.Linear(4, a.goal_dim) if a.goal_dim else None
-        seen = a.encoder_dim + a.bottleneck_dim + a.goal_dim + map_dim + a.approach_dim
-        self.to_decoder = mlp(seen, a.mlp_dim, a.decoder_dim - a.noise_dim)
+        seen = a.encoder_dim + a.bottleneck_dim + a.approach_dim
+        self.beside = (a.goal_dim + map_dim) * (a.conditions == "decoder")
+        seen += a.goal_dim + map_dim - self.beside
+        context_dim = a.decoder_dim - a.noise_dim - self.beside
+        self.to_decoder = mlp(seen, a.mlp_dim, context_dim, layer=ACTIVATIONS[a.activation])
         self.decoder = DisplacementDecoder(a.embedding_dim, a.decoder_dim)
         init_like_sgan(self)
         # after the published initialisation: these bring their own
         self.map = ENCODERS[a.map](dim=map_dim) if a.map else None
         self.map_dropout = nn.Dropout(losses.map_dropout)
         self.approach = ApproachPooling(a.encoder_dim, a.approach_dim) if a.approach_dim else None
-        if late := map_dim + a.approach_dim:
+        if late := map_dim * (not self.beside) + a.approach_dim:
             # the untrained network looks at neither: they are listened to as far as they help
             nn.init.zeros_(cast("nn.Linear", self.to_decoder[0]).weight[:, -late:])
         given = a.decoder_dim - a.noise_dim, a.noise_dim, a.trait_dim
@@ -179,14 +192,17 @@ class SGAN(Forecaster):
         frame = None if self.frame == "world" else heading
         moved = ego_frame.into(frame, moved)
         hidden = self.encoder(moved)
-        features = [hidden]
-        if self.pooling is not None:
+        features, beside = [hidden], []
+        if isinstance(self.pooling, SocialPooling):
             features.append(self.pooling(hidden, position, crowd))
+        elif self.pooling is not None and heading is not None:
+            features.append(self.pooling(position, last_step, heading, hidden, crowd))
+        conditions = beside if self.beside else features
         if self.goal is not None and aims is not None:
-            features.append(self.goal(ego_frame.into(frame, aims).flatten(1)))
+            conditions.append(self.goal(ego_frame.into(frame, aims).flatten(1)))
         if self.map is not None and heading is not None:
             seen = self.map(Viewpoints.of(batch, crowd.scene, position, heading))
-            features.append(self.map_dropout(seen))
+            conditions.append(self.map_dropout(seen))
         if self.approach is not None and heading is not None:
             features.append(self.approach(position, last_step, heading, hidden, crowd))
         seen, first, base = torch.cat(features, -1), moved[:, -1], self._base(last_step, goal, steps)
@@ -196,7 +212,10 @@ class SGAN(Forecaster):
                 nobody[:, -self.approach.dim :] = 0.0
             seen, first = torch.cat((seen, nobody)), first.repeat(2, 1)
             base, frame = (None if one is None else torch.cat((one, one)) for one in (base, frame))
-        return Encoded(self.to_decoder(seen), first, base, frame, crowd)
+        context = self.to_decoder(seen)
+        if beside:
+            context = torch.cat((context, *(one.repeat(1 + alone, 1) for one in beside)), 1)
+        return Encoded(context, first, base, frame, crowd)
 
     def _base(self, last_step: Tensor, goal: Tensor | None, steps: int) -> Tensor | None:
         if self.residual == "none":

@@ -4,7 +4,7 @@ from typing import Literal
 
 from torch import Tensor, nn
 
-from pedzoo.models.blocks.mlp import init_like_sgan, mlp
+from pedzoo.models.blocks.mlp import ACTIVATIONS, Activation, init_like_sgan, mlp
 from pedzoo.models.blocks.people.crowd import Crowd
 from pedzoo.models.blocks.people.pooling import SocialPooling
 from pedzoo.models.blocks.recurrent import DisplacementEncoder
@@ -23,6 +23,7 @@ class Discriminator(nn.Module):
         hidden_dim: int = 48,
         mlp_dim: int = 64,
         signed: bool = False,
+        activation: Activation = "relu",
     ) -> None:
         """Create the parameters.
 
@@ -32,11 +33,12 @@ class Discriminator(nn.Module):
             hidden_dim: Width of the LSTM.
             mlp_dim: Width of the classifier's hidden layer.
             signed: Scores may be negative; where the published ones are zero, nothing is learnt.
+            activation: Inside the classifier.
         """
         super().__init__()
         self.encoder = DisplacementEncoder(embedding_dim, hidden_dim)
         self.pooling = SocialPooling(hidden_dim, embedding_dim, 512, hidden_dim) if kind == "global" else None
-        classifier = mlp(hidden_dim, mlp_dim, 1)
+        classifier = mlp(hidden_dim, mlp_dim, 1, layer=ACTIVATIONS[activation])
         self.classifier = nn.Sequential(*list(classifier)[:-1]) if signed else classifier
         init_like_sgan(self)
 

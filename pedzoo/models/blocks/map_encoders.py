@@ -44,15 +44,18 @@ class Viewpoints(NamedTuple):
         """Return the viewpoints of people in the scenes ``scene`` (P,) long of a batch."""
         return cls(maps_of(batch), position, heading, batch["map_id"][scene, 0], batch["scene_pose"][scene])
 
-    def distances(self, offsets: Tensor) -> Tensor:
-        """Return distances to walls (P, N), metres, at offsets (2, N) ahead of and left of each person."""
+    def points(self, offsets: Tensor) -> Tensor:
+        """Return scene positions (P, N, 2) at offsets (2, N), metres, ahead of and left of each person."""
         with torch.autocast(self.position.device.type, enabled=False):
             ahead = self.heading.float()
             left = torch.stack((-ahead[:, 1], ahead[:, 0]), dim=-1)
             axes = torch.stack((ahead, left), dim=-1)
             offsets = offsets.expand(self.position.shape[0], 2, -1)
-            points = torch.baddbmm(self.position.float().unsqueeze(2), axes, offsets).transpose(1, 2)
-            return self.bank.signed_distance(points, self.map_id, self.pose)
+            return torch.baddbmm(self.position.float().unsqueeze(2), axes, offsets).transpose(1, 2)
+
+    def distances(self, offsets: Tensor) -> Tensor:
+        """Return distances to walls (P, N), metres, at offsets (2, N) ahead of and left of each person."""
+        return self.bank.signed_distance(self.points(offsets), self.map_id, self.pose)
 
 
 def rings(radii: tuple[float, ...], rays: int) -> Tensor:
@@ -114,6 +117,9 @@ class PatchEncoder(nn.Module):
         return self.net(self.patch(at))
 
 
+_AROUND = 0.8
+"""Metres, two feature cells: how far around a person AlexNet's features are read."""
+
 _MARGIN = alexnet.STRIDE
 """Pixels repeated around a plan, so that feature cells are centred up to its very border and a bit beyond."""
 
@@ -122,7 +128,8 @@ class AlexNetEncoder(nn.Module):
     """Frozen AlexNet convolutions over every floor plan, then a trained linear layer per person.
 
     The plan is a picture from above: free is white, walls are black. Features are computed in the map's own
-    frame, and not turned to a person's heading nor to a scene's pose. Checkpoints hold the linear layer only.
+    frame. The linear layer reads them at the person's place and at four around it, turned to the heading: so
+    it knows on which side a wall is. Checkpoints hold the linear layer only.
     """
 
     def __init__(self, dim: int = 32, weights: str | None = None, cell: float = 0.4) -> None:
@@ -134,17 +141,19 @@ class AlexNetEncoder(nn.Module):
             cell: Metres that one feature cell covers at most; the plan is rescaled for it.
         """
         super().__init__()
-        self.head = nn.Sequential(nn.Linear(alexnet.CHANNELS, dim), nn.ReLU())
+        offsets = torch.cat((torch.zeros(2, 1), rings((_AROUND,), 4)[:, 1:]), 1)
+        self.register_buffer("offsets", offsets, persistent=False)
+        self.head = nn.Linear(alexnet.CHANNELS * offsets.shape[1], dim)
         self.weights, self.cell = weights, cell
 
     def features(self, at: Viewpoints) -> Tensor:
-        """Return AlexNet's features (P, 256) at each person's place; zeros without a map."""
+        """Return AlexNet's features (P, 5, 256) at each person's place and around; zeros without a map."""
         atlas = atlas_of(at.bank, at.bank.device, self.weights, self.cell)
-        return atlas.sample(at.position, at.bank.index(at.map_id), at.pose)
+        return atlas.sample(at.points(self.get_buffer("offsets")), at.bank.index(at.map_id), at.pose)
 
     def forward(self, at: Viewpoints) -> Tensor:
         """Return the features (P, dim)."""
-        return self.head(self.features(at))
+        return self.head(self.features(at).flatten(1))
 
 
 ENCODERS: dict[str, type[RingEncoder | PatchEncoder | AlexNetEncoder]] = {

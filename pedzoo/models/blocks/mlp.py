@@ -3,10 +3,18 @@
 from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
+from typing import Literal
 
 from torch import nn
 
 _RELU = partial(nn.ReLU, inplace=True)
+
+Activation = Literal["relu", "leaky_relu"]
+
+ACTIVATIONS: dict[str, Callable[[], nn.Module]] = {
+    "relu": _RELU, "leaky_relu": partial(nn.LeakyReLU, 0.1, inplace=True)
+}  # fmt: skip
+"""By their names in settings: the published one, which can die, and one that has a slope everywhere."""
 
 
 def mlp(*dims: int, layer: Callable[[], nn.Module] = _RELU) -> nn.Sequential:

@@ -50,6 +50,39 @@ class ApproachPooling(nn.Module):
         return crowd.most_of_others(seen, position, self.dim)
 
 
+class OwnFramePooling(nn.Module):
+    """Social GAN's pooling (Gupta et al., CVPR 2018, eq. 2) for states that are in each person's own frame.
+
+    Such states no longer say whither people walk: the relative displacement stands beside the relative
+    position. What others say fades with their distance, as beyond training crowds differ in size. No feature
+    can die: `softplus` has a slope everywhere. A person alone has features of zero.
+    """
+
+    def __init__(self, state_dim: int, dim: int, hidden_dim: int = 64) -> None:
+        """Create the parameters: ``state_dim`` is the width of a person's state, ``dim`` of the result."""
+        super().__init__()
+        self.pair = nn.Linear(5, hidden_dim)
+        self.other = nn.Linear(state_dim, hidden_dim, bias=False)
+        self.output = nn.Linear(hidden_dim, dim)
+        self.dim = dim
+
+    def forward(
+        self, position: Tensor, moved: Tensor, heading: Tensor, state: Tensor, crowd: Crowd
+    ) -> Tensor:
+        """Return the features (P, dim), above zero near others; arguments as of `ApproachPooling`."""
+        other = self.other(state)
+
+        def seen(me: Tensor, them: Tensor) -> Tensor:
+            away = geometry.unrotate(position[them] - position[me], heading[me])
+            relative = geometry.unrotate(moved[them] - moved[me], heading[me])
+            near = REACH / (REACH + (away.square().sum(-1, keepdim=True) + 1e-6).sqrt())
+            pair = torch.cat((near * away, near * relative / STEP_SECONDS, near), -1)
+            inner = functional.relu(self.pair(pair) + other[them])
+            return near * functional.softplus(self.output(inner))
+
+        return crowd.most_of_others(seen, position, self.dim)
+
+
 def _features(away: Tensor, moved: Tensor, heading: Tensor) -> Tensor:
     """Return features of pairs (..., 8) from relative positions and displacements (..., 2), metres.
 
