@@ -15,8 +15,7 @@ from pedzoo.core.types import OBS_LEN, GoalProtocol, TimeBase
 from pedzoo.data.datamodule import PROTOCOL, STAGES, TrajectoryDataModule
 from pedzoo.data.recordings import find_fold
 from pedzoo.eval.evaluate import Evaluation
-from pedzoo.eval.forecast import forecast_row
-from pedzoo.eval.inputs import input_use
+from pedzoo.eval.forecast import forecast_row, input_rows
 from pedzoo.eval.suite import EvaluationOptions
 from pedzoo.models.zoo.card import ModelCard
 from pedzoo.models.zoo.loading import load, saved_config
@@ -73,7 +72,7 @@ def measure(
 
     Forecast errors are those of the windows that the weights did not see, under the model's own goal
     protocol: of validation windows where no scene was left out. The embedded recordings follow, and the door,
-    goals and encounters in closed loop; and which inputs the forecasts use, see `pedzoo.eval.inputs`.
+    goals and encounters in closed loop; and which inputs the forecasts use, see `pedzoo.metrics.inputs`.
 
     Args:
         model: What `pedzoo.load` accepts of saved models.
@@ -242,7 +241,7 @@ def _inputs(job: Job) -> tuple[Report, list[Report]]:
     protocol = job.protocol
     data = TrajectoryDataModule(root=job.root, **only(protocol, PROTOCOL))
     how = {"seed": job.seeds[0], "split": protocol["split"], "progress": job.progress}
-    return dict(protocol), input_use(job.model, load(job.model), data, **how)
+    return dict(protocol), input_rows(job.model, load(job.model), data, **how)
 
 
 def _walks(job: Job) -> tuple[Report, list[Report]]:

@@ -13,6 +13,7 @@ from pedzoo.data.datamodule import STAGES, TrajectoryDataModule
 from pedzoo.data.recordings import Split
 from pedzoo.data.scenes import SceneSet
 from pedzoo.metrics.forecast import ForecastScore
+from pedzoo.metrics.inputs import input_use
 from pedzoo.metrics.statistics import Interval, ratio_interval
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.loading import load
@@ -97,6 +98,43 @@ def forecast_row(
     other = own not in (None, data.goal) and "goal" in model.needs
     case = {"note": f"trained for {own} goals"} if other else {}
     return {"name": name, "case": case, "n": people, "metrics": score.compute(), "ci95": sums.intervals()}
+
+
+def input_rows(
+    name: str,
+    model: Forecaster,
+    data: TrajectoryDataModule,
+    seed: int = 0,
+    split: Split = "test",
+    progress: Progress | None = None,
+) -> list[dict[str, Any]]:
+    """Return a row for each input of a model: its most likely forecasts with the input and without it.
+
+    Metrics are those of `pedzoo.metrics.inputs.input_use`, and ``largest_shift_m``. Arguments and intervals
+    are as of `forecast_row`.
+    """
+    data.setup(STAGES[split])
+    loader = getattr(data, f"{split}_dataloader")()
+    generator = torch.Generator().manual_seed(seed)
+    blocks: dict[str, BlockSums] = {}
+    totals: dict[str, dict[str, Tensor]] = {}
+    largest: dict[str, float] = {}
+    for i, (draw, batch) in enumerate(zip(loader.sampler, loader, strict=True)):
+        for case, (shift, sums) in input_use(model, batch, generator).items():
+            blocks.setdefault(case, BlockSums(data.sets[split])).add(draw.scenes, sums)
+            largest[case] = max(largest.get(case, 0.0), float(shift.amax()) if shift.numel() else 0.0)
+            total = totals.setdefault(case, {})
+            for key, pair in sums.items():
+                total[key] = total.get(key, 0) + torch.stack([value.double().sum() for value in pair])
+        if progress:
+            progress(name, i + 1, len(loader))
+    rows = []
+    for case, total in totals.items():
+        means = {key: float(above / below.clamp(min=1)) for key, (above, below) in total.items()}
+        metrics = means | {"largest_shift_m": largest[case]}
+        count, ci95 = int(total["shift_m"][1]), blocks[case].intervals()
+        rows.append({"name": name, "case": {"without": case}, "n": count, "metrics": metrics, "ci95": ci95})
+    return rows
 
 
 class BlockSums:

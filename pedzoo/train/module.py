@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 
 import lightning as L
 import torch
+from lightning.pytorch.utilities import rank_zero_warn
 from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from tensordict import TensorDict
 from torch import Tensor, nn
@@ -20,11 +21,15 @@ from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError, at_least_zero
 from pedzoo.core.spec import setting_groups, setting_types
 from pedzoo.metrics.forecast import ForecastScore
+from pedzoo.metrics.inputs import input_use
 from pedzoo.models.base import Forecaster
 from pedzoo.models.blocks.recurrent import DisplacementEncoder
 from pedzoo.models.zoo.loading import architecture_in, config_of, read_checkpoint
 
 SAMPLES = 2  # K of the tried futures
+
+DEAD = 1e-4
+"""Metres: forecasts that move by less without an input do not use it."""
 
 
 class ForecastModule(L.LightningModule):
@@ -72,6 +77,7 @@ class ForecastModule(L.LightningModule):
         self.seed = torch.initial_seed() % 2**31
         self.register_buffer("iteration", torch.zeros((), dtype=torch.long))
         self.score = ForecastScore(samples)
+        self._shifts: dict[str, float] = {}  # the largest so far without each input, metres
 
     def setup(self, stage: str) -> None:
         """Check the goal protocol of the data."""
@@ -160,8 +166,24 @@ class ForecastModule(L.LightningModule):
     def validation_step(self, batch: TensorDict, batch_idx: int) -> None:
         """Add a batch to the scores, with the same noise in every epoch."""
         self.score.update(self.generator, batch, torch.Generator().manual_seed(batch_idx))
+        if not batch_idx:
+            self.check_inputs(batch)
 
     test_step = validation_step
+
+    def check_inputs(self, batch: TensorDict) -> None:
+        """Log how far forecasts move without each input, and warn of an input that training has killed."""
+        for case, (shift, _) in input_use(self.generator, batch, torch.Generator().manual_seed(0)).items():
+            if not shift.numel() or case in ("noise", "others of another scene"):
+                continue
+            now, before = float(shift.mean()), self._shifts.get(case, 0.0)
+            self._shifts[case] = max(now, before)
+            self.log(f"val/shift_without_{case.replace(' ', '_')}", now, batch_size=1, sync_dist=True)
+            if now < DEAD <= before:
+                rank_zero_warn(
+                    f"the model no longer uses {case}: without this input forecasts move by {now:.1e} m, "
+                    f"before by {before:.1e} m. A lower --model.lr or --model.clip may keep it alive"
+                )
 
     def on_validation_epoch_end(self, split: str = "val") -> None:
         """Log the scores as ``val/ade`` and so on."""

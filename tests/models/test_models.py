@@ -113,6 +113,18 @@ AIMED = {"goal": True, "goal_protocol": "destination"}
 VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
     "sgan": ("sgan", {}),
     "pooling": ("sgan", {"bottleneck_dim": 3}),
+    "own": ("sgan", {"frame": "heading", "bottleneck_dim": 3, "activation": "leaky_relu"}),
+    "paper": (
+        "sgan",
+        {
+            "frame": "heading",
+            "bottleneck_dim": 3,
+            "conditions": "decoder",
+            "map": "rings",
+            "map_dim": 5,
+            **GOAL,
+        },
+    ),
     "heading": ("sgan", {"frame": "heading", "residual": "constant_velocity"}),
     "bent": ("sgan", {"frame": "heading", "residual": "bent_line", "map": "patch", **GOAL}),
     "way": ("sgan", {"frame": "way", "map": "rings", "approach_dim": 6, "trait_dim": 7, **GOAL}),

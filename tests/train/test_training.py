@@ -52,6 +52,20 @@ def make_module(kind: str, **options: Any) -> ForecastModule:
     return GANModule(model, Discriminator("global" if kind == "global" else "local"), **options)
 
 
+def test_training_warns_of_an_input_that_it_has_killed(recwarn):
+    """Social pooling dies silently: forecasts stay good where goals tell the answer."""
+    module: Any = make_module("plain")
+    module.log = lambda *_, **__: None
+    batch = make_batch((4, 3))
+    batch = changed(batch, history=0.1 * agents_of(batch)["history"])  # people near each other
+    module.check_inputs(batch)
+    assert not recwarn.list
+    with torch.no_grad():
+        module.generator.to_decoder[0].weight[:, -8:] = 0
+    with pytest.warns(UserWarning, match="no longer uses others: .* move by 0.0e\\+00 m, before by .* m"):
+        module.check_inputs(batch)
+
+
 def make_data(**options: Any) -> TrajectoryDataModule:
     return TrajectoryDataModule(loading=Loading(batch_size=8, rotate=True, mirror=True), **options)
 

@@ -53,8 +53,8 @@ class RobotTransfer(Walked):
             f"people: {kinds}",
             f"places: {places}",
             f"`robot_ppo.KIND` learned among people of that kind; mean [least, largest] of {SEEDS} trainings",
-            "orca, sampling and approach_net_goal_map.indoor see the true state of all; learned robots see 5 m of "
-            "lidar and the people around. orca and the walker drive as themselves",
+            "orca, sampling and the walker see the true state of all; learned robots see 5 m of "
+            "lidar and the people around. orca and approach_net_goal_map.indoor drive as themselves",
             f"recorded people who react are moved by `{PEOPLE[REACTING]}` from where they are recorded",
         ]
 

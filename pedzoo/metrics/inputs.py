@@ -1,7 +1,7 @@
 """Which inputs a forecaster uses: how far its forecast moves when one is taken away, and what that costs."""
 
-from collections.abc import Callable, Mapping
-from typing import Any, cast
+from collections.abc import Mapping
+from typing import cast
 
 import torch
 from tensordict import TensorDict
@@ -9,9 +9,6 @@ from torch import Tensor
 
 from pedzoo.core.batch import agents_of
 from pedzoo.core.types import STEP_SECONDS
-from pedzoo.data.datamodule import STAGES, TrajectoryDataModule
-from pedzoo.data.recordings import Split
-from pedzoo.eval.forecast import BlockSums
 from pedzoo.metrics.forecast import Sums, average, displacement_error
 from pedzoo.models.base import Forecaster
 
@@ -21,63 +18,22 @@ NEAR = 2.0
 _AT_ONCE = 256  # scenes in a batch of one for every person
 
 
+@torch.no_grad()
 def input_use(
-    name: str,
-    model: Forecaster,
-    data: TrajectoryDataModule,
-    seed: int = 0,
-    split: Split = "test",
-    progress: Callable[[str, int, int], None] | None = None,
-) -> list[dict[str, Any]]:
-    """Return a row for each input of a model: its most likely forecast with the input and without it.
+    model: Forecaster, batch: TensorDict, generator: torch.Generator | None = None
+) -> dict[str, tuple[Tensor, Mapping[str, Sums]]]:
+    """Return how the most likely forecasts of a batch differ without each input of a model.
+
+    These are distances (P, T) between the places of both forecasts, and by scene (B,) sums and numbers of
+    people of: ``shift_m``, the mean distance; ``ade_m`` and ``ade_without_m``; ``gain_m``, what the second is
+    above the first; all in metres. Inputs are taken away so:
 
     * ``others``: each person is alone in the scene; of people with somebody within `NEAR`.
     * ``others of another scene``: a control. Other people stand where theirs were; this must not help.
     * ``goal``, ``desired velocity``: those of a person who walks straight on.
     * ``map``: free floor everywhere.
-    * ``noise``: one random sample beside the most likely forecast.
-
-    Metrics, metres: ``shift_m`` is the mean distance between the places of both forecasts, and
-    ``largest_shift_m`` the largest one; ``ade_m`` and ``ade_without_m``; ``gain_m`` is what the second is
-    above the first. Intervals are over time, see `BlockSums`.
-
-    Args:
-        name: Of the rows.
-        model: The model.
-        data: The data; their options are the protocol.
-        seed: Of the noise.
-        split: Which part of the fold.
-        progress: Called with the name, batches done and batches in all.
+    * ``noise``: one random sample, drawn by ``generator``, beside the most likely forecast.
     """
-    data.setup(STAGES[split])
-    loader = getattr(data, f"{split}_dataloader")()
-    generator = torch.Generator().manual_seed(seed)
-    blocks: dict[str, BlockSums] = {}
-    totals: dict[str, dict[str, Tensor]] = {}
-    largest: dict[str, float] = {}
-    for i, (draw, batch) in enumerate(zip(loader.sampler, loader, strict=True)):
-        for case, (shift, sums) in _compared(model, batch, generator).items():
-            blocks.setdefault(case, BlockSums(data.sets[split])).add(draw.scenes, sums)
-            largest[case] = max(largest.get(case, 0.0), float(shift.amax()) if shift.numel() else 0.0)
-            total = totals.setdefault(case, {})
-            for key, pair in sums.items():
-                total[key] = total.get(key, 0) + torch.stack([value.double().sum() for value in pair])
-        if progress:
-            progress(name, i + 1, len(loader))
-    rows = []
-    for case, total in totals.items():
-        means = {key: float(above / below.clamp(min=1)) for key, (above, below) in total.items()}
-        metrics = means | {"largest_shift_m": largest[case]}
-        count, ci95 = int(total["shift_m"][1]), blocks[case].intervals()
-        rows.append({"name": name, "case": {"without": case}, "n": count, "metrics": metrics, "ci95": ci95})
-    return rows
-
-
-@torch.no_grad()
-def _compared(
-    model: Forecaster, batch: TensorDict, generator: torch.Generator
-) -> dict[str, tuple[Tensor, Mapping[str, Sums]]]:
-    """Return for each input the shifts of people (P, T), and sums and counts (B,) of the metrics."""
     agents, mask = agents_of(batch), cast("Tensor", batch["agents", "mask"])
     steps = agents["future"].shape[2]
     whole = model.mode(batch, steps)[:, 0]
@@ -137,10 +93,10 @@ def among_strangers(model: Forecaster, batch: TensorDict, steps: int) -> Tensor:
     moved = person["history"][:, -1] - agents["history"][rows, place, -1]
     for key in ("history", "future", "goal"):
         if (value := agents.get(key, None)) is not None:
-            agents[key] = value + moved.view(-1, *(1,) * (value.dim() - 2), 2)
+            agents.set(key, value + moved.view(-1, *(1,) * (value.dim() - 2), 2))
     agents[rows, place] = person
     for key in ("map_id", "scene_pose"):
-        batches[key] = batch[key][scene]
+        batches.set(key, batch.get(key)[scene])
     return _of_people(model, batches, steps, place, mask)
 
 

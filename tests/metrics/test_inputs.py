@@ -9,8 +9,9 @@ from torch import Tensor
 
 from pedzoo.core.batch import agents_of, scene_batch
 from pedzoo.data.datamodule import TrajectoryDataModule
-from pedzoo.eval.inputs import alone, among_strangers, input_use
+from pedzoo.eval.forecast import input_rows
 from pedzoo.maps.bank import MapBank
+from pedzoo.metrics.inputs import alone, among_strangers
 from pedzoo.models.base import Forecaster, for_all_samples
 from pedzoo.models.zoo.loading import load
 from pedzoo.models.zoo.store import find, names
@@ -90,7 +91,7 @@ def test_goals_are_an_input_of_models_that_need_them() -> None:
 
 def use(model: Forecaster, goal: Any) -> dict[str, dict[str, Any]]:
     """Return the rows of a model on the embedded recordings, by what is taken away."""
-    rows = input_use("mine", model, TrajectoryDataModule(fold="embedded", goal=goal))
+    rows = input_rows("mine", model, TrajectoryDataModule(fold="embedded", goal=goal))
     return {row["case"]["without"]: row for row in rows}
 
 
