@@ -76,7 +76,8 @@ def alone(model: Forecaster, batch: TensorDict, steps: int) -> Tensor:
     mask = cast("Tensor", batch["agents", "mask"])
     scene, slot = mask.nonzero(as_tuple=True)
     people = agents_of(batch)[scene, slot].unsqueeze(1)
-    return _of_people(model, batch[scene].exclude("agents").set("agents", people), steps, 0 * slot, mask)
+    batches = cast("TensorDict", batch[scene]).exclude("agents").set("agents", people)
+    return _of_people(model, batches, steps, 0 * slot, mask)
 
 
 def among_strangers(model: Forecaster, batch: TensorDict, steps: int) -> Tensor:
@@ -88,7 +89,8 @@ def among_strangers(model: Forecaster, batch: TensorDict, steps: int) -> Tensor:
     scene, slot = mask.nonzero(as_tuple=True)
     other = (scene + max(len(batch) // 2, 1)) % len(batch)  # windows next to each other share their people
     place, rows = mask[other].long().argmax(1), torch.arange(len(scene), device=mask.device)
-    batches, person = batch[other].clone(), agents_of(batch)[scene, slot]
+    batches = cast("TensorDict", batch[other]).clone()
+    person = cast("TensorDict", agents_of(batch)[scene, slot])
     agents = agents_of(batches)
     moved = person["history"][:, -1] - agents["history"][rows, place, -1]
     for key in ("history", "future", "goal"):

@@ -57,7 +57,7 @@ def test_training_warns_of_an_input_that_it_has_killed(recwarn):
     module: Any = make_module("plain")
     module.log = lambda *_, **__: None
     batch = make_batch((4, 3))
-    batch = changed(batch, history=0.1 * agents_of(batch)["history"])  # people near each other
+    batch = changed(batch, history=agents_of(batch)["history"] / 10)  # people near each other
     module.check_inputs(batch)
     assert not recwarn.list
     with torch.no_grad():
