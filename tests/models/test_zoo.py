@@ -172,11 +172,9 @@ def test_shipped_weights_are_listed_loaded_by_name_and_checked(model, checkpoint
     assert list_models() == []
     with pytest.raises(UserError, match="'sgan' is an architecture; name its weights: none yet"):
         load("sgan")
-    for name in ("sgan_goal.zara1", "sgan_nopool.zara1"):
+    for name in ("sgan_goal.zara1", "sgan.zara1"):
         write_model(model, checkpoints, name)
-    assert list_models() == ["sgan_nopool.zara1", "sgan_goal.zara1"] and list_models("sgan.*") == [
-        "sgan_nopool.zara1"
-    ]
+    assert list_models() == ["sgan.zara1", "sgan_goal.zara1"] and list_models("sgan.*") == ["sgan.zara1"]
     assert torch.equal(answers(pedzoo.load("sgan_goal.zara1")), answers(model))
     with pytest.raises(UserError, match=r"name its weights: sgan\.zara1"):
         load("sgan")
@@ -184,14 +182,14 @@ def test_shipped_weights_are_listed_loaded_by_name_and_checked(model, checkpoint
         load("sgan_goal.zara2")
     with pytest.raises(UserError, match=r"did you mean 'constant_velocity'.* known: .*sgan_goal\.\*"):
         load("constant_speed_velocity")
-    save_weights(random_weights(model, seed=1), checkpoints / "sgan_nopool.zara1" / "weights.safetensors")
+    save_weights(random_weights(model, seed=1), checkpoints / "sgan.zara1" / "weights.safetensors")
     with pytest.raises(
         UserError, match=r"sgan\.zara1/weights\.safetensors' have sha256 .* card says .*reinstall"
     ):
-        load("sgan_nopool.zara1")
-    (checkpoints / "sgan_nopool.zara1" / "card.yaml").unlink()
+        load("sgan.zara1")
+    (checkpoints / "sgan.zara1" / "card.yaml").unlink()
     with pytest.raises(UserError, match=r"unknown model 'sgan\.zara1': did you mean 'sgan_goal\.zara1'"):
-        load("sgan_nopool.zara1")
+        load("sgan.zara1")
 
 
 def test_own_models_take_their_settings_behind_the_name(own):

@@ -9,8 +9,6 @@ import torch
 from helpers.scenes import Watch, prepared
 from torch import Tensor
 
-import pedzoo
-from pedzoo.core.errors import UserError
 from pedzoo.core.types import AHEAD_SECONDS
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.eval.rollout import rollout
@@ -102,10 +100,3 @@ def test_models_of_recordings_do_not_creep_round_corners(name: str) -> None:
     scenario = prepared("goals:map=apartment.0,people=1,goals=1,pool=6")
     speed = measure(rollout(name, scenario, "compiled", episodes=6)[0])[0]["speed_m_per_s"]
     assert speed > 0.9
-
-
-def test_the_setting_of_older_weights_says_nothing_any_more() -> None:
-    model = pedzoo.load("approach_net_goal_map.indoor")
-    assert "extend_goal" not in model.config and "extend_goal" not in model.card.config["init"]
-    with pytest.raises(UserError, match="extend_goal"):
-        pedzoo.policy("approach_net_goal_map.indoor:extend_goal=false")

@@ -37,10 +37,6 @@ class Config(msgspec.Struct, forbid_unknown_fields=True):
     training: dict[str, Any] = {}
 
 
-RETIRED = ("extend_goal",)
-"""Settings of older weights that say nothing any more: they are left out as configs are read."""
-
-
 class Training(msgspec.Struct, forbid_unknown_fields=True):
     """Which run made the weights; None stands for what is not known any more.
 
@@ -113,7 +109,7 @@ class ModelCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     def __post_init__(self) -> None:
         """Check everything that others rely on."""
         check_plain(msgspec.structs.asdict(self))
-        check_config(self.config)
+        check(self.config, Config, "config")
         for key, form in _PARTS.items():
             check(getattr(self, key), form, key)
         for key, (pattern, expected) in _FORMS.items():
@@ -123,13 +119,6 @@ class ModelCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         check_limit(self.size, LARGEST_WEIGHTS, "size of weights", "bytes", "is the card right?")
         if self.architecture != (its := self.config["architecture"]):
             raise UserError(f"architecture {self.architecture!r}: its config is of {its!r}")
-
-
-def check_config(config: dict[str, Any]) -> None:
-    """Leave out `RETIRED` settings of a config from a file. Raises UserError: it is no `Config`."""
-    check(config, Config, "config")
-    for key in RETIRED:
-        config["init"].pop(key, None)
 
 
 def is_name(text: str) -> bool:
@@ -192,7 +181,7 @@ def read_file(path: str | Path, tensors: bool = True) -> tuple[dict[str, Any], d
     try:
         config = json.loads(metadata["config"])
         check_plain(config)
-        check_config(config)
+        check(config, Config, "config")
     except (ValueError, RecursionError) as error:
         raise UserError(f"{what} have a pedzoo config that cannot be read: {error}") from error
     return config, state

@@ -26,7 +26,7 @@ from pedzoo.core.spec import Spec, grouped, make, parse, plain, setting_groups, 
 from pedzoo.core.types import GoalProtocol
 from pedzoo.models.base import Forecaster, has_parameters
 from pedzoo.models.zoo import store
-from pedzoo.models.zoo.card import Config, ModelCard, check_config, read_file
+from pedzoo.models.zoo.card import Config, ModelCard, read_file
 from pedzoo.models.zoo.store import find, no_model, of_robots, weights_of
 
 HALVED = 1000  # numbers: smaller matrices stay as they are in half precision
@@ -322,7 +322,7 @@ def read_checkpoint(path: str | Path) -> dict[str, Any]:
         raise UserError(f"{what} was not written by pedzoo fit")
     try:
         check_plain(checkpoint["pedzoo"])
-        check_config(checkpoint["pedzoo"])
+        check(checkpoint["pedzoo"], Config, "config")
     except UserError as error:
         raise UserError(f"{what}: {error}") from error
     state = checkpoint.get("state_dict")
