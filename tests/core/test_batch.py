@@ -10,7 +10,7 @@ from typing import Any, cast
 import pytest
 import torch
 from helpers.batches import changed, make_batch
-from helpers.scenes import scene
+from helpers.scenes import Watch, scene
 from tensordict import TensorDict
 from torch import Tensor
 from torchrl.envs.utils import check_env_specs
@@ -63,17 +63,9 @@ def test_all_sources_of_batches_have_the_same_keys() -> None:
     env = make_env("door:people=2", 2, "compiled")
     check_env_specs(env)
     simulated = env.reset()
-    seen: list[TensorDict] = []
-
-    class Watch:
-        decision_dt = 0.4
-
-        def __call__(self, tensordict: Any) -> Any:
-            seen.append(tensordict.copy())
-            tensordict["agents", "action"] = tensordict["agents", "desired_velocity"]
-            return tensordict
-
-    Controller(cast("Any", Watch())).step({"anna": (0.0, 0.0)}, {"anna": (3.0, 0.0)})
+    watch = Watch()
+    Controller(watch).step({"anna": (0.0, 0.0)}, {"anna": (3.0, 0.0)})
+    seen = watch.seen
     own = {"done", "terminated", "truncated", "failed"}
     assert set(simulated.keys()) - own == set(seen[0].keys()) == set(recorded.keys()) | {"scene_key", "time"}
     theirs = set(agents_of(seen[0]).keys()) - {"action"}

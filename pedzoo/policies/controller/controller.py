@@ -106,12 +106,14 @@ class Controller:
         Raises:
             UserError: There is no such floor plan, or a setting is out of range.
         """
-        clock = CallerClock.of(dt, policy.decision_dt)
-        if getattr(policy, "execute_steps", 1) != 1:
+        if not isinstance(policy, NamedPolicy):
+            raise UserError(f"policy {policy!r:.60}: expected a subclass of pedzoo.policies.policy.Policy")
+        if policy.execute_steps != 1:
             raise UserError(
-                f"execute_steps {getattr(policy, 'execute_steps', 1)}: a controller decides anew for people "
-                "who come and go: expected 1"
+                f"execute_steps {policy.execute_steps}: a controller decides anew for people who come and "
+                "go: expected 1"
             )
+        clock = CallerClock.of(dt, policy.decision_dt)
         grid, origin = load_plan(map) if isinstance(map, str | Path) else map, ZERO
         if not isinstance(grid, OccupancyGrid | None):
             raise UserError(
@@ -141,7 +143,7 @@ class Controller:
 
     def reset(self, seed: int = 0) -> None:
         """Forget all agents and start anew with the noise of ``seed``; ways that are known stay known."""
-        self.policy = getattr(self.policy, "fresh", lambda: self.policy)()  # one's own may have none
+        self.policy = self.policy.fresh()
         self._key = Draws.for_episodes(seed, torch.zeros(1, dtype=torch.long)).key
         self._clock = CallerClock.of(self.dt, self.policy.decision_dt)
         self._agents = Roster.empty(len(self._clock.times), self._ticks)
@@ -240,7 +242,7 @@ class Controller:
     def _trace(self, agents: Roster, batch: TensorDict, begin: Array) -> Tensor:
         """Return the velocities (N, S, 2) of a new decision, m/s; agents who ``begin`` (N,) do not blend."""
         velocity = cast("Tensor", batch["agents", "velocity"])[0]
-        device = next(getattr(self.policy, "parameters", lambda: iter(()))(), velocity).device
+        device = next(self.policy.parameters(), velocity).device
         batch = batch if device == velocity.device else batch.to(device)
         kind = ExplorationType.DETERMINISTIC if self.deterministic else ExplorationType.RANDOM
         with set_exploration_type(kind):
