@@ -1,7 +1,6 @@
 """Environments and scenarios by name, and scenarios in files."""
 
 import os
-from copy import copy
 from typing import Any
 
 from pedzoo.core.errors import UserError, known_arguments, unknown
@@ -116,14 +115,11 @@ def prepare_scenario(
             return scenario
         scenario = scenario.scenario
     made = make_scenario(scenario)
-    if made.planner != planner:
-        made = copy(made)
-        made.planner = planner
-    prepared = made.prepare(clearance)
+    prepared = made.prepare(clearance, planner)
     if not isinstance(prepared, PreparedScenario):
         raise UserError(
             f"{type(made).__name__}.prepare returned {prepared!r:.60}: expected what super().prepare("
-            "clearance) returns, with tables by dataclasses.replace(prepared, tables=...)"
+            "clearance, planner) returns, with tables by dataclasses.replace(prepared, tables=...)"
         )
     return prepared
 

@@ -117,14 +117,12 @@ class Scenario(ABC):
         meet: Seconds after the warm start at which people meet who walk from the start on; None where they
             need not. A robot, which stands in the warm start, then starts as far ahead.
         unknown: Meaning of unknown cells of the floor plans.
-        planner: Finds paths on them: one of `pedzoo.maps.planning.astar.PLANNERS`.
         place_of_robot: Settings by which one robot takes the place of one person, each with its values, the
             usual one first; empty where robots are more people than ``people`` says.
     """
 
     place_of_robot: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     unknown: Unknown = "wall"
-    planner: str = Planner.name
     finished: Literal["leave", "continue", "stand"] = "leave"
     wheels: bool = False
     begun: bool = False
@@ -207,10 +205,13 @@ class Scenario(ABC):
         """Return this with the floor plans and ways of another, which are prepared once; None for others."""
         return None
 
-    def prepare(self, clearance: float) -> PreparedScenario:
-        """Return the scenario with floor plans, and with ways to all goals, ``clearance`` m from walls."""
-        planner = planner_class(self.planner)(MapBank(self.plans(), self.unknown), clearance)
-        return PreparedScenario(scenario=self, planner=planner)
+    def prepare(self, clearance: float, planner: str = Planner.name) -> PreparedScenario:
+        """Return the scenario with floor plans, and with ways to all goals, ``clearance`` m from walls.
+
+        ``planner`` finds them: one of `pedzoo.maps.planning.astar.PLANNERS`.
+        """
+        ways = planner_class(planner)(MapBank(self.plans(), self.unknown), clearance)
+        return PreparedScenario(scenario=self, planner=ways)
 
     def speeds(self, draws: Draws) -> Tensor:
         """Return the preferred speeds (B, A), m/s."""

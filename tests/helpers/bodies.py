@@ -35,9 +35,9 @@ class Yard(Scenario):
         """Return none."""
         return []
 
-    def prepare(self, clearance: float) -> PreparedScenario:
+    def prepare(self, clearance: float, planner: str = "shortest") -> PreparedScenario:
         """Find the goals."""
-        prepared = super().prepare(clearance)
+        prepared = super().prepare(clearance, planner)
         points = [[40.0, 3.0 * slot] for slot in range(self.people)]
         goals = prepared.planner.add_goals(-1, torch.tensor(points, dtype=torch.float64))
         return replace(prepared, tables=goals)

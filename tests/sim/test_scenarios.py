@@ -151,8 +151,8 @@ def test_a_scenario_that_returns_nothing_prepared(tmp_path: Path) -> None:
         from pedzoo.sim.scenarios.door import Door
 
         class Mine(Door):
-            def prepare(self, clearance):
-                self.kept = super().prepare(clearance)
+            def prepare(self, clearance, planner):
+                self.kept = super().prepare(clearance, planner)
     """
     (tmp_path / "mine.py").write_text(dedent(code))
     with pytest.raises(UserError, match=r"Mine.prepare returned None: expected .* super\(\).prepare"):

@@ -34,9 +34,9 @@ class WithRobot(Scenario):
         """Return those of the other scenario."""
         return self.inner.plans()
 
-    def prepare(self, clearance: float) -> PreparedScenario:
+    def prepare(self, clearance: float, planner: str = "shortest") -> PreparedScenario:
         """Return the other scenario as tables."""
-        inner = self.inner.prepare(clearance)
+        inner = self.inner.prepare(clearance, planner)
         return PreparedScenario(scenario=self, planner=inner.planner, tables=inner)
 
     def next_goal(self, prepared: Any, draws: Any, agent: Tensor, number: Tensor, last: Tensor) -> Tensor:

@@ -21,6 +21,7 @@ from pedzoo.core.spec import Spec, build, groups_by_setting, setting_groups, set
 from pedzoo.core.types import BODY_RADIUS, TOP_SPEED_RATIO
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.planning.guidance import Guidance
+from pedzoo.maps.planning.planner import Planner
 from pedzoo.sim.make import scenario_spec
 from pedzoo.sim.physics._base import Bodies, Physics
 from pedzoo.sim.scenario import WARM_SECONDS, Layout, PreparedScenario, Scenario, filled
@@ -139,9 +140,9 @@ class RobotScenes(Scenario):
         """See `Scenario.plans`."""
         return self.inner.plans()
 
-    def prepare(self, clearance: float) -> PreparedScenario:
+    def prepare(self, clearance: float, planner: str = Planner.name) -> PreparedScenario:
         """Return the scenes with the ways of people and robots, ``clearance`` metres from walls."""
-        inner = self.inner.prepare(clearance)
+        inner = self.inner.prepare(clearance, planner)
         return replace(inner, scenario=self, tables=inner)
 
     def next_goal(

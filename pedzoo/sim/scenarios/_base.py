@@ -12,6 +12,7 @@ from torch import Tensor
 from pedzoo.core.errors import UserError
 from pedzoo.core.randomness import Draws
 from pedzoo.maps.grid import OccupancyGrid
+from pedzoo.maps.planning.planner import Planner
 from pedzoo.maps.plans import Point, Rectangle, check_lengths, rectangles
 from pedzoo.sim.scenario import PreparedScenario, Scenario
 
@@ -157,9 +158,9 @@ class Varied(Scenario):
         named = ((self.walls(one), self.variants.name(one)) for one in self.variants)
         return [rectangles(walls, self.resolution, name=name) for walls, name in named if walls]
 
-    def prepare(self, clearance: float) -> PreparedScenario:
+    def prepare(self, clearance: float, planner: str = Planner.name) -> PreparedScenario:
         """Find the ways to all places; tables: floor plans (V,) and goals (V, G) of variants, -1 for none."""
-        prepared = super().prepare(clearance)
+        prepared = super().prepare(clearance, planner)
         bank, names = prepared.bank, map(self.variants.name, self.variants)
         # variants may share a floor plan
         map_id = torch.tensor([bank.id_of(name) if bank.grids else -1 for name in names])

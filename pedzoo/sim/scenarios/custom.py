@@ -15,6 +15,7 @@ from pedzoo.core.randomness import Draws
 from pedzoo.core.types import BODY_RADIUS, OBS_LEN, STEP_SECONDS
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.planning.graph import format_point
+from pedzoo.maps.planning.planner import Planner
 from pedzoo.maps.plans import load_plan
 from pedzoo.sim.scenario import SLOWEST, WARM_SECONDS, Layout, PreparedScenario, Scenario
 
@@ -74,7 +75,7 @@ class Custom(Scenario):
         """Return the floor plan, or none."""
         return [] if self.map is None else [load_plan(self.map)]
 
-    def prepare(self, clearance: float) -> PreparedScenario:
+    def prepare(self, clearance: float, planner: str = Planner.name) -> PreparedScenario:
         """Find the ways from starts to goals; tables: floor plans, starts, directions (0: stands), goals.
 
         Warns of places that are nearer to a wall than ``clearance``: they are moved, and goals count there.
@@ -82,24 +83,24 @@ class Custom(Scenario):
         Raises:
             UserError: A place is in a wall or outside the map, two people overlap, or there is no way.
         """
-        prepared = super().prepare(clearance)
-        bank, planner, pose = prepared.bank, prepared.planner, identity_pose(self.people)
+        prepared = super().prepare(clearance, planner)
+        bank, paths, pose = prepared.bank, prepared.planner, identity_pose(self.people)
         row, map_id = (0, bank.grids[0].map_id) if bank.grids else (-1, -1)
         maps, starts = torch.full((self.people,), map_id), self._starts
         for end, places in zip(KEYS, (self._starts, self._ends), strict=False) if bank.grids else ():
-            graph = planner.graph(row)
+            graph = paths.graph(row)
             room = bank.signed_distance(torch.from_numpy(places).float().unsqueeze(1), maps, pose)
             for number in (room.flatten() < 0).nonzero().flatten().tolist():
                 raise UserError(
                     f"person {number + 1}: {end}: {format_point(places[number])} is inside a wall of map "
                     f"{self.map!r} or outside it: expected free floor"
                 )
-            _, settled = graph.settle(places, planner.snap, "the start" if end == "from" else "goal")
+            _, settled = graph.settle(places, paths.snap, "the start" if end == "from" else "goal")
             starts = settled if end == "from" else starts
             for number in range(self.people):
                 if text := graph.moved(f"person {number + 1}: {end}:", places[number], settled[number]):
                     warnings.warn(text, stacklevel=2)
-        goal = planner.add_goals(row, self._ends)
+        goal = paths.add_goals(row, self._ends)
         apart = torch.pdist(torch.from_numpy(starts))
         if len(apart) and float(apart.min()) < 2 * BODY_RADIUS:
             first, second = torch.triu_indices(self.people, self.people, 1)[:, apart.argmin()].tolist()
@@ -108,7 +109,7 @@ class Custom(Scenario):
                 f"least {2 * BODY_RADIUS} m"
             )
         start = torch.from_numpy(starts).float()
-        ways = planner.next_waypoints(start, goal, maps, pose)
+        ways = paths.next_waypoints(start, goal, maps, pose)
         for number, way in enumerate(ways.distance.tolist()):
             if not math.isfinite(way):
                 raise UserError(

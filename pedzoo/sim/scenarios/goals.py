@@ -15,6 +15,7 @@ from pedzoo.core.geometry import identity_pose
 from pedzoo.core.randomness import Draws
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, spread_points
+from pedzoo.maps.planning.planner import Planner
 from pedzoo.maps.plans import load_plan
 from pedzoo.sim.scenario import MIN_INITIAL_PATH, Layout, PreparedScenario, Scenario
 
@@ -80,20 +81,20 @@ class Goals(Scenario):
         self._check_room(other.bank, other.tables.counts)
         return replace(other, scenario=self)
 
-    def prepare(self, clearance: float) -> PreparedScenario:
+    def prepare(self, clearance: float, planner: str = Planner.name) -> PreparedScenario:
         """Spread places over the floor plans and find the ways to those that are goals."""
-        prepared = super().prepare(clearance)
-        planner, places, goals, far = prepared.planner, [], [], []
+        prepared = super().prepare(clearance, planner)
+        ways, places, goals, far = prepared.planner, [], [], []
         for row, grid in enumerate(prepared.bank.grids):
             spread = torch.from_numpy(spread_points(grid, self.unknown, clearance, SPACING, seed=0))
             places.append(spread)
-            goals.append(planner.add_goals(row, spread[: self.pool]))
+            goals.append(ways.add_goals(row, spread[: self.pool]))
         counts = torch.tensor([len(spread) for spread in places])
         self._check_room(prepared.bank, counts)
         for grid, starts, ends in zip(prepared.bank.grids, places, goals, strict=True):
             pairs = len(starts) * len(ends)
             points, map_id = starts.float().repeat_interleave(len(ends), 0), torch.full((pairs,), grid.map_id)
-            way = planner.next_waypoints(points, ends.repeat(len(starts)), map_id, identity_pose(pairs))
+            way = ways.next_waypoints(points, ends.repeat(len(starts)), map_id, identity_pose(pairs))
             far.append(((way.distance > NEAREST) & way.distance.isfinite()).view(len(starts), len(ends)))
             if not far[-1].any(1).all():
                 raise UserError(

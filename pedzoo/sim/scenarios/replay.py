@@ -121,7 +121,7 @@ class Replay(Scenario):
         read = {one.plan: load_plan(one.plan) for one in recordings if one.plan}
         return [Scene.of(one.tracks, read[one.plan] if one.plan else None) for one in recordings]
 
-    def prepare(self, clearance: float) -> PreparedReplay:
+    def prepare(self, clearance: float, planner: str = Planner.name) -> PreparedReplay:
         """Read the recordings, find people's paths to their exits, and give them slots.
 
         Prints how many people are simulated and played back. Its table has the floor plan of each recording.
@@ -130,13 +130,13 @@ class Replay(Scenario):
         # steps of 0.4 s from 0 on; a track with a hole goes on as another person's
         tracks = [scene.tracks.resampled(STEP_SECONDS) for scene in recorded]
         bank = MapBank([scene.grid for scene in recorded if scene.grid is not None], self.unknown)
-        planner = planner_class(self.planner)(bank, clearance, cell=CELL)
+        ways = planner_class(planner)(bank, clearance, cell=CELL)
         map_id = torch.tensor([scene.grid.map_id if scene.grid else -1 for scene in recorded])
-        people, xy = people_of(tracks, bank.index(map_id).tolist(), planner, **self._options)
+        people, xy = people_of(tracks, bank.index(map_id).tolist(), ways, **self._options)
         if not people.controlled.any():
             raise UserError(f"replay: no person in {self.name!r} can be simulated: {people.counts}")
         home = torch.from_numpy(np.stack([scene.home for scene in recorded]))
-        return self.with_slots(planner, map_id, home, people, xy)
+        return self.with_slots(ways, map_id, home, people, xy)
 
     def adapted(self, other: PreparedScenario) -> PreparedScenario | None:
         """Return people and their ways of the same recordings, whether all are simulated there or one."""
