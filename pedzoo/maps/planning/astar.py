@@ -78,13 +78,6 @@ class CellGraph:
         far = far + rest - np.where(np.isfinite(far), far[final], 0.0)
         return far, np.where((bend == cell) | np.isinf(far), -1, bend).astype(np.int32)
 
-    def path(self, start: int, goal: int, place: NDArray[np.float64]) -> NDArray[np.int32]:
-        """Return the open cells (W,) that the path bends at: as `CornerGraph.path`."""
-        onward, chain = self.search(goal, place)[1], [start]
-        while (cell := int(onward[chain[-1]])) >= 0:
-            chain.append(cell)
-        return self.cells[chain[1:]]
-
 
 class AStarPlanner(Planner):
     """Paths along the grid, as in the paper: up to 8.24 % longer than the shortest ones of `Planner`.

@@ -367,20 +367,6 @@ class CornerGraph:
             left = left[~hit]
         return found
 
-    def path(self, start: int, goal: int, place: NDArray[np.float64]) -> NDArray[np.int32]:
-        """Return the open cells (W,) that a shortest path bends at, in their order; empty for a straight one.
-
-        Start and goal are numbers of open cells of one component; the goal is at column and row ``place``.
-        """
-        begin, end = self.graph.place[[start]], self.graph.place[[goal]]
-        if self.graph.sight.clear(begin, end)[0]:
-            return self.cells[:0]
-        far, onward = self.search(goal, place)
-        chain = [int(self.first(begin, far[None])[0])]
-        while (corner := int(onward[chain[-1]])) >= 0:
-            chain.append(corner)
-        return self.cells[chain]
-
 
 def format_point(point: NDArray[np.float64]) -> str:
     """Return a position as messages show it."""

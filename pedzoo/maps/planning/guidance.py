@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from pedzoo.core.geometry import move_to_scene, turn_to_scene
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.constants import EPSILON, LED_ON, SPACING
 from pedzoo.maps.walls import LocalWalls
@@ -51,61 +52,17 @@ class Waypoints(NamedTuple):
     """Whether the waypoint after the next is the goal (*E) bool."""
 
 
-class ScenePose(NamedTuple):
-    """How the scenes of P people lie on their floor plans: `pedzoo.core.geometry` for vectors (2, P).
-
-    On a CPU vectors with x and y as rows are several times faster than (P, 2) where they are turned.
-    """
-
-    cosine: Tensor
-    """Of the scene's rotation (P,)."""
-    sine: Tensor
-    """The same (P,)."""
-    mirror: Tensor
-    """Plus or minus one (P,)."""
-    shift: Tensor
-    """Metres (2, P)."""
-
-    @classmethod
-    def of(cls, pose: Tensor) -> ScenePose:
-        """Return the poses as vectors, of scene poses (P, 4)."""
-        angle, mirror, x, y = pose.float().unbind(1)
-        return cls(angle.cos(), angle.sin(), mirror, torch.stack((x, y)))
-
-    def per_scene(self) -> ScenePose:
-        """Return the poses of B scenes for all of their agents (B, A)."""
-        return ScenePose(*(value.unsqueeze(-1) for value in self))
-
-    def to_map(self, points: Tensor) -> Tensor:
-        """Move scene positions (*E, 2) to where they are on the map (2, *E)."""
-        x, y = points.movedim(-1, 0) - self.shift
-        return torch.stack((self.cosine * x + self.sine * y, (self.cosine * y - self.sine * x) * self.mirror))
-
-    def to_scene(self, points: Tensor) -> Tensor:
-        """Move positions on the map (2, ..., P) into the scene (..., P, 2)."""
-        return self._turn(points, self.shift[0], self.shift[1])
-
-    def turn_to_scene(self, vectors: Tensor) -> Tensor:
-        """Turn directions on the map (2, ..., P) into the scene (..., P, 2)."""
-        return self._turn(vectors, 0.0, 0.0)
-
-    def _turn(self, vectors: Tensor, right: Tensor | float, up: Tensor | float) -> Tensor:
-        x, y = vectors[0], vectors[1] * self.mirror
-        x, y = self.cosine * x - self.sine * y + right, self.sine * x + self.cosine * y + up
-        return torch.view_as_real(torch.complex(x, y))  # ten times faster than `torch.stack` on a CPU
-
-
 def guidance_along(
     points: Tensor,
     paths: Waypoints,
-    frame: ScenePose,
+    pose: Tensor,
     pref_speed: Tensor,
     seconds: float,
     walls: LocalWalls | None,
     fastest: float,
 ) -> Guidance:
-    """Return the guidance of agents (B, A) along their paths: see `Planner.guidance`."""
-    home, waypoint = paths.home, paths.waypoint
+    """Return the guidance of agents (B, A) along their paths in poses (B, 4): see `Planner.guidance`."""
+    home, waypoint, pose = paths.home, paths.waypoint, pose.float()
     with torch.no_grad():
         way, second = waypoint - home, paths.after - waypoint
         length, second_length = torch.hypot(*way), torch.hypot(*second)
@@ -122,13 +79,13 @@ def guidance_along(
         if walls is not None:
             rest = _seen_beyond(walls, home, waypoint, beyond, rest, fastest * seconds)
         places = torch.stack((waypoint, paths.goal, waypoint + beyond * rest), dim=1)
-        waypoint, point, carrot = frame.to_scene(places)
+        waypoint, point, carrot = move_to_scene(places.permute(2, 1, 3, 0), pose).unbind(1)
         straight = (length >= ahead).unsqueeze(-1)
     way = waypoint - points
     distance = way.norm(dim=-1)
     unit = way / distance.clamp_min(EPSILON)[..., None]
     # on the waypoint the path goes on along the second segment
-    unit = torch.where((length < EPSILON)[..., None], frame.turn_to_scene(beyond), unit)
+    unit = torch.where((length < EPSILON)[..., None], turn_to_scene(beyond.movedim(0, -1), pose), unit)
     carrot = torch.where(straight, points + unit * ahead.unsqueeze(-1), carrot)
     goal = _moved_out(carrot, points, unit, ahead.unsqueeze(-1))
     velocity = unit * pref_speed.unsqueeze(-1)

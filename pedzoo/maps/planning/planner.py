@@ -16,9 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from pedzoo.core.errors import UserError, installed
+from pedzoo.core.geometry import move_to_map
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planning.graph import CornerGraph, OpenGraph, as_points, format_point
-from pedzoo.maps.planning.guidance import Guidance, ScenePose, Waypoints, differentiable, guidance_along
+from pedzoo.maps.planning.guidance import Guidance, Waypoints, differentiable, guidance_along
 
 _AT_ONCE = 1_000_000
 """Distances between agents and corners that are compared together: bounds the memory that it takes."""
@@ -401,10 +402,10 @@ class Planner:
         return Guidance(*(part.squeeze(1) for part in self.guidance(*people, 1.0, 1.0)))
 
     @torch.no_grad()
-    def _paths(self, points: Tensor, goal: Tensor, row: Tensor, frame: ScenePose) -> Waypoints:
-        """Return where agents at points (*E, 2) with goals (*E) on maps ``row`` (*E) go, (2, *E)."""
-        home = frame.to_map(points.detach().float())
-        there, goals, rows = home.flatten(1), goal.flatten(), row.flatten()
+    def _paths(self, points: Tensor, goal: Tensor, row: Tensor, pose: Tensor) -> Waypoints:
+        """Return where agents (B, A) go, (2, B, A) each; see `guidance`."""
+        there = move_to_map(points.detach().float(), pose.float()).movedim(-1, 0).flatten(1)
+        goals, rows = goal.flatten(), row.unsqueeze(1).expand(goal.shape).flatten()
         ways = self._on(points.device)
         cell = ways.cell(there, rows)
         number, _, _, offset = ways.goal.index_select(1, goals + 1)
@@ -453,10 +454,9 @@ class Planner:
             fastest: No ``pref_speed`` is above it, m/s.
         """
         if not (self.compiled and points.device.type == "cpu" and installed("numba")):
-            frame = ScenePose.of(pose).per_scene()
-            paths = self._paths(points, goal_id, row.unsqueeze(1).expand(goal_id.shape), frame)
+            paths = self._paths(points, goal_id, row, pose)
             walls = self.bank.to(row.device).walls_on_map(row).per_scene() if self.bank.grids else None
-            return guidance_along(points, paths, frame, pref_speed, look_ahead_seconds, walls, fastest)
+            return guidance_along(points, paths, pose, pref_speed, look_ahead_seconds, walls, fastest)
         from pedzoo.maps.planning.planner_numba import guide
 
         given = (points.float(), goal_id, row, pose.float(), pref_speed.float())
@@ -495,5 +495,12 @@ class Planner:
                 f"{graph.grid.name!r}: they are in rooms without a door between "
                 f"that leaves clearance {self.clearance} m"
             )
-        bends = self.corners(row).path(first, last, graph.to_place(moved)[1])
-        return np.concatenate((graph.xy[bends], moved[1:]))
+        alone = self.without_goals()
+        alone.add_goals(row, moved[1:])
+        ways, chain = alone.prepare(), []
+        opens = ways.begin[2, row + 1]
+        corner = int(alone._first(np.array([first + opens]), np.zeros(1, np.int64))[0])
+        while corner >= 0:
+            chain.append(graph.xy[ways.corner[corner] - opens])
+            corner = int(ways.onward[ways.goal[2, 1] + corner])
+        return np.array([*chain, moved[1]])
