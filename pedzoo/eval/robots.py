@@ -21,8 +21,8 @@ from pedzoo.policies.load import load_robot_policy
 from pedzoo.policies.robots._base import RobotPolicy
 from pedzoo.sim.make import physics_class
 from pedzoo.sim.robots.env import SENSES, RobotEnv, clearance_of, make_robot_env
-from pedzoo.sim.robots.rollout import RobotRollout, joined_robots
 from pedzoo.sim.robots.scenes import RobotScenes, with_robots
+from pedzoo.sim.rollout import RobotRollout, joined
 from pedzoo.sim.scenario import PreparedScenario
 
 
@@ -66,15 +66,15 @@ def robot_rollout(
     policy = load_robot_policy(robot_policy)
     settings = {"sensors": getattr(policy, "sensors", SENSES)} | settings
     settings |= {"people": people, "physics": physics, "seed": seed, "num_envs": -(-episodes // runs)}
-    joined, alone = (make_robot_env(one, **settings) for one in (prepared, alone))
-    joined.policy_name = robot_policy
-    run = partial(run_robots, policy.to(joined.device), joined, alone)
+    env, alone = (make_robot_env(one, **settings) for one in (prepared, alone))
+    env.policy_name = robot_policy
+    run = partial(run_robots, policy.to(env.device), env, alone)
     share = tell or (lambda _: None)
     try:
         parts = list(in_parts(run, episodes, deterministic, lambda done: share(done / episodes)))
     finally:
         alone.physics.close()
-    return joined_robots(parts), joined
+    return joined(parts), env
 
 
 def prepared_scenes(scenario: str | Spec, bodies: Sequence[str], robot_goals: int = 1) -> PreparedScenario:

@@ -21,8 +21,7 @@ from pedzoo.policies.teams import Teams
 from pedzoo.policies.walker import Walker
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env, physics_class
-from pedzoo.sim.robots.rollout import RobotRollout
-from pedzoo.sim.rollout import Rollout, joined, rollout_of
+from pedzoo.sim.rollout import RobotRollout, Rollout, joined, rollout_of
 from pedzoo.sim.scenario import PreparedScenario, Scenario, planned
 from pedzoo.sim.state import State
 

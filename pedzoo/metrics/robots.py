@@ -29,8 +29,7 @@ from torch import Tensor
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.metrics import arrival, contacts, smoothness
 from pedzoo.metrics.ratios import Ratio, finite, mean, of_sums, ratio, share
-from pedzoo.sim.robots.rollout import RobotRollout
-from pedzoo.sim.rollout import Rollout
+from pedzoo.sim.rollout import RobotRollout, Rollout
 
 STANDS, STANDS_TURN = 0.01, 0.02
 """m/s and rad/s: a robot that is slower in both does not move (HuNav's)."""

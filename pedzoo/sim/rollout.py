@@ -1,22 +1,36 @@
-"""Positions of all agents every 0.1 s, for closed-loop metrics and pictures."""
+"""Positions of all agents every 0.1 s, for closed-loop metrics and pictures; those of robots, too."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any, Self, TypeVar
 
 import torch
 from torch import Tensor
 
+from pedzoo.core.bodies import Fleet
 from pedzoo.core.randomness import Draws
 from pedzoo.core.types import STEP_SECONDS, TRACE_SECONDS
 from pedzoo.sim.scenario import Scenario
 from pedzoo.sim.state import State
 
 
+class _Episodes:
+    """What can be cut into episodes."""
+
+    def episodes(self, index: slice) -> Self:
+        """Return some of the episodes."""
+        this: Any = self
+        values = {field.name: getattr(self, field.name) for field in fields(this)}
+        some = {name: value[index] for name, value in values.items() if isinstance(value, Tensor)}
+        some |= {name: value.episodes(index) for name, value in values.items() if isinstance(value, Rollout)}
+        return replace(this, **some)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class Rollout:
+class Rollout(_Episodes):
     """E episodes of A people, on a trace of T points every 0.1 s after the warm start.
 
     After an episode's end positions and counts stay as they were, and no agent is present. Only
@@ -145,24 +159,78 @@ class Rollout:
         result = zip(begins.nonzero().tolist(), ends.nonzero().tolist(), strict=True)
         return [(slot, first, last - 1) for (slot, first), (_, last) in result]
 
-    def episodes(self, index: slice) -> Rollout:
-        """Return some of the episodes."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return replace(self, **{name: v[index] for name, v in values.items() if isinstance(v, Tensor)})
+
+@dataclass(frozen=True, eq=False)
+class RobotRollout(_Episodes):
+    """E episodes with R robots among N people, and the same ones without them; T points every 0.1 s.
+
+    Attributes:
+        walked: All agents, robots in the last R slots, until the last robot's episode ends. ``controlled``
+            says when a robot was on its way.
+        alone: The same scenes of the same seed without robots, for as long.
+        heading: Where robots face (E, R, 1 + T), radians, from where the episode begins.
+        person_contact: A robot touched a person in that 0.1 s (E, R, T) bool.
+        robot_contact: Another robot (E, R, T) bool.
+        wall_contact: A wall (E, R, T) bool.
+        success: The robot reached all its goals (E, R) bool.
+        timeout: Its time was up (E, R) bool.
+        failed: Its action, or that of a person, was no number (E, R) bool.
+        progress: Metres of the planner's ways that each agent had covered at the end (E, N + R).
+        progress_alone: Likewise without robots.
+        goals: That each robot had to reach.
+        bodies: The limits of the robots.
+    """
+
+    walked: Rollout
+    alone: Rollout
+    heading: Tensor
+    person_contact: Tensor
+    robot_contact: Tensor
+    wall_contact: Tensor
+    success: Tensor
+    timeout: Tensor
+    failed: Tensor
+    progress: Tensor
+    progress_alone: Tensor
+    goals: int
+    bodies: Fleet
+
+    @property
+    def robots(self) -> int:
+        """R."""
+        return self.heading.shape[1]
+
+    @property
+    def there(self) -> Tensor:
+        """When robots were on their way (E, R, T) bool: not after arriving, until their decision ends."""
+        reached, scored = (value[:, -self.robots :] for value in (self.walked.reached, self.walked.scored))
+        before = torch.cat((torch.zeros_like(reached[..., :1]), reached[..., :-1]), dim=2)
+        return scored & (before < self.goals)
+
+    @property
+    def seconds(self) -> Tensor:
+        """How long each episode took (E,), seconds."""
+        return self.walked.length * TRACE_SECONDS
 
 
 OVER_TIME = tuple(field.name for field in fields(Rollout))[:9]
 """Fields of a `Rollout` that always have a value for every trace point."""
 
+_GROWING = (*OVER_TIME, "changed", "heading", "person_contact", "robot_contact")
 
-def joined(parts: Sequence[Rollout]) -> Rollout:
+AnyRollout = TypeVar("AnyRollout", Rollout, RobotRollout)
+
+
+def joined(parts: Sequence[AnyRollout]) -> AnyRollout:
     """Join rollouts of the same scenario; shorter ones stand still, absent, until the longest ends."""
-    longest, result = max(part.trace.shape[2] for part in parts), {}
-    for name, first in ((field.name, getattr(parts[0], field.name)) for field in fields(Rollout)):
-        if isinstance(first, Tensor):
-            values = [getattr(part, name) for part in parts]
-            grows = name in (*OVER_TIME, "changed")
-            result[name] = torch.cat([grown(value, longest) if grows else value for value in values])
+    result: dict[str, Any] = {}
+    for name in (field.name for field in fields(parts[0])):
+        values = [getattr(part, name) for part in parts]
+        if isinstance(values[0], Rollout):
+            result[name] = joined(values)
+        elif isinstance(values[0], Tensor):
+            longest = max(value.shape[2] for value in values) if name in _GROWING else 0
+            result[name] = torch.cat([grown(value, longest) if longest else value for value in values])
     return replace(parts[0], **result)
 
 

@@ -26,7 +26,7 @@ from pedzoo.sim.drawing import (
 )
 from pedzoo.sim.physics._base import Bodies
 from pedzoo.sim.robots.env import RobotEnv
-from pedzoo.sim.robots.rollout import RobotRollout
+from pedzoo.sim.rollout import RobotRollout
 from pedzoo.viz.video import ShownEpisode, check_video_path, labelled, write_video
 
 FINER = 2

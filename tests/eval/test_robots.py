@@ -22,7 +22,7 @@ from pedzoo.eval.work_units import digest, work
 from pedzoo.metrics.robots import LEGEND
 from pedzoo.models.zoo.store import find
 from pedzoo.sim.physics.compiled import Compiled
-from pedzoo.sim.robots.rollout import RobotRollout
+from pedzoo.sim.rollout import RobotRollout
 
 SMALL: Mapping[str, tuple[str, float]] = {
     "open": ("circle:people=3", 4.0),

@@ -16,8 +16,7 @@ from pedzoo.core.bodies import Fleet, RobotBody
 from pedzoo.metrics import robots as of_robots
 from pedzoo.metrics.ratios import summarised
 from pedzoo.metrics.robots import LEGEND, robot_metrics
-from pedzoo.sim.robots.rollout import RobotRollout, joined_robots
-from pedzoo.sim.rollout import Rollout
+from pedzoo.sim.rollout import RobotRollout, Rollout, joined
 
 
 def straight(start: tuple[float, float], velocity: tuple[float, float], points: int) -> Tensor:
@@ -246,7 +245,7 @@ def test_numbers_of_two_are_means_of_those_of_each(together: str) -> None:
     touches[0, ..., 9:12] = touches[1, ..., 11] = True
     pairs = zip((first, second), touches, strict=True)
     each = [robots_of(rollout_of([*people, one]), person_contact=touch) for one, touch in pairs]
-    both = joined_robots(each)
+    both = joined(each)
     if together == "robots":
         walked = rollout_of([*people, first, second], robots=2)
         both = robots_of(walked, person_contact=touches[:, 0].transpose(0, 1))
@@ -277,7 +276,7 @@ def test_what_happens_after_the_episode_does_not_count() -> None:
     robot = straight((0, 0), (1, 0), 30)
     short = robots_of(rollout_of([*people, robot]))
     long = robots_of(rollout_of([straight((9, 9), (0, 0), 50)] * 2 + [straight((0, 0), (1, 0), 50)]))
-    both = joined_robots([short, long])
+    both = joined([short, long])
     assert both.walked.trace.shape[2] == 50 and both.heading.shape[2] == 51
     alone, together = values_of(short), values_of(both.episodes(slice(0, 1)))
     swapped = values_of(robots_of(rollout_of([*people[::-1], robot])))

@@ -18,7 +18,7 @@ from pedzoo.eval.robots import robot_rollout
 from pedzoo.eval.rollout import rollout
 from pedzoo.sim.drawing import person_color
 from pedzoo.sim.robots.env import RobotEnv
-from pedzoo.sim.robots.rollout import RobotRollout
+from pedzoo.sim.rollout import RobotRollout
 from pedzoo.viz.robots import film_robots, robot_frames
 from pedzoo.viz.video import GAP, HEADER, Image, film, read_video, write_video
 

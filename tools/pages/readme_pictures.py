@@ -25,7 +25,7 @@ from pedzoo.eval.rollout import rollout
 from pedzoo.maps.procedural.plan import generate
 from pedzoo.policies.controller.controller import Controller
 from pedzoo.sim.drawing import EDGE, ROBOT_BODY, SHOULDERS, Camera, Canvas, headings_along, person_color
-from pedzoo.sim.robots.rollout import RobotRollout
+from pedzoo.sim.rollout import RobotRollout
 from pedzoo.viz.plan_sheet import draw
 from pedzoo.viz.robots import film_robots
 from pedzoo.viz.video import film

@@ -20,7 +20,7 @@ from pedzoo.eval.suite import (
 from pedzoo.eval.suites.replay import digest_of
 from pedzoo.metrics.robots import LEGEND
 from pedzoo.policies.load import load_policy, load_robot_policy
-from pedzoo.sim.robots.rollout import joined_robots
+from pedzoo.sim.rollout import joined
 
 EPISODES = 50
 
@@ -126,6 +126,6 @@ class Robots(Suite):
             env.physics.close()
             parts.append(part)
             kept = kept or kept_episodes(unit, part.walked, env.bank)
-        row = robot_row(unit.policy, joined_robots(parts)) | kept
+        row = robot_row(unit.policy, joined(parts)) | kept
         with_seeds(row, unit.seeds, episodes)
         return [row]

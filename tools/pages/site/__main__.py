@@ -29,7 +29,7 @@ API = {
     "policies.load.load_policy policies.walker.Walker policies.teams.Teams "
     "policies.robots._base.RobotPolicy",
     "sim": "Simulation: sim.scenario sim.env.PedestrianEnv sim.rollout.Rollout sim.kernel "
-    "sim.robots.rollout.RobotRollout sim.robots.sensors sim.robots.rewards",
+    "sim.rollout.RobotRollout sim.robots.sensors sim.robots.rewards",
     "models": "Models and data: core.batch models.base.Forecaster models.architectures.sgan.SGAN "
     "data.datamodule.TrajectoryDataModule data.recordings data.tracks.Tracks",
     "maps": "Maps: maps.plans maps.grid.OccupancyGrid maps.formats maps.planning.planner.Planner",
