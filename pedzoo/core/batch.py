@@ -179,7 +179,7 @@ def goals_of(batch: TensorDictBase, who: str) -> tuple[Tensor, Tensor]:
     if "goal" not in agents.keys():
         raise UserError(
             f"{who} needs a goal, but the data have none: "
-            "set --data.goal to window_end, destination or random_future"
+            "set --data.goal to window_end, destination, planner or random_future"
         )
     return cast("Tensor", agents["goal"]), cast("Tensor", agents["desired_velocity"])
 

@@ -8,7 +8,7 @@ STEP_SECONDS = 0.4
 OBS_LEN = 8
 """Observed steps: 3.2 s, as in Social GAN."""
 
-GoalProtocol = Literal["none", "window_end", "destination", "random_future"]
+GoalProtocol = Literal["none", "window_end", "destination", "planner", "random_future"]
 """Where a recorded person's ``goal`` comes from; it changes what a number means, so every row names it."""
 
 TimeBase = Literal["benchmark", "true"]

@@ -5,14 +5,17 @@ one for every frame, cut as Social GAN cuts them or keeping all people.
 
 Goal protocols are a forecaster's knowledge of where people go. ``window_end`` is the answer's own last
 position and leaks it: untrained interpolation to it scores FDE 0. It is the paper's Table I.
-``destination`` is where the person was last recorded, which is what a planner knows; ``random_future`` is
-any later point of the same track, for training only.
+``destination`` is where the person was last recorded, which is what a planner knows; ``planner`` is the
+short-term goal that it gives on the way there, as in simulation. ``random_future`` is any later point of the
+same track, for training only.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -195,6 +198,34 @@ class SceneSet:
         before, last = self.rows[:, self.obs_len - 2 : self.obs_len].long().unbind(1)
         return (self.xy[last] - self.xy[before]).norm(dim=1) / STEP_SECONDS
 
+    @cached_property
+    def planned(self) -> tuple[Tensor, Tensor]:
+        """Short-term goals and desired velocities of each person of each window, (W, 2) both.
+
+        They are those of `pedzoo.maps.planning.planner.Planner.guidance` at the last observed position, on
+        the way to the destination, ``pred_len`` steps ahead. A destination in a wall or outside the floor
+        plan is moved to the nearest free place of the way.
+        """
+        from pedzoo.maps.planning.planner import Planner
+
+        planner, ends = Planner(self.maps, snap=math.inf), self.xy[self.end.long()].double()
+        row = self.maps.index(self.map_id).repeat_interleave(self.sizes)
+        goal = torch.empty_like(row)
+        for number in row.unique().tolist():
+            goal[row == number] = planner.add_goals(number, ends[row == number])
+        history = _filled(self.xy, self.rows.long()[:, : self.obs_len], self.obs_len)
+        speed = _pref_speed(history, self.rows[:, : self.obs_len] >= 0)
+        guidance = planner.guidance(
+            history[:, -1:],
+            goal.unsqueeze(1),
+            row,
+            geometry.identity_pose(len(row)),
+            speed,
+            self.pred_len * STEP_SECONDS,
+            float(speed.amax()),
+        )
+        return guidance.goal[:, 0], guidance.desired_velocity[:, 0]
+
     def batch(
         self,
         scenes: Tensor,
@@ -218,10 +249,11 @@ class SceneSet:
         valid, future_valid = seen.split((self.obs_len, self.pred_len), dim=2)
         agents = {"history": history, "valid": valid, "future": future, "future_valid": future_valid}
         agents["velocity"] = (history[..., -1, :] - history[..., -2, :]) / STEP_SECONDS
-        both = (valid[..., 1:] & valid[..., :-1]).to(history.dtype)
-        walked = (history.diff(dim=2).norm(dim=-1) * both).sum(-1, keepdim=True)
-        agents["pref_speed"] = walked / (both.sum(-1, keepdim=True).clamp(min=1) * STEP_SECONDS)
-        if goal != "none":
+        agents["pref_speed"] = _pref_speed(history, valid)
+        if goal == "planner":
+            planned, desired = self.planned
+            agents |= {"goal": planned[person], "desired_velocity": desired[person]}
+        elif goal != "none":
             last, end = rows[..., self.obs_len - 1], self.end[person].long()
             if goal == "random_future":
                 later = torch.rand(last.shape, generator=generator) * (end - last)
@@ -254,8 +286,15 @@ def augmentation(
     return pose
 
 
+def _pref_speed(history: Tensor, valid: Tensor) -> Tensor:
+    """Return the mean observed speed (..., 1), m/s, of positions (..., T, 2) that are ``valid`` (..., T)."""
+    both = (valid[..., 1:] & valid[..., :-1]).to(history.dtype)
+    walked = (history.diff(dim=-2).norm(dim=-1) * both).sum(-1, keepdim=True)
+    return walked / (both.sum(-1, keepdim=True).clamp(min=1) * STEP_SECONDS)
+
+
 def _filled(xy: Tensor, rows: Tensor, obs_len: int) -> Tensor:
-    """Return positions (B, A, L, 2): the latest known at each step, before the first sighting the first."""
+    """Return positions (..., L, 2): the latest known at each step, before the first sighting the first."""
     steps, known = torch.arange(rows.shape[-1]), rows >= 0
     if bool(known.all()):
         return xy[rows]

@@ -54,7 +54,8 @@ def forecast(
     """
     if data.goal == "random_future":
         raise UserError(
-            "random_future goals are for training: set --data.goal to window_end, destination or none"
+            "random_future goals are for training: "
+            "set --data.goal to window_end, destination, planner or none"
         )
     samples, seed = as_integer("samples", samples), as_integer("seed", seed)
     if samples < 0:

@@ -1,5 +1,6 @@
 """Scene batches: keys, padding, goals, and augmentation that stays on its floor plan."""
 
+import math
 from typing import cast
 
 import numpy as np
@@ -8,6 +9,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
+from pedzoo.core.types import STEP_SECONDS
 from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.data.datasets.eth_ucy import EthUcy
 from pedzoo.data.recordings import Recording
@@ -15,6 +17,7 @@ from pedzoo.data.scenes import KeptPeople, SceneSet, augmentation
 from pedzoo.data.tracks import Tracks
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.formats import read_ros
+from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
 
 OBS, PRED = 3, 2
 PATHS = {  # position at each step, None where not seen
@@ -104,6 +107,28 @@ def test_goals_and_desired_velocities_by_hand():
     towards = torch.tensor([1.2, 4.0]) / torch.tensor([1.2, 4.0]).norm()
     assert torch.allclose(key(destination, "desired_velocity")[0, 0], towards)
     assert torch.allclose(key(destination, "desired_velocity")[0, 1], torch.tensor([0.0, -2.5]))
+
+
+@pytest.mark.parametrize("walled", [True, False])
+def test_planner_goals_lead_round_walls_as_far_as_people_walk(walled: bool):
+    """A wall at x = 5 m, y below 8 m; a person walks towards it, and is last seen outside the plan."""
+    cells = np.zeros((100, 100), np.uint8)
+    cells[:80, 50] = OCCUPIED * walled
+    grid = OccupancyGrid(cells, 0.1)
+    rows = [(t, 1, 2 + 0.4 * t, 2.0) for t in range(5)] + [(5, 1, 8.0, 2.0), (6, 1, 11.0, 2.0)]
+    hall = Recording(Tracks.from_table("hall", np.array(rows)))
+    scenes = SceneSet([hall], [grid.map_id], MapBank([grid]), OBS, PRED, min_people=1)
+    batch = scenes.batch(torch.tensor([0]), "planner")
+    way = (key(batch, "goal") - key(batch, "history")[:, :, -1])[0, 0]
+    desired = key(batch, "desired_velocity")[0, 0]
+    assert way.norm().item() == pytest.approx(PRED * STEP_SECONDS, abs=1e-4)  # at 1 m/s
+    assert desired.norm().item() == pytest.approx(1, abs=1e-5)
+    corner = math.degrees(math.atan2(8.0 - 2.0, 5.0 - 2.8))
+    bearing = math.degrees(math.atan2(float(desired[1]), float(desired[0])))
+    assert bearing == pytest.approx(corner if walled else 0.0, abs=4)
+    assert torch.allclose(way / way.norm(), desired, atol=0.02)
+    window_end = scenes.batch(torch.tensor([0]), "window_end")
+    assert torch.equal(key(window_end, "pref_speed"), key(batch, "pref_speed"))
 
 
 def test_random_future_is_later_on_the_same_track_and_seeded():

@@ -130,8 +130,8 @@ def zoo_name(config: str, protocol: Mapping[str, Any]) -> str:
     elif folder and not whole_walks:
         open_loop = "controller_open" if whole else f"controller_open_{tag}"
         tag = open_loop if folder == "open_loop" else f"{tag}_{folder}"
-    if protocol["goal"] == "destination" and not whole_walks:
-        tag += "_destination"
+    if protocol["goal"] in ("destination", "planner") and not whole_walks:
+        tag += f"_{protocol['goal']}"
     if protocol["pred_len"] != PRED_LEN:
         tag += f"_pred{protocol['pred_len']}"
     if protocol["clock"] != ("true" if folder or whole else "benchmark"):
