@@ -21,7 +21,7 @@ from pedzoo.metrics.realism.two_sample import TREES
 FILE = Path(__file__).with_name("goldens.json")
 POLICIES = ["orca:dt=0.4", "social_force", "approach_net_goal_map.indoor", "social_walker.styled"]
 SCENES = ["door", "goals:people=4,goals=2,pool=8", "two_way"]
-TRAININGS = ["sgan", "sgan_goal_map", "closed_loop/social_walker", "robot/ppo"]
+TRAININGS = ["sgan", "sgan_goal", "closed_loop/social_walker", "robot/ppo"]
 SCORED = ["orca:radius=0.3", "approach_net_goal_map.indoor", "social_walker.styled"]
 CARDS = [
     "sgan_nopool.zara1",

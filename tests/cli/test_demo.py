@@ -36,7 +36,7 @@ def test_the_demo_walks_tunes_and_compares(tmp_path: Path, capsys: Any, monkeypa
     physics = "bullet" if find_spec("pybullet") else "compiled"
     for title, command in demo.steps(shlex.quote("my demo"), 3, physics):
         assert f" {title}\n$ pedzoo {command}\n" in printed
-    tuned = out / "runs" / "sgan_goal_map" / "embedded-seed0" / "checkpoints" / "best.ckpt"
+    tuned = out / "runs" / "sgan_goal" / "embedded-seed0" / "checkpoints" / "best.ckpt"
     last = demo.last_steps(shlex.quote(str(tuned.relative_to(tmp_path))), shlex.quote("my demo"))
     assert tuned.is_file() and all(command in printed for _, command in last)
     report = json.loads((out / "door.json").read_text())

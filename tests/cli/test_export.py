@@ -152,7 +152,7 @@ def test_shipped_weights_have_the_licence_of_their_data(tmp_path: Path) -> None:
             assert front["license"] == "other" and front["license_link"] == "LICENSE.md"
         seen.add(card.licence)
     assert len(seen) == 3
-    write_hub("sgan_goal_map.zara1", tmp_path / "hub")
+    write_hub("sgan_goal.zara1", tmp_path / "hub")
     assert "CC BY-NC 4.0" in (text := (tmp_path / "hub" / "LICENSE.md").read_text()) and "Pellegrini" in text
     assert licence(provenance("embedded")["terms"]) == "MIT"
     mixed = together(provenance("embedded"), provenance("zara1", plans=True))

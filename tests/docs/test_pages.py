@@ -54,7 +54,7 @@ def snippets(page: str) -> list[str]:
 SHORT = [f"--trainer.{key}=1" for key in ("max_epochs", "limit_val_batches", "check_val_every_n_epoch")]
 SHORT += ["--trainer.limit_train_batches=2", "--trainer.enable_progress_bar=false", "--rollout.episodes=1"]
 LOOP = ["--model.steps=2", "--model.courses=[{scenario: hallway, scenes: 2}]", "--rollout.scenarios=[door]"]
-TUNED = "demo/runs/sgan_goal_map/embedded-seed0/checkpoints/best.ckpt"
+TUNED = "demo/runs/sgan_goal/embedded-seed0/checkpoints/best.ckpt"
 LESS = {
     "fit": SHORT,
     "forecast": ["--samples", "2"],

@@ -21,7 +21,7 @@ from pedzoo.eval.forecast import forecast
 from pedzoo.models.zoo.card import ModelCard, read_card, write_card
 from pedzoo.models.zoo.store import find, weights_of
 
-NAME = "sgan_goal_map.zara1"
+NAME = "sgan_goal.zara1"
 DOOR = {"suites": ["door"], "episodes": 3, "physics": "compiled"}
 
 
@@ -84,11 +84,11 @@ def test_a_card_gets_what_the_commands_say(measured: list[dict[str, Any]], repor
 
 def test_weights_of_all_scenes_have_validation_windows(shared: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(card_numbers, "WALKS", [])
-    result = measure("sgan_goal_map.eth_ucy", "mine.all", root=str(shared / "data"))
+    result = measure("sgan_goal.eth_ucy", "mine.all", root=str(shared / "data"))
     assert [report["protocol"]["fold"] for report in result] == ["eth_ucy", "embedded"]
     assert result[0]["protocol"]["split"] == "val" and result[0]["protocol"]["clock"] == "true"
     assert {row["name"] for report in result for row in report["rows"]} == {"mine.all"}
-    entry = find("sgan_goal_map.eth_ucy")
+    entry = find("sgan_goal.eth_ucy")
     assert entry
     # by which these weights were chosen
     assert result[0]["rows"][0]["metrics"]["ade_m"] == pytest.approx(entry.card.training["value"], 1e-3)
@@ -164,7 +164,7 @@ def test_a_strange_protocol_is_refused_and_runs_nothing(
 def test_who_has_no_card_or_asks_for_something_else_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     for words, message in (
         (["orca"], "unknown model with a card 'orca'"),
-        (["sgan_goal_map.zara11"], "did you mean 'sgan_goal_map.zara1'"),
+        (["sgan_goal.zara11"], "did you mean 'sgan_goal.zara1'"),
         ([NAME, "--suite", "door"], "--suite: --from-card does what the card says"),
         ([card_with([])], "has no evaluations"),
     ):

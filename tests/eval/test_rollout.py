@@ -125,10 +125,10 @@ def test_noise_is_drawn_or_not() -> None:
     def traces(policy: str, deterministic: bool, seed: int = 0) -> torch.Tensor:
         return rollout(policy, "door:speed=2", "compiled", 1, seed, deterministic)[0].trace[:, :, :10]
 
-    sampled, again = (traces("sgan_goal_map.zara1", False) for _ in range(2))
+    sampled, again = (traces("sgan_goal.zara1", False) for _ in range(2))
     assert torch.equal(sampled, again)
-    assert not torch.equal(sampled, traces("sgan_goal_map.zara1", True))
-    assert not torch.equal(sampled, traces("sgan_goal_map.zara1", False, seed=1))
+    assert not torch.equal(sampled, traces("sgan_goal.zara1", True))
+    assert not torch.equal(sampled, traces("sgan_goal.zara1", False, seed=1))
 
 
 def test_command_prints_what_it_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -242,4 +242,4 @@ def test_what_rollout_returns_is_measured_as_it_is() -> None:
 
 def test_models_have_a_short_repr() -> None:
     shown = repr(pedzoo.load("approach_net_goal_map.indoor"))
-    assert re.fullmatch(r"SGAN\('sgan_goal_map\.indoor', goal \w+, [\d,]+ weights\)", shown)
+    assert re.fullmatch(r"SGAN\('approach_net_goal_map\.indoor', goal \w+, [\d,]+ weights\)", shown)

@@ -35,7 +35,7 @@ def arrays(answer: dict[Any, np.ndarray]) -> np.ndarray:
     return np.stack(list(answer.values()))
 
 
-@pytest.mark.parametrize("name", ["sgan_goal.zara1", "sgan_goal_map.zara1"])
+@pytest.mark.parametrize("name", ["sgan_goal.zara1", "approach_net_goal_map.controller_open"])
 @pytest.mark.parametrize("deterministic", [True, False])
 def test_it_walks_as_the_policy_does_in_the_environment(name: str, deterministic: bool):
     env = pedzoo.make_env("goals:people=4,pool=8", physics="compiled", seed=5)
@@ -283,7 +283,7 @@ def row_of(batch: Any, radius: float) -> int:
 
 
 @pytest.mark.parametrize(
-    ("name", "goal"), [("sgan_goal_map.zara1", (0.8, 0.0)), ("approach_net_goal.indoor", None)]
+    ("name", "goal"), [("sgan_goal.zara1", (0.8, 0.0)), ("approach_net_goal.indoor", None)]
 )
 def test_who_has_arrived_stands_until_another_goal(name: str, goal: Any):
     room_of_ten = rectangles(room((-5, -5), (5, 5), 0.1), resolution=0.1)
@@ -407,6 +407,6 @@ def test_a_policy_asked_by_a_controller_still_has_gradients(name: str) -> None:
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 def test_a_model_on_a_gpu_walks_as_on_the_cpu():
     people, goals = {"a": (1.0, 3.0), "b": (9.0, 2.0)}, {"a": (9.0, 3.0), "b": (1.0, 2.0)}
-    models = pedzoo.load("sgan_goal_map.zara1"), pedzoo.load("sgan_goal_map.zara1", device="cuda")
+    models = pedzoo.load("sgan_goal.zara1"), pedzoo.load("sgan_goal.zara1", device="cuda")
     expected, result = (arrays(pedzoo.controller(one, ROOMS).step(people, goals)) for one in models)
     np.testing.assert_allclose(result, expected, atol=1e-4)

@@ -72,7 +72,7 @@ def scored(name: str, fold: str, ade: float, **case: str) -> dict[str, Any]:
 
 def test_mean_over_folds_has_the_interval_of_a_mean() -> None:
     """Deviations of 0.03 and 0.04 to either side, twice: the mean's are divided by the root of two."""
-    rows = [scored("sgan", "eth", 0.2), scored("sgan", "zara1", 0.4), scored("sgan", "eth", 0.2)]
+    rows = [scored("sgan", "eth", 0.2), scored("sgan", "zara1", 0.4), scored("sgan_nopool", "eth", 0.2)]
     (mean,) = means(rows, ["eth", "zara1"])
     assert mean["name"] == "sgan" and mean["n"] == 20
     assert mean["metrics"]["ade_m"] == pytest.approx(0.3) and mean["metrics"]["fde_m"] == pytest.approx(0.6)
@@ -94,12 +94,12 @@ def test_ratio_of_means_and_seeds_on_the_pages() -> None:
     rows = [scored("sgan", fold, 0.5, pred_len="12") for fold in FOLDS]
     line = "constant_velocity"
     rows += [scored(line, fold, 0.6, pred_len=steps) for fold in FOLDS for steps in ("8", "12")]
-    block = {"pred_len": "12", "goal": "none", "tag": "_pred12", "rows": [line, "sgan", "sgan"]}
+    block = {"pred_len": "12", "goal": "none", "tag": "_pred12", "rows": [line, "sgan", "sgan_nopool"]}
     report = {
         "protocol": {"folds": list(FOLDS)},
         "rows": rows,
         "means": means(rows, FOLDS),
-        "missing": {f"sgan.{fold}_pred12": "no such weights" for fold in FOLDS[1:]},
+        "missing": {f"sgan_nopool.{fold}_pred12": "no such weights" for fold in FOLDS[1:]},
         "blocks": [block],
         "training_seeds": {"sgan_nopool.eth": {"seeds": {0: 0.1, 1: 0.3}, "seed": 0, "chosen_by": "val/ade"}},
     }
@@ -116,7 +116,7 @@ def test_ratio_of_means_and_seeds_on_the_pages() -> None:
     assert overview[1][3:] == ["0.500 / 1.000"] * 4 + ["-"]
     best = pages["8 -> 12, goal none: best of 20 per scene"]
     assert best.head == ["model", *(f"{fold} (10)" for fold in FOLDS), "mean (50)"]
-    assert [row[0] for row in best.rows][1:3] == ["sgan", "sgan"]
+    assert [row[0] for row in best.rows][1:3] == ["sgan", "sgan_nopool"]
     assert best.rows[2][1:] == ["-", *["no weights"] * 4, "-"]
     assert best.rows[3][1] == "0.71\n1.29"
     nats = next(page.rows for title, page in pages.items() if "negative log-likelihood" in title)

@@ -259,7 +259,7 @@ def test_scenes_that_are_over_stay_as_they_are():
 
 
 def test_every_weight_has_a_gradient_through_an_episode():
-    model = pedzoo.load("sgan_goal_map.eth_ucy").train()
+    model = pedzoo.load("sgan_goal.eth_ucy").train()
     env = make_env("door", 4, seed=0)
     segment = unrolled(env, pedzoo.policy(model), env.reset(), 6)
     torch.stack(list(LoopLosses()(segment, env.bank).values())).sum().backward()

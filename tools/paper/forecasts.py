@@ -85,10 +85,10 @@ class Table1(Jobs):
     stem = "TABLE1"
     # 12 steps are for the comparison with the released models, which have no goal
     blocks: ClassVar[tuple[Block, ...]] = (
-        Block(8, "none", (FLOOR, "sgan", "sgan", "social_vrnn")),
-        Block(8, "window_end", (FLOOR, "sgan_goal", "sgan_goal_map", "sgan_goal_map")),
+        Block(8, "none", (FLOOR, "sgan_nopool", "sgan", "social_vrnn")),
+        Block(8, "window_end", (FLOOR, "sgan_goal", "sgan_goal_map")),
         Block(8, "destination", (FLOOR, "sgan_goal"), "_destination"),
-        Block(12, "none", (FLOOR, "sgan", "sgan"), "_pred12"),
+        Block(12, "none", (FLOOR, "sgan_nopool", "sgan"), "_pred12"),
     )
 
     def __init__(

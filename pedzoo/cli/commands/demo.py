@@ -11,7 +11,7 @@ from pedzoo.core.registry import COMMANDS
 CONTROLLER = "approach_net_goal_map.indoor"
 """The best that there is to walk with, trained in the loop."""
 
-NAME = "sgan_goal_map.eth_ucy"
+NAME = "sgan_goal.eth_ucy"
 """Trained to forecast alone: shows what the loop is good for, and is fine-tuned in a minute."""
 
 POLICIES = f"{CONTROLLER} {NAME} orca:radius=0.3 social_force:preset=indoor"
