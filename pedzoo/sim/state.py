@@ -179,22 +179,6 @@ class Contacts(NamedTuple):
     wall: Tensor
 
 
-class Distances(NamedTuple):
-    """How near others and walls are to each person; absent people have the reach and no normals.
-
-    Attributes:
-        agent: Least distance between centres (B, A), metres; the reach where none is nearer.
-        wall: Signed distance from the centre to the nearest wall (B, A), metres, at most the reach.
-        agent_normal: Unit vectors (B, A, 2) away from the nearest person, 0 where none is within reach.
-        wall_normal: Unit vectors (B, A, 2) away from the nearest wall, 0 where none is within reach.
-    """
-
-    agent: Tensor
-    wall: Tensor
-    agent_normal: Tensor
-    wall_normal: Tensor
-
-
 class OwnedMotion(NamedTuple):
     """How bodies that a physics backend owns move in a decision.
 

@@ -48,7 +48,7 @@ from pedzoo.train.validation import ClosedLoopValidation
 RADIUS, RADII = 0.15, torch.tensor([[0.15, 0.5, 0.25]])
 
 ANSWERS = pytest.mark.parametrize("kind", [Torch, Compiled])
-"""Of contacts, distances and rays; those of `Bullet` are those of `Compiled`."""
+"""Of contacts and rays; those of `Bullet` are those of `Compiled`."""
 
 
 @pytest.fixture(params=[Torch, Bullet])
@@ -108,20 +108,6 @@ def test_contacts_are_as_defined(scenes: int, people: int) -> None:
     assert torch.equal(result.wall, (gap < radius[..., None, None]).any(-1) & mask.unsqueeze(-1))
     if people > 3:
         assert 0 < result.agent.float().mean() < 0.9 and 0 < result.wall.float().mean() < 0.9
-
-
-@ANSWERS
-def test_distances_by_hand(kind: type[Physics]) -> None:
-    grid = hall()
-    places = torch.tensor([[[0.7, 3.0], [1.0, 3.4], [5.0, 2.0], [5.1, 2.0]]])
-    people = crowd(places, grid, torch.tensor([[True, True, True, False]]))
-    result = kind(MapBank([grid], "wall")).distances(people, reach=1.5)
-    assert result.agent[0].tolist() == pytest.approx([0.5, 0.5, 1.5, 1.5], abs=1e-5)
-    assert result.wall[0].tolist() == pytest.approx([0.5, 0.8, 1.2, 1.5], abs=1e-5)
-    away = [-0.6, -0.8, 0.6, 0.8] + [0] * 4
-    assert result.agent_normal[0].flatten().tolist() == pytest.approx(away, abs=1e-5)
-    assert result.wall_normal[0, 0].tolist() == pytest.approx([1, 0], abs=1e-5)
-    assert result.wall_normal[0, 3].tolist() == [0, 0]
 
 
 @pytest.mark.parametrize("mirror", [1.0, -1.0])
@@ -201,9 +187,6 @@ def test_rays_by_hand(kind: type[Physics]) -> None:
 @pytest.mark.parametrize("count", [0, 1])
 def test_open_floor_without_people(kind: type[Physics], count: int) -> None:
     people, physics = crowd(torch.zeros(2, count, 2)), kind(MapBank())
-    result = physics.distances(people)
-    assert (result.agent == 5).all() and (result.wall == 5).all()
-    assert not result.agent_normal.any() and not result.wall_normal.any()
     contacts = physics.contacts(torch.zeros(2, count, 4, 1, 2), people)
     assert contacts.agent.shape == contacts.wall.shape == (2, count, 4)
     assert not contacts.agent.any() and not contacts.wall.any()
@@ -223,33 +206,16 @@ def test_absent_and_lost_agents_disturb_no_others(kind: type[Physics]) -> None:
     for places in (position, broken):
         people = crowd(places, grid, mask)
         contacts = physics.contacts(places[:, :, None, None].repeat(1, 1, 2, 2, 1), people)
-        answers.append((*physics.distances(people), *contacts, physics.rays(people, position, direction)))
+        answers.append((*contacts, physics.rays(people, position, direction)))
     for whole, partly in zip(*answers, strict=True):
         assert torch.equal(whole[[0, 2]], partly[[0, 2]])
-    agent, wall, *nothing, _ = answers[1]
     for lost in (torch.tensor([[False], [True], [False]]) & mask, ~mask):
-        assert (agent[lost] == 5).all() and (wall[lost] == 5).all()
-        assert not any(part[lost].any() for part in nothing)
+        assert not any(part[lost].any() for part in answers[1][:2])
 
 
-def test_distances_of_the_grid_are_differentiable() -> None:
-    grid = hall()
-    position = torch.tensor([[[0.7, 3.0], [1.0, 3.4], [1.0, 3.0]]], requires_grad=True)
-    mask = torch.tensor([[True, True, False]])
-    result = Compiled(MapBank([grid], "wall")).distances(crowd(position, grid, mask))
-    (gradient,) = torch.autograd.grad(result.wall.sum(), position, retain_graph=True)
-    torch.testing.assert_close(gradient, result.wall_normal)
-    (gradient,) = torch.autograd.grad(result.agent[0, 0], position)
-    torch.testing.assert_close(gradient[0], torch.tensor([[-0.6, -0.8], [0.6, 0.8], [0.0, 0.0]]))
-
-
-@ANSWERS
-def test_a_reach_beyond_the_bank_is_refused(kind: type[Physics]) -> None:
-    grid = hall()
-    with pytest.raises(UserError, match=r"MapBank\(..., max_distance=3.0\)"):
-        kind(MapBank([grid], "wall", max_distance=2.0)).distances(crowd(torch.ones(1, 1, 2), grid), reach=3.0)
+def test_a_body_without_extent_is_refused() -> None:
     with pytest.raises(UserError, match="body_radius 0"):
-        kind(MapBank(), body_radius=0)
+        Torch(MapBank(), body_radius=0)
 
 
 def color_at(picture: np.ndarray, camera: Camera, x: float, y: float) -> np.ndarray:

@@ -19,10 +19,10 @@ from pedzoo.maps.walls import LocalWalls
 from pedzoo.sim.drawing import Camera, Canvas, Lens, free_corners, person_color
 from pedzoo.sim.dynamics import SKIN, integrate
 from pedzoo.sim.scenario import Rules
-from pedzoo.sim.state import Contacts, Decision, Distances, Motion, MotionInput, OwnedMotion, State
+from pedzoo.sim.state import Contacts, Decision, Motion, MotionInput, OwnedMotion, State
 
 REACH = 5.0
-"""Metres up to which distances and rays are asked for, where nothing else is said."""
+"""Metres up to which rays are asked for, where nothing else is said."""
 
 
 class Bodies(NamedTuple):
@@ -140,14 +140,6 @@ class Physics(ABC):
     def _walls(self, state: State) -> LocalWalls | None:
         """Return the walls as the agents of each scene see them; None for scenes in the open."""
         return self.bank.to(state.past.device).walls_of_state(state.wall_frame, state.wall_place)
-
-    @abstractmethod
-    def distances(self, people: Bodies, reach: float = REACH) -> Distances:
-        """Return the distances to the nearest person and wall, as far as ``reach`` metres.
-
-        Raises:
-            UserError: ``reach`` is farther than the bank knows walls.
-        """
 
     @abstractmethod
     def contacts(self, path: Tensor, people: Bodies) -> Contacts:

@@ -10,46 +10,17 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pedzoo.core.batch import ROBOT
-from pedzoo.core.errors import UserError
 from pedzoo.maps.walls import LocalWalls
 from pedzoo.sim.drawing import Camera, Canvas, draw_floor, person_color
 from pedzoo.sim.physics._base import REACH, Bodies, Physics
-from pedzoo.sim.state import Contacts, Distances, MotionInput, State
+from pedzoo.sim.state import Contacts, MotionInput, State
 
 _CHUNK = 4_000_000
 """Ray-body pairs that are compared at once."""
 
 
 class Torch(Physics):
-    """Exact distances to the grid's squares, for all scenes at once and on the people's device."""
-
-    def distances(self, people: Bodies, reach: float = REACH) -> Distances:
-        """See `Physics.distances`; differentiable with respect to positions."""
-        if self.bank.grids and reach > self.bank.max_distance:
-            raise UserError(
-                f"reach {reach} m is more than floor plans are measured for ({self.bank.max_distance} m): "
-                f"make the bank with MapBank(..., max_distance={reach})"
-            )
-        present = self._present(people)
-        position = torch.where(present.unsqueeze(-1), people.position, 0)
-        between = torch.cdist(position, position, compute_mode="donot_use_mm_for_euclid_dist")
-        alone = torch.eye(position.shape[1], dtype=torch.bool, device=position.device)
-        valid = present.unsqueeze(1) & present.unsqueeze(2) & ~alone
-        between = torch.where(valid, between, reach).clamp_max(reach)
-        if position.shape[1]:
-            agent, nearest = between.min(-1)
-        else:
-            agent, nearest = position[..., 0], torch.zeros_like(people.mask, dtype=torch.long)
-        offset = position - position.gather(1, nearest.unsqueeze(-1).expand_as(position))
-        offset = torch.where((agent < reach).unsqueeze(-1), offset, 0)
-        wall, away = self.bank.closest_wall(position, people.map_id[:, 0], people.pose)
-        near = present & (wall < reach)
-        return Distances(
-            agent=agent,
-            wall=torch.where(near, wall, reach),
-            agent_normal=torch.nn.functional.normalize(offset, dim=-1),
-            wall_normal=torch.where(near.unsqueeze(-1), away, 0),
-        )
+    """The walls as they are, for all scenes at once and on the people's device."""
 
     @torch.no_grad()
     def contacts(self, path: Tensor, people: Bodies) -> Contacts:
