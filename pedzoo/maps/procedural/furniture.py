@@ -144,7 +144,7 @@ class RoomFloor:
 
     def connected(self) -> bool:
         """Whether the open space is one piece, its doors included."""
-        return all(map(_is_one, self._open))
+        return all(map(is_one_piece, self._open))
 
     def put(self, pieces: Sequence[Piece]) -> bool:
         """Put pieces down together and return true, or leave them where they are not possible."""
@@ -160,7 +160,7 @@ class RoomFloor:
                 part[self._slices(rect.grown(cells, cells), fine)] &= _outside(
                     rect.width * fine, rect.height * fine, cells * fine
                 )
-        if not all(map(_is_one, after)):
+        if not all(map(is_one_piece, after)):
             return False
         self._open = after
         self.pieces += pieces
@@ -271,6 +271,6 @@ def _outside(width: int, height: int, clearance: int) -> NDArray[np.uint8]:
     return (4 * (x**2 + y[:, None] ** 2) >= (2 * clearance + 1) ** 2).astype(np.uint8)
 
 
-def _is_one(part: NDArray[np.uint8]) -> bool:
-    # connected through their sides, as the planner's cells are
+def is_one_piece(part: NDArray[np.uint8] | NDArray[np.bool_]) -> bool:
+    """Return whether cells that are not 0 are connected through their sides, as the planner's are."""
     return cast("tuple[NDArray[np.int32], int]", label(part))[1] == 1

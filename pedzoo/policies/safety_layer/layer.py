@@ -156,7 +156,7 @@ class _KeptClear(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Any) -> tuple[Tensor | None, ...]:
-        from pedzoo.policies.safety_layer.slopes import slopes_of
+        from pedzoo.policies.safety_layer.loops import slopes_of
 
         return *slopes_of(ctx.stored, gradients[0]), None, None, None
 
