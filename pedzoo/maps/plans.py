@@ -167,7 +167,7 @@ def load_plan(name: str | Path) -> OccupancyGrid:
         return read_plan(text)
     if text == "flat":
         return flat()
-    from pedzoo.maps.procedural.plan import KINDS, generate
+    from pedzoo.maps.procedural import KINDS, generate
 
     if (drawn := _DRAWN.fullmatch(text)) and drawn["kind"] in KINDS:
         return generate(drawn["kind"], int(drawn["seed"]), furnished=0.0 if drawn["bare"] else 1.0).grid

@@ -26,7 +26,7 @@ class Walking:
     """How a model walks, unless its policy has other settings.
 
     Attributes:
-        safety: Keep clear of others and walls, see `pedzoo.policies.safety_layer.layer`.
+        safety: Keep clear of others and walls, see `pedzoo.policies.safety_layer`.
         keep_speed: Alone, walk at the preferred speed, see `pedzoo.models.architectures.sgan.at_own_speed`.
     """
 

@@ -14,11 +14,11 @@ from pedzoo.core.errors import UserError, as_integer, unknown
 from pedzoo.core.types import OBS_LEN, PRED_LEN, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.models.base import Forecaster, Noise
 from pedzoo.models.blocks.timed_noise import timed_noise
+from pedzoo.policies.clearance import SHOULDERS
 from pedzoo.policies.memory import FirstSeenMemory
 from pedzoo.policies.neighbours import separation_push
 from pedzoo.policies.policy import NamedPolicy, deterministic
-from pedzoo.policies.safety_layer.clearance import SHOULDERS
-from pedzoo.policies.safety_layer.layer import safe
+from pedzoo.policies.safety_layer import safe
 
 AT_FIRST, _ROUNDING = 1.0, 1e-3
 """Seconds within which people set out, and by which a step is rounded."""

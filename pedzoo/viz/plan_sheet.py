@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pedzoo.core.paths import write_atomically
-from pedzoo.maps.procedural.plan import FloorPlan
-from pedzoo.maps.procedural.shapes import UNIT, Rect
+from pedzoo.maps.procedural import FloorPlan
+from pedzoo.maps.shapes import UNIT, Rect
 
 TINTS = {
     "hall": (245, 236, 224),

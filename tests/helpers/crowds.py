@@ -13,7 +13,7 @@ from pedzoo.core.types import BODY_RADIUS, STEP_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.plans import rectangles, room, wall
 from pedzoo.maps.walls import LocalWalls
-from pedzoo.policies.safety_layer.clearance import ProposedSteps
+from pedzoo.policies.clearance import ProposedSteps
 from pedzoo.sim.make import make_env
 
 ROOM = rectangles(

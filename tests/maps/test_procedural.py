@@ -24,8 +24,8 @@ from pedzoo.maps.formats import read_plan, write_ros
 from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
 from pedzoo.maps.planning.graph import OpenGraph
 from pedzoo.maps.plans import flat, load_plan
-from pedzoo.maps.procedural.plan import KINDS, FloorPlan, generate, is_connected
-from pedzoo.maps.procedural.shapes import UNIT, Rect
+from pedzoo.maps.procedural import KINDS, FloorPlan, generate, is_connected
+from pedzoo.maps.shapes import UNIT, Rect
 
 SEEDS = {"apartment": range(20), "office": range(10)}
 EVERY_KIND = pytest.mark.parametrize("kind", KINDS)
@@ -146,7 +146,7 @@ def test_seeds_differ_and_one_seed_is_one_plan_in_every_process(kind: str) -> No
     digests = [plan.grid.digest for plan in plans(kind)]
     assert len(set(digests)) == len(digests)
     assert [*(digests[seed][:16] for seed in (0, 1, 7)), generate(kind, 29).grid.digest[:16]] == DIGESTS[kind]
-    code = f"from pedzoo.maps.procedural.plan import generate\nprint(generate({kind!r}, 5).grid.digest)"
+    code = f"from pedzoo.maps.procedural import generate\nprint(generate({kind!r}, 5).grid.digest)"
     other = subprocess.check_output([sys.executable, "-c", code], env=os.environ | {"PYTHONHASHSEED": "7"})
     assert other.decode().strip() == digests[5]
 

@@ -27,8 +27,8 @@ from pedzoo.models.blocks.people.following import (
 )
 from pedzoo.models.blocks.people.nearest import nearest
 from pedzoo.models.blocks.people.step_features import Situation
-from pedzoo.policies.safety_layer.clearance import kept_clear_in_torch
-from pedzoo.policies.safety_layer.layer import kept_clear
+from pedzoo.policies.clearance import kept_clear_in_torch
+from pedzoo.policies.safety_layer import kept_clear
 from pedzoo.policies.walker import Walker
 from tests.helpers.batches import changed, make_batch
 from tests.helpers.crowds import ROOM

@@ -18,8 +18,7 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.walls import LocalWalls
 from pedzoo.models.base import Forecaster, Walking
 from pedzoo.models.zoo.loading import load
-from pedzoo.policies.load import load_policy
-from pedzoo.policies.safety_layer.clearance import (
+from pedzoo.policies.clearance import (
     BEYOND,
     MARGIN,
     SHOULDERS,
@@ -27,7 +26,8 @@ from pedzoo.policies.safety_layer.clearance import (
     ProposedSteps,
     kept_clear_in_torch,
 )
-from pedzoo.policies.safety_layer.layer import kept_clear, safe
+from pedzoo.policies.load import load_policy
+from pedzoo.policies.safety_layer import kept_clear, safe
 from pedzoo.policies.walker import Walker
 from pedzoo.sim.make import make_env
 

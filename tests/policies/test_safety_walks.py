@@ -19,8 +19,7 @@ from pedzoo.maps.plans import rectangles, room, wall
 from pedzoo.maps.walls import LocalWalls
 from pedzoo.metrics.arrival import deadlock, success
 from pedzoo.models.architectures import social_walker
-from pedzoo.policies.load import load_policy
-from pedzoo.policies.safety_layer.clearance import (
+from pedzoo.policies.clearance import (
     BARELY,
     BEYOND,
     LEAST_SHARE,
@@ -29,7 +28,8 @@ from pedzoo.policies.safety_layer.clearance import (
     kept_clear_in_torch,
     precedence,
 )
-from pedzoo.policies.safety_layer.layer import kept_clear, safe
+from pedzoo.policies.load import load_policy
+from pedzoo.policies.safety_layer import kept_clear, safe
 from pedzoo.sim.make import make_env
 
 PART = math.sqrt(0.5)

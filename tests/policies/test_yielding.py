@@ -16,10 +16,10 @@ from pedzoo.core.geometry import identity_pose, move_to_scene, turn_to_scene
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.plans import rectangles, room
 from pedzoo.maps.walls import LocalWalls
+from pedzoo.policies.clearance import ProposedSteps
 from pedzoo.policies.controller.controller import Controller
 from pedzoo.policies.load import load_policy
-from pedzoo.policies.safety_layer.clearance import ProposedSteps
-from pedzoo.policies.safety_layer.layer import yielding
+from pedzoo.policies.safety_layer import yielding
 
 LONGEST = 1.3 * 1.3 * 0.4
 CORRIDOR = rectangles(room((-8.0, -1.2), (8.0, 1.2), 0.2), resolution=0.05)

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
-from pedzoo.policies.safety_layer.clearance import ProposedSteps, kept_clear_in_torch
-from pedzoo.policies.safety_layer.layer import yielding
+from pedzoo.policies.clearance import ProposedSteps, kept_clear_in_torch
+from pedzoo.policies.safety_layer import yielding
 from pedzoo.sim import kernel
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env

@@ -22,7 +22,7 @@ from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
 from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.eval.robots import robot_rollout
 from pedzoo.eval.rollout import rollout
-from pedzoo.maps.procedural.plan import generate
+from pedzoo.maps.procedural import generate
 from pedzoo.policies.controller.controller import Controller
 from pedzoo.sim.drawing import EDGE, ROBOT_BODY, SHOULDERS, Camera, Canvas, headings_along, person_color
 from pedzoo.sim.rollout import RobotRollout

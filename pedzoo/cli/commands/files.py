@@ -199,7 +199,7 @@ def plans(
         overwrite: Replace files that are there already.
     """
     from pedzoo.maps.formats import write_ros
-    from pedzoo.maps.procedural.plan import KINDS, generate
+    from pedzoo.maps.procedural import KINDS, generate
     from pedzoo.viz.plan_sheet import save_sheet
 
     at_least_one("--count", count)

@@ -6,7 +6,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.policies.neighbours import separation_push
 from pedzoo.policies.policy import Policy
-from pedzoo.policies.safety_layer.layer import safe
+from pedzoo.policies.safety_layer import safe
 
 
 class GoToGoal(Policy):

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from pedzoo.core.errors import UserError, unknown
+from pedzoo.maps.furniture import CLEARANCE, Piece, furnish, is_one_piece
 from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
-from pedzoo.maps.procedural.furniture import CLEARANCE, Piece, furnish, is_one_piece
-from pedzoo.maps.procedural.shapes import (
+from pedzoo.maps.shapes import (
     UNIT,
     WALL,
     Door,

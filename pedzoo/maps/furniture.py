@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, label
 
-from pedzoo.maps.procedural.shapes import Door, PortableRandom, Rect, Room, units
+from pedzoo.maps.shapes import Door, PortableRandom, Rect, Room, units
 
 
 class Piece(NamedTuple):

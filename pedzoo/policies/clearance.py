@@ -1,7 +1,7 @@
 """Room kept between people and to walls: who goes first, steps that lack room, ways out, and contacts.
 
 Coordinates come first and people last, (2, ..., B, A): on the CPU several times faster than pairs. Nothing
-is read back to the host. `pedzoo.policies.safety_layer.loops` says the same in compiled loops.
+is read back to the host. `pedzoo.policies.clearance_loops` says the same in compiled loops.
 
 Of two people, the one who is ahead where both want to go goes first. People who press towards one place so
 have an order, by their distance from it, and the first of them is held up by none of the others: no arch of

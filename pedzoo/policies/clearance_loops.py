@@ -18,7 +18,7 @@ from pedzoo.core.compiled import compiled, jit
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.maps.walls import LocalWalls, Walls
 from pedzoo.maps.walls_numba import WallArrays, quarter, wall_gap
-from pedzoo.policies.safety_layer.clearance import (
+from pedzoo.policies.clearance import (
     AHEAD,
     BARELY,
     BEYOND,

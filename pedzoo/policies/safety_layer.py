@@ -22,7 +22,7 @@ from pedzoo.core.batch import ROBOT, agents_of, ids_of, is_person_sized, maps_of
 from pedzoo.core.machine import compiles
 from pedzoo.core.types import STEP_SECONDS
 from pedzoo.maps.walls import LocalWalls
-from pedzoo.policies.safety_layer.clearance import MARGIN, SHOULDERS, ProposedSteps, kept_clear_in_torch
+from pedzoo.policies.clearance import MARGIN, SHOULDERS, ProposedSteps, kept_clear_in_torch
 
 HORIZON = 4.0  # seconds within which a contact with a robot counts
 ROOM = 0.1  # metres that are kept beyond a contact with a robot: between two decisions velocities blend
@@ -147,7 +147,7 @@ class _KeptClear(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, *given: Any) -> Tensor:
-        from pedzoo.policies.safety_layer.loops import kept  # numba takes a second
+        from pedzoo.policies.clearance_loops import kept  # numba takes a second
 
         out = torch.empty_like(given[1], memory_format=torch.contiguous_format)
         steps, walls, shoulders = given[3:]
@@ -156,7 +156,7 @@ class _KeptClear(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Any) -> tuple[Tensor | None, ...]:
-        from pedzoo.policies.safety_layer.loops import slopes_of
+        from pedzoo.policies.clearance_loops import slopes_of
 
         return *slopes_of(ctx.stored, gradients[0]), None, None, None
 
