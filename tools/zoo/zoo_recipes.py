@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pedzoo.core.paths import config_names
 from pedzoo.core.types import PRED_LEN, GoalProtocol, TimeBase
 from pedzoo.data.datasets.eth_ucy import SCENES
 from pedzoo.models.zoo.publish import WHOLE_WALKS, monitored, zoo_name
@@ -77,7 +78,10 @@ class Recipe:
         """The zoo name of the weights that a closed-loop training goes on with."""
         if self.folder != "closed_loop" or self.on_crowds:
             return None
-        return dataclasses.replace(self, config=self.config.replace("closed", "open")).name
+        forecaster = self.config.replace("closed", "open")
+        if forecaster not in config_names():  # the paper's network has no recipe for walkers alone
+            forecaster = self.config.rpartition("/")[2]
+        return dataclasses.replace(self, config=forecaster).name
 
     @property
     def name(self) -> str:
@@ -139,6 +143,7 @@ RECIPES = [
     *(Recipe(config, fold, pred_len) for pred_len in (12, 8) for config in ANCHORED for fold in SCENES),
     *(Recipe(f"anchor_net_goal{end}", fold) for end in ("_destination", "") for fold in SCENES),
     *(Recipe(f"{half}/{config}", EVERYTHING) for config in CONTROLLERS for half in CONTROLLER),
+    Recipe("closed_loop/sgan_goal_map", EVERYTHING, seeds=1),
     *(Recipe("open_loop/approach_net_goal_map", fold) for fold in SCENES),
     *(Recipe("closed_loop/approach_net_goal_map", fold, seeds=1) for fold in SCENES),
     *(Recipe(f"{half}/anchor_net_goal_map", fold, seeds=1) for half in CONTROLLER for fold in SCENES),
