@@ -26,6 +26,9 @@ Report = dict[str, Any]
 WALKS = [{"suites": [suite], "quick": True} for suite in ("door", "goals", "encounters")]
 """Where a card's model has walked, with a tenth of the episodes: that needs no files and takes a minute."""
 
+MEASURED = ("inputs", "forecast", "evaluate")
+"""What the reports on a card do, in their order."""
+
 EMBEDDED = "embedded"
 """The fold that ships with pedzoo: its numbers can be redone anywhere."""
 
@@ -67,6 +70,7 @@ def measure(
     root: str | None = None,
     progress: Progress | None = None,
     tell: Callable[[str], None] = print,
+    commands: Sequence[str] = MEASURED,
 ) -> list[Report]:
     """Return the reports for a model's card.
 
@@ -80,6 +84,7 @@ def measure(
         root: Folder with recordings; None for the variable ``PEDZOO_DATA``.
         progress: Called with what is done, its parts done and parts in all.
         tell: Called with what cannot be measured here.
+        commands: Which reports, of `MEASURED`.
 
     Raises:
         UserError: There is no such model.
@@ -99,6 +104,8 @@ def measure(
         wanted += [("evaluate", protocol) for protocol in WALKS]
     result = []
     for command, protocol in wanted:
+        if command not in commands:
+            continue
         try:
             report = report_of(command, Job(model, protocol, [SEED], root, progress=progress))
         except UserError as error:

@@ -260,9 +260,20 @@ def zoo() -> str:
             number(walked(card, case).get("success"))
             for case in ("robots" if robot else "door", "goals drawn")
         ]
-        rows.append([f"`{name}`", "-" if seed is None else str(seed), *about, number(ade, 3), *successes])
-    head = ["name", "seed", "sees map", "held-out scene", "goal, time base", "ADE, m", "door", "buildings"]
-    return table(head, rows)
+        cells = [*about, number(ade, 3), uses(card), *successes]
+        rows.append([f"`{name}`", "-" if seed is None else str(seed), *cells])
+    head = ["name", "seed", "sees map", "held-out scene", "goal, time base", "ADE, m", "uses, m", "door"]
+    return table([*head, "buildings"], rows)
+
+
+def uses(card: ModelCard) -> str:
+    """Return by how far the forecasts of a card's model move without each of its inputs."""
+    reports = (report for report in card.evaluations if report["command"] == "inputs")
+    shifts = {
+        row["case"]["without"]: row["metrics"]["shift_m"] for report in reports for row in report["rows"]
+    }
+    shifts.pop("others of another scene", None)
+    return ", ".join(f"{name} {number(shift, 3)}" for name, shift in shifts.items()) or "-"
 
 
 def walked_page(page: str = "RESULTS.md") -> str:

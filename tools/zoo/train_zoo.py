@@ -5,7 +5,7 @@
 ``train`` runs ``pedzoo fit`` for every recipe and seed, as a user would, skips what is finished and resumes
 what was interrupted; closed-loop recipes go on from the exported weights of the open-loop ones. ``export``
 publishes the seed that is best in validation, as ``pedzoo export --zoo`` does. ``measure`` puts the numbers
-on the cards that have none, with ``--again`` on all. ``table`` evaluates every seed on the test scenes and
+on the cards that lack them, with ``--again`` on all. ``table`` evaluates every seed on the test scenes and
 writes checkpoints/results/FORECAST.md and .json. The recordings are found by PEDZOO_DATA.
 """
 
@@ -24,7 +24,7 @@ from zoo_recipes import RECIPES, Recipe
 from pedzoo.core.machine import versions
 from pedzoo.core.paths import CARD, shipped, weight_files, write_atomically
 from pedzoo.data.datamodule import TrajectoryDataModule
-from pedzoo.eval.cards import measure
+from pedzoo.eval.cards import MEASURED, measure
 from pedzoo.eval.forecast import forecast, forecast_row
 from pedzoo.models.zoo.card import read_card, write_card
 from pedzoo.models.zoo.loading import load
@@ -89,11 +89,17 @@ def export(recipes: list[Recipe], root: Path) -> None:
 
 
 def numbers(recipes: list[Recipe], again: bool) -> None:
-    """Measure the shipped weights whose cards have no numbers yet; ``again``: those of all recipes."""
+    """Measure what cards of shipped weights lack; ``again``: all of it, of all recipes."""
     for name in (recipe.name for recipe in recipes):
         path = shipped("checkpoints") / name / CARD
-        if path.is_file() and (not (card := read_card(path)).evaluations or again):
-            write_card(msgspec.structs.replace(card, evaluations=measure(name)), path)
+        if not path.is_file():
+            continue
+        card = read_card(path)
+        known = [] if again else card.evaluations
+        lacking = set(MEASURED) - {report["command"] for report in known}
+        if lacking and (new := measure(name, commands=sorted(lacking))):
+            evaluations = sorted([*new, *known], key=lambda report: MEASURED.index(str(report["command"])))
+            write_card(msgspec.structs.replace(card, evaluations=evaluations), path)
             print(path, flush=True)
 
 
