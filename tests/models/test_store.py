@@ -228,8 +228,8 @@ def test_a_source_of_the_user_is_searched_for_names(model, site, monkeypatch):
 
 
 def test_who_misspells_is_shown_the_family_and_not_all_there_is():
-    known = {"sgan_goal": r"known: sgan_goal\.eth, .*, sgan_goal\.zara2_destination$"}
-    known |= {"sgan_gaol.zara1": r"did you mean 'sgan_goal\.zara1'\? known: sgan_goal\.eth, "}
+    known = {"anchor_net_goal": r"known: anchor_net_goal\.eth, .*, anchor_net_goal\.zara2_destination$"}
+    known |= {"sgan_gaol.zara1": r"did you mean 'sgan_goal\.zara1'\? known: sgan_goal\.eth"}
     known |= {"orca": r"known: anchor_mlp\.\*, .*, robot_ppo\.\*, sgan\.\*, sgan_goal\.\*, "}
     for name, message in known.items():
         with pytest.raises(UserError, match=message) as caught:

@@ -277,7 +277,7 @@ def test_hub_has_one_entry_per_family_of_weights():
     spec.loader.exec_module(module)
     entries = {name: value for name, value in vars(module).items() if callable(value) and name[0] != "_"}
     assert entries.keys() == {name.partition(".")[0] for name in pedzoo.list_models()}
-    assert "zara1_destination" in str(inspect.getdoc(entries["sgan_goal"]))
+    assert "zara1_destination" in str(inspect.getdoc(entries["anchor_net_goal"]))
 
 
 def test_torch_hub_loads_what_pedzoo_loads():

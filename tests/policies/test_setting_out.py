@@ -23,7 +23,7 @@ MOVED = 0.25
 """Metres that people have walked after a second."""
 
 KINDS = (
-    *("orca", "social_force", "bent_line", "sgan_goal.zara1_destination", "approach_net_goal_map.indoor"),
+    *("orca", "social_force", "bent_line", "sgan_goal.zara1", "approach_net_goal_map.indoor"),
     *("anchor_net_goal.eth_destination", "social_vrnn.eth", "social_walker.indoor", "social_walker.styled"),
 )
 
@@ -72,7 +72,7 @@ def test_people_of_a_host_set_out_again(name: str) -> None:
 )
 def test_people_who_waited_in_a_scenario_set_out(scenario: str) -> None:
     env = make_env(scenario, 2, "compiled")
-    for name in ("social_walker.styled", "sgan_goal.zara1_destination", "approach_net_goal_map.indoor"):
+    for name in ("social_walker.styled", "sgan_goal.zara1", "approach_net_goal_map.indoor"):
         policy, begin = load_policy(name), None
         now: Any = env.reset()
         with torch.no_grad():

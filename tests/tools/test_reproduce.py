@@ -109,7 +109,7 @@ def test_ratio_of_means_and_seeds_on_the_pages() -> None:
             row["metrics"][NATS] = -1.234
     pages = {page.title: page for page in table1_pages(report)}
     (ratio,) = pages["Best of 20 per scene beside released models, means"].rows
-    assert ratio[-2:] == ["0.48\n0.96", "1.04\n1.04"]  # 0.5 / 0.48, 1 / 0.964
+    assert ratio[-2:] == ["0.53\n1.04", "0.94\n0.97"]  # 0.5 / 0.534, 1 / 1.036
     overview = pages["Means over the folds, ADE / FDE"].rows
     named = [(row[0], row[2]) for row in overview]
     assert named == [("8 -> 8", line), ("8 -> 12", "sgan"), ("8 -> 12", line)]

@@ -331,7 +331,11 @@ def forecasts() -> str:
             cells = [*cells, *[""] * (3 - len(cells)), value(row, "next_step_m")]
             errors.append([f"`{goal}`", f"`{name}`", "" if line else str(row["seeds"]), *cells])
     best = ("sgan_goal", "bent_line", "straight_line")
-    folds = [[fold, *(value(known[fold, "window_end"][one], "ade_m") for one in best)] for fold in SCENES]
+    by_fold = {fold: known[fold, "window_end"] for fold in SCENES}
+    folds = [
+        [fold, *(value(rows[one], "ade_m") if one in rows else "-" for one in best)]
+        for fold, rows in by_fold.items()
+    ]
     head = ["goal", "model", "trainings", "most likely", "one random sample", "best of 20, per scene"]
     return (
         "zara1, 8 observed and 8 predicted steps, ADE / FDE in metres. Learned rows are the mean of so many "

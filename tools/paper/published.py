@@ -44,7 +44,7 @@ SGAN's row equals the best of 20 of the released SGAN-20V-20 (`RELEASED`)."""
 RELEASED: list[dict[str, Any]] = [
     {
         "label": "SGAN-20V-20 (released)",
-        "ours": "sgan",
+        "ours": "sgan_nopool",
         "errors": {
             "8": _by_fold((0.58, 1.13), (0.36, 0.71), (0.33, 0.70), (0.21, 0.42), (0.21, 0.42)),
             "12": _by_fold((0.71, 1.29), (0.48, 1.02), (0.56, 1.18), (0.34, 0.69), (0.31, 0.64)),

@@ -190,7 +190,7 @@ def main() -> None:
     page = HEADER + "\n" + markdown(["change", "seeds", *COLUMNS.values()], cells)
     target = shipped("checkpoints") / "results"
     report = {"command": "tools/zoo/ablations.py table", "versions": versions(), "rows": rows}
-    write_atomically(target / "ABLATIONS.json", (json.dumps(report, indent=1) + "\n").encode())
+    write_atomically(target / "ABLATIONS.json", (json.dumps(report, separators=(",", ":")) + "\n").encode())
     write_atomically(target / "ABLATIONS.md", page.encode())
     print(page)
 

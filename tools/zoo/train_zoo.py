@@ -113,7 +113,7 @@ def table(root: Path) -> None:
             result[key] = row
     ordered = sorted(result.values(), key=lambda row: place_of(row["case"]))
     report = {"command": "tools/zoo/train_zoo.py table", "versions": versions(), "rows": ordered}
-    write_atomically(target / "FORECAST.json", (json.dumps(report, indent=1) + "\n").encode())
+    write_atomically(target / "FORECAST.json", (json.dumps(report, separators=(",", ":")) + "\n").encode())
     write_atomically(target / "FORECAST.md", page(ordered).encode())
 
 
