@@ -3,8 +3,6 @@
 `python tests/test_goldens.py` writes `goldens.json` anew, for a change that is meant to move them.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import tempfile

@@ -6,8 +6,6 @@ Weights and ``metrics.csv`` are compared with those of a training that nobody ki
     python -m tools.kills sgan --trainings 2
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import shlex

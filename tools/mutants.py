@@ -9,8 +9,6 @@ Cosmic Ray says what can be mutated. Each mutant of a sample is written into a c
 fork of a process that has imported torch already. Survivors are printed; those of `EQUIVALENT` are harmless.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import importlib

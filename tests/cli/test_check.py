@@ -1,7 +1,5 @@
 """Mistakes are one line; misspelt names and options are refused before anything heavy is imported."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """The command line: quick help, exit codes, and one helpful line for every mistake."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

@@ -1,7 +1,5 @@
 """The demo: all of its commands run, write what they promise, and show what they are there to show."""
 
-from __future__ import annotations
-
 import json
 import shlex
 from importlib.util import find_spec

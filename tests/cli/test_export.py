@@ -1,7 +1,5 @@
 """pedzoo export: weights and card of a run, a folder for the hub, and what is refused."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``pedzoo info`` and ``pedzoo models``: what cards say, for people and for machines."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What commands print and write: any text as it is, and results before anything else can go wrong."""
 
-from __future__ import annotations
-
 import io
 import json
 from pathlib import Path

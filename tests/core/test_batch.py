@@ -1,7 +1,5 @@
 """The one scene batch: its defaults, the floor plans that it brings, and who heeds the bodies in it."""
 
-from __future__ import annotations
-
 import copy
 import math
 import pickle

@@ -1,7 +1,5 @@
 """Compiled functions are kept, and made again when any file that they come from changes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Config files: what they inherit, scenarios as mappings, and mistakes in one line."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """One file each, from any folder: a robot with its scene, a physics backend, a loss, a reward."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Downloads, from a server on this machine that breaks off, lies and dawdles."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import signal

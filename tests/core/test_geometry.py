@@ -1,7 +1,5 @@
 """Turns and scene poses, by hand and back again."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

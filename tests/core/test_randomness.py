@@ -1,7 +1,5 @@
 """Random numbers by counter: the same for every batch, and as random as they must be."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from typing import Any, cast

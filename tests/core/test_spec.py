@@ -1,7 +1,5 @@
 """Names with settings, also in groups: what they mean, and what a misspelling is told."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

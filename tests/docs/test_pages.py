@@ -1,7 +1,5 @@
 """Everything that README and docs/ tell people to type works, page by page; pages are plain English."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import shlex

@@ -1,7 +1,5 @@
 """Numbers on model cards: what is measured, when it is the same, and the command that does all again."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from copy import deepcopy

@@ -1,7 +1,5 @@
 """`pedzoo evaluate`: the same table however it is run, parts that are kept, and what people read."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """The open-loop table: which rows, in which order, under which protocol, and what must repeat."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

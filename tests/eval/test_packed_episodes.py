@@ -1,7 +1,5 @@
 """Episodes that results keep: what is read again is what was walked, in few bytes."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Robots beside the same scenes without them, the suite of robots, and its command."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Rollouts: only live episodes count, whatever runs beside them, and the command that prints them."""
 
-from __future__ import annotations
-
 import json
 import re
 from contextlib import nullcontext

@@ -1,7 +1,5 @@
 """`pedzoo score`: files and memory agree, real people are themselves, and likelihoods are as by hand."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -3,8 +3,6 @@
 A worker takes 2.5 s to start, so few tests have any.
 """
 
-from __future__ import annotations
-
 import gc
 import multiprocessing
 import os

@@ -1,7 +1,5 @@
 """The examples are short, and do what they say."""
 
-from __future__ import annotations
-
 import json
 import runpy
 from importlib.util import find_spec

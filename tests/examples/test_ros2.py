@@ -1,7 +1,5 @@
 """The ROS 2 node answers HuNav's requests; messages have the fields of hunav_msgs, and ROS is faked."""
 
-from __future__ import annotations
-
 import math
 import runpy
 import sys

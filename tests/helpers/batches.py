@@ -1,7 +1,5 @@
 """Hand-made scene batches for tests."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import cast
 

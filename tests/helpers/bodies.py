@@ -1,7 +1,5 @@
 """Scenes of agents with bodies of their own, for tests of the kernel and of physics backends."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

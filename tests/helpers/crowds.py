@@ -1,7 +1,5 @@
 """Crowds about a door, for the safety layer."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

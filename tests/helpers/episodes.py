@@ -1,7 +1,5 @@
 """Positions of episodes as results keep them, read again."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Mapping
 from typing import Any

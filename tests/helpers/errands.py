@@ -1,7 +1,5 @@
 """What workers do in tests; without pytest, which would take them half a second to import."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

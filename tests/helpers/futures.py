@@ -1,7 +1,5 @@
 """Futures of a model with anchors, compared as sets: modes that are as likely as each other may swap."""
 
-from __future__ import annotations
-
 import torch
 from tensordict import TensorDict
 from torch import Tensor

@@ -1,7 +1,5 @@
 """Marks of tests that run Lightning's trainer."""
 
-from __future__ import annotations
-
 import pytest
 
 LIGHTNING_MARKS = [

@@ -1,7 +1,5 @@
 """Small trainings in the loop."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import lightning as L

@@ -1,7 +1,5 @@
 """Scene batches of agents who have come straight to where they are, and scenarios that tests share."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Any
 

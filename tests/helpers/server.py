@@ -1,7 +1,5 @@
 """A web server on this machine that misbehaves on request: what downloads are tested against."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Trainers that print nothing, and what two trainings ended with."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A callback for trainings in several processes: each writes down its weights at the end."""
 
-from __future__ import annotations
-
 import lightning as L
 import torch
 from lightning.pytorch.callbacks import Callback

@@ -1,7 +1,5 @@
 """The planner ``astar``: networkx' A* on the open cells is its oracle, and its lengths have a bound."""
 
-from __future__ import annotations
-
 import networkx as nx
 import numpy as np
 import pytest

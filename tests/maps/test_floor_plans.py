@@ -1,7 +1,5 @@
 """Floor plans from geometry and files, and their free space."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Occupancy grids and the map bank, against distances computed by hand."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

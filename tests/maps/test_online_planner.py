@@ -1,7 +1,5 @@
 """Paths to goals that keep changing: shortest ones, whatever was asked for before."""
 
-from __future__ import annotations
-
 import tracemalloc
 from pathlib import Path
 

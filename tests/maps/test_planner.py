@@ -1,7 +1,5 @@
 """The planner, against ways computed by hand, a brute-force search, and people who follow it."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 from pathlib import Path

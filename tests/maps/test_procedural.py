@@ -1,7 +1,5 @@
 """Floor plans from seeds: sound, passable, the same everywhere, and usable by name."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Outlines of walls and the look-up of the nearest segments, against drawings and brute force."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Walls as boxes, exact distances to them and rays, against brute force over all cells."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Whether and when people arrive, and how far they walked: values computed by hand."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """All closed-loop metrics of a rollout: values computed by hand, what they must not depend on, and sums."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import fields, replace
 

@@ -1,7 +1,5 @@
 """Distances and times to collision against brute force and values computed by hand."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from helpers.walks import made

@@ -1,7 +1,5 @@
 """Displacement metrics on a case small enough to compute by hand, and the baselines' published numbers."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

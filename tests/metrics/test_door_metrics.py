@@ -1,7 +1,5 @@
 """Order and queues at a door, and what a safety layer changes: values by hand, and ORCA's mirror images."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Metrics of one's own: a function in a file from any folder, and what is said where it fails."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from textwrap import dedent

@@ -1,7 +1,5 @@
 """Realism against values computed by hand, scipy's, and crowds whose faults are known."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from typing import Any, cast

@@ -1,7 +1,5 @@
 """Speeds, accelerations, turning: values computed by hand on simple ways."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

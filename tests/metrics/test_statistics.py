@@ -1,7 +1,5 @@
 """Quantiles of weighted values against numpy's, and intervals by hand and over many trials."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

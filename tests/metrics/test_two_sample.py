@@ -1,7 +1,5 @@
 """The classifier two-sample test against crowds that are equal, shuffled or plainly different."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

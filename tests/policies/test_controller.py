@@ -1,7 +1,5 @@
 """The controller, against the environment and against histories and velocities known by hand."""
 
-from __future__ import annotations
-
 from typing import Any, cast
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a controller says about wrong arguments and people in walls; each remembers its own people alone."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 import re

@@ -1,7 +1,5 @@
 """How people of a controller start and stop, at any clock and where hosts move them otherwise than told."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """What a policy remembers of how people began."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from tensordict import TensorDict

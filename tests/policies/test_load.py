@@ -1,7 +1,5 @@
 """One function loads every model and policy."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

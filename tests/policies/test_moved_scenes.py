@@ -1,7 +1,5 @@
 """Every policy walks alike wherever the scene lies, and chance decides what nothing else decides."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from typing import Any

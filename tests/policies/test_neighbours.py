@@ -1,7 +1,5 @@
 """Neighbours and pairs: a plain double loop as the oracle, for both ways of searching."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

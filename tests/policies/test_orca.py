@@ -1,7 +1,5 @@
 """ORCA: lines by hand, invariances, degenerate people, walls, and real RVO2 as the oracle."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

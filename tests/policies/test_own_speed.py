@@ -1,7 +1,5 @@
 """People walk at the speed that they are said to like where nobody is in their way."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

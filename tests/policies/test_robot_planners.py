@@ -1,7 +1,5 @@
 """Robots' policies on cases by hand: the sampling planner, the dynamic window, ORCA and social forces."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

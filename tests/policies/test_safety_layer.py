@@ -1,7 +1,5 @@
 """The safety layer: what it leaves alone, who gives way, that contacts are avoided, invariances."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

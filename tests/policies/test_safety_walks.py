@@ -1,7 +1,5 @@
 """The safety layer on blended velocities: true paths, compiled loops against torch, and who goes first."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Every shipped policy sets out within a second of a goal that a host or a scenario gives, from any start."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Short-term goals: as far ahead for people who walk as for recorded people, whoever asks the planner."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

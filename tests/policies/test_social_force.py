@@ -1,7 +1,5 @@
 """Social force: forces by hand, the potential as an oracle, invariances, walls on floor plans, settings."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

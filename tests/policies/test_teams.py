@@ -1,7 +1,5 @@
 """Mixed crowds: who moves whom, and when each team decides."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any, cast

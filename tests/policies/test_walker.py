@@ -1,7 +1,5 @@
 """Any forecaster walks: whose noise it gets, and how much of a prediction is walked."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """People leave a robot its course: the look ahead of the safety layer, and all policies in the encounters."""
 
-from __future__ import annotations
-
 import math
 from importlib import import_module
 from types import ModuleType

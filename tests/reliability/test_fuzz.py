@@ -1,7 +1,5 @@
 """Hostile contents for every reader: sound ones with mistakes, any bytes, and what was wrong once."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

@@ -1,7 +1,5 @@
 """Small files with huge demands: every reader refuses them before it takes memory, and says which limit."""
 
-from __future__ import annotations
-
 import bz2
 import json
 import pickle

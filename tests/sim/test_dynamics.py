@@ -1,7 +1,5 @@
 """How people move: speed, walls, and none goes through them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

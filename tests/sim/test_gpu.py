@@ -3,8 +3,6 @@
 Without a GPU, as in CI, all of it is skipped.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

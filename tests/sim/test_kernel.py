@@ -1,7 +1,5 @@
 """The kernel is pure: it runs where nothing can be read back to the host."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

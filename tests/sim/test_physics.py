@@ -1,7 +1,5 @@
 """What all backends answer: against formulas, against one another, and when something is wrong."""
 
-from __future__ import annotations
-
 import gc
 import importlib.util
 import math

@@ -1,7 +1,5 @@
 """The step path on a device that is not the CPU: no value is read back, and no tensor lies elsewhere."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

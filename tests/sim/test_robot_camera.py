@@ -1,7 +1,5 @@
 """The camera of robots: depths against a lidar, and colours against known places."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Agents with wheels: against values computed by hand, in every backend."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """`pedzoo bench`: turns, ratios, programs that answer, and mistakes."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Tools of a checkout: absent from a wheel; dependencies of the checks, and trainings that are killed."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path

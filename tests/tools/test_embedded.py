@@ -1,7 +1,5 @@
 """The embedded dataset: made by its script, small, sane and honest."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The shape of the house: its budget, its floor, imports one way, and what pages say of its files."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections import Counter, defaultdict

@@ -1,7 +1,5 @@
 """What controllers have to show: choices and targets by hand, cases, and the page that people read."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """Pages that `tools/pages` makes: tables of README and docs/, of scores, of joined results, and the site."""
 
-from __future__ import annotations
-
 import json
 import re
 import runpy

@@ -1,7 +1,5 @@
 """`pedzoo reproduce`: means over folds, by hand; what is missing and kept; and the pages that people read."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The page of robots trained among some people and tested among others."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Training on whole recorded crowds: excerpts, walking on, what is compared, and the loss."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, cast
 

@@ -1,7 +1,5 @@
 """PPO in the loop: densities, values, advantages, who counts, what a training does and what it refuses."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable

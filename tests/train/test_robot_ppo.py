@@ -1,7 +1,5 @@
 """Robots that learn: what their network sees, where they learn, what a training does, and weights by name."""
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Watching people who walk now: the served page follows them, and only this machine sees it."""
 
-from __future__ import annotations
-
 import json
 import threading
 import urllib.error

@@ -1,7 +1,5 @@
 """The page of results: it needs nothing else, and runs nothing that came with the results."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

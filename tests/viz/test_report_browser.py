@@ -1,7 +1,5 @@
 """The page in a real browser: it plays, is fast enough, and is quiet on the console."""
 
-from __future__ import annotations
-
 import json
 import math
 import shutil

@@ -1,7 +1,5 @@
 """Pictures of rollouts: the moment they are about, what they show, and where they are written."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Videos: what is written can be read, frame by frame, and nothing is left behind where it cannot."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path

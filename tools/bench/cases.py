@@ -3,8 +3,6 @@
 It asks only for names that `pedzoo` exports, so that a commit and the working tree do the same work.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import tempfile

@@ -1,7 +1,5 @@
 """The command ``pedzoo bench``."""
 
-from __future__ import annotations
-
 import platform
 import re
 import sys

@@ -9,8 +9,6 @@ The other differences of 1e-3 m/s and more are ties: of segments as near as each
 so blocked that the order of lines matters.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

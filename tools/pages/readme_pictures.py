@@ -5,8 +5,6 @@
 ``docs/pictures/video.png``: three moments of a video of pybullet's camera.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from pathlib import Path

@@ -8,8 +8,6 @@ One person and one robot, 9 lateral offsets for every encounter, in the open (-1
 centres come closer than 0.65 m; a person arrives who comes within 0.3 m of the goal.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import shlex

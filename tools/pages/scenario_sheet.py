@@ -7,8 +7,6 @@ to their first goals. One episode is drawn strongly and others of the same seed 
 other floor plans, the outlines of their walls are dotted. Without names all scenarios are drawn.
 """
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 from textwrap import fill

@@ -6,8 +6,6 @@
 It needs Chromium (Debian: ``apt install chromium``) and playwright.
 """
 
-from __future__ import annotations
-
 import shutil
 import sys
 from collections.abc import Iterator

@@ -3,8 +3,6 @@
 ``--check`` only says which pages are out of date; ``--measure`` first measures the column ms again.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import sys

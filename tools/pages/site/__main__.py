@@ -4,8 +4,6 @@ The pages are copied beside what they link to, as they lie in the checkout, so t
 code host and on the site. Warnings are errors. The result is ``build/site/index.html``.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
