@@ -43,12 +43,6 @@ def test_more_goals_than_there_was_room_for_and_forgotten_ones(bank):
     assert first.distance.shape == (1, len(points))
 
 
-def test_without_a_floor_plan_paths_are_straight():
-    online = Planner(MapBank([]))
-    ids = online.add_goals(-1, [(3.0, 4.0)])
-    assert guided(online, np.zeros((1, 2)), ids).distance.item() == pytest.approx(5.0)
-
-
 @pytest.mark.parametrize("plan", ["apartment.7", "office.7"])
 def test_paths_do_not_depend_on_what_was_asked_before(plan):
     bank = MapBank([load_plan(plan)])

@@ -7,9 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
-from scipy.spatial import KDTree
 from torch import Tensor
 
 from pedzoo.core.errors import UserError
@@ -72,10 +69,6 @@ def guidance_of(
     scenes = points.unsqueeze(1), goal.unsqueeze(1), planner.map_rows(map_id), pose, speed.unsqueeze(1)
     result = planner.guidance(*scenes, ahead, float(speed.max()))
     return Guidance(*(value.squeeze(1) for value in result))
-
-
-def length(start: np.ndarray, way: np.ndarray) -> float:
-    return float(np.linalg.norm(np.diff(np.vstack((start, way)), axis=0), axis=1).sum())
 
 
 def rooms_of(planner: Planner) -> np.ndarray:
@@ -169,58 +162,6 @@ def test_lines_of_sight_are_those_of_a_dense_sampling(seed: int) -> None:
     assert 20 < expected.sum() < 580
     assert np.array_equal(graph.sight.clear(origin, target), expected)
     assert np.array_equal(graph.sight.clear(target, origin), expected)
-
-
-@pytest.mark.parametrize("compiled", [True, False])
-@pytest.mark.parametrize("seed", range(4))
-def test_ways_are_the_shortest_there_are(seed: int, compiled: bool) -> None:
-    planner = cells_planner(random_plan(seed))
-    planner.compiled = compiled
-    graph, rooms = planner.graph(0), rooms_of(planner)
-    one, other = (part.ravel() for part in np.meshgrid(rooms, rooms))
-    seen = graph.sight.clear(graph.place[one], graph.place[other]).reshape(len(rooms), -1)
-    steps = np.linalg.norm(graph.xy[one] - graph.xy[other], axis=1).reshape(seen.shape)
-    shortest = dijkstra(np.where(seen, steps, 0))  # by way of whatever cells
-
-    points = torch.from_numpy(graph.xy[rooms]).float()
-    for k, goal in enumerate(planner.add_goals(0, graph.xy[rooms[::5]])):
-        found = guide(planner, points, goal.expand(len(rooms))).distance
-        np.testing.assert_allclose(found, shortest[5 * k], rtol=1e-5, atol=1e-5)
-    for k, start in enumerate(rooms[::7]):
-        way = planner.path(graph.xy[start], graph.xy[rooms[-1]], 0)
-        assert length(graph.xy[start], way) == pytest.approx(shortest[7 * k, -1], abs=1e-9)
-
-
-def eight_connected(graph: OpenGraph) -> csr_array:
-    """Steps to open neighbours, metres; a diagonal one must not cut a corner."""
-    place = graph.place
-    one, other = KDTree(place).query_pairs(1.5, output_type="ndarray").T
-    seen = graph.sight.clear(place[one], place[other])
-    one, other = one[seen], other[seen]
-    metres = np.linalg.norm(graph.xy[one] - graph.xy[other], axis=1)
-    return csr_array((metres, (one, other)), shape=(len(graph), len(graph)))
-
-
-def check_lengths(planner: Planner, pairs: int) -> None:
-    graph, rooms = planner.graph(0), rooms_of(planner)
-    draws = np.random.default_rng(0)
-    jitter = (draws.random((pairs, 2)) - 0.5) * 0.9 * graph.grid.resolution
-    starts = graph.xy[draws.choice(rooms, pairs)] + jitter
-    cells = draws.choice(rooms, 8, replace=False)
-    goals = planner.add_goals(0, graph.xy[cells] + jitter[:8])
-    which = np.arange(pairs) % 8
-    result = next_waypoints(planner, torch.from_numpy(starts).float(), goals[which]).distance.numpy()
-    ends = graph.xy[cells] + jitter[:8]
-    paths = [length(start, planner.path(start, ends[k], 0)) for start, k in zip(starts, which, strict=True)]
-    np.testing.assert_allclose(result, paths, atol=0.6 * graph.grid.resolution)
-    eight = dijkstra(eight_connected(graph), directed=False, indices=cells)
-    eight = eight[which, graph.index[graph.locate(starts)[0]]]
-    assert (np.array(paths) <= eight + 2 * graph.grid.resolution).all()  # between centres, not quite the same
-
-
-def test_paths_and_look_ups_are_equally_long(shared: Path) -> None:
-    check_lengths(flat()[1], 100)
-    check_lengths(apartment(shared)[1], 200)
 
 
 def check_clearance(bank: MapBank, planner: Planner) -> None:
@@ -499,16 +440,3 @@ def test_lines_of_sight_are_kept_on_disk(tmp_path: Path, monkeypatch: pytest.Mon
     for broken in (b"", file.read_bytes()[:-9], (tmp_path / "other.npy").read_bytes()):
         file.write_bytes(broken)
         assert np.array_equal(cells_planner(grid).corners(0).matrix.toarray(), first)
-
-
-def test_planners_of_one_floor_plan_do_not_mix_what_they_find() -> None:
-    _, planner = flat()
-    first = Planner(planner.bank)
-    one, other = (torch.tensor([[x, 1.0]]) for x in (1.0, 2.0))
-    goal = first.add_goals(0, [(7.0, 1.0)])
-    next_waypoints(first, one, goal)
-    second = first.without_goals()
-    second.add_goals(0, [(7.0, 1.0)])
-    expected = next_waypoints(second, other, goal).distance
-    assert torch.equal(next_waypoints(first, other, goal).distance, expected)
-    assert torch.equal(next_waypoints(second, one, goal).distance, next_waypoints(first, one, goal).distance)

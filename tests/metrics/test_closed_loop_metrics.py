@@ -16,8 +16,6 @@ from pedzoo.metrics.statistics import wilson
 from pedzoo.sim.rollout import OVER_TIME, Rollout, joined
 from pedzoo.train.validation import ClosedLoopScore
 
-INF = float("inf")
-
 
 def bits(*rows: str) -> torch.Tensor:
     return torch.tensor([[letter == "1" for letter in row] for row in rows])

@@ -6,11 +6,9 @@ from typing import Any, cast
 import pytest
 import torch
 from helpers.batches import changed, make_batch, random_weights
-from helpers.futures import farthest_futures, futures
 from tensordict import TensorDict
 from torch import Tensor
 
-from pedzoo.core import geometry
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import MODELS
@@ -18,9 +16,6 @@ from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.models.architectures.anchor_net import AnchorNet
 from pedzoo.models.architectures.anchors import Anchors
 from pedzoo.models.blocks.anchored import SPEEDS, AnchorForecaster, clustered, reversed_in_time
-from pedzoo.models.zoo.loading import load
-
-NAMES = ("anchors", "anchor_mlp", "anchor_net")
 
 
 def made(name: str, **options: Any) -> AnchorForecaster:
@@ -36,13 +31,6 @@ def made(name: str, **options: Any) -> AnchorForecaster:
 
 def scene(people: int, seed: int = 0) -> TensorDict:
     return make_batch((people,), seed=seed, goal=False)
-
-
-def moved(batch: TensorDict, pose: Tensor) -> TensorDict:
-    """Return a batch whose people stand elsewhere, turned or mirrored, by a scene pose (1, 4)."""
-    agents = agents_of(batch)
-    places = {key: geometry.move_to_scene(agents[key], pose) for key in ("history", "future")}
-    return changed(batch, **places, velocity=geometry.turn_to_scene(agents["velocity"], pose))
 
 
 def test_two_kinds_of_futures_are_two_centroids():
@@ -87,25 +75,6 @@ def test_an_untrained_network_is_its_anchors(name):
     for batch in batches:
         torch.testing.assert_close(network.candidates(batch, 20, 8), floor.candidates(batch, 20, 8))
         torch.testing.assert_close(network.mode(batch, 8), floor.mode(batch, 8))
-
-
-@pytest.mark.parametrize("name", [*NAMES, *(f"{name}.zara1_pred12" for name in NAMES)])
-@pytest.mark.parametrize("people", [1, 60])
-def test_turned_moved_and_permuted_scenes_have_the_same_futures(name, people):
-    """Of models here and of shipped weights."""
-    model, batch = cast("AnchorForecaster", load(name)) if "." in name else made(name), scene(people)
-    usual = futures(model, batch, model.steps)
-    assert all(path.isfinite().all() for path in usual)
-    pose = torch.tensor([[1.1, 1.0, 30.0, -20.0]])
-    modes, guess = (geometry.turn_to_scene(path, pose) for path in usual)
-    assert farthest_futures(futures(model, moved(batch, pose), model.steps), (modes, guess)) < 5e-3
-    order = torch.randperm(people, generator=torch.Generator().manual_seed(1))
-    permuted = cast("TensorDict", batch.clone())
-    permuted["agents"] = agents_of(batch)[:, order]
-    modes, guess = (path[:, :, order] for path in usual)
-    assert farthest_futures(futures(model, permuted, model.steps), (modes, guess)) < 1e-3
-    # no two people have the same futures, so this can fail
-    assert people == 1 or farthest_futures(futures(model, permuted, model.steps), usual) > 0.1
 
 
 def test_far_people_are_not_seen_and_near_ones_are():

@@ -19,6 +19,8 @@ def test_all_public_names_exist_and_are_documented():
     assert pedzoo.__all__ == sorted(pedzoo.__all__)
     assert all(getattr(pedzoo, name).__doc__ for name in pedzoo.__all__)
     assert {"door", "goals"} <= set(pedzoo.list_scenarios()) and pedzoo.list_scenarios("doo*") == ["door"]
+    assert {"orca", "approach_net_goal_map.indoor", "bent_line"} <= set(pedzoo.list_policies())
+    assert pedzoo.list_policies("orc*") == ["orca"]
 
 
 @pytest.mark.parametrize(

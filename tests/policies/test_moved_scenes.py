@@ -41,8 +41,6 @@ PASSING = (
     "orca", "social_force:preset=indoor", "go_to_goal:safety=true", "approach_net_goal_map.indoor",
     "social_walker.styled",
 )  # fmt: skip
-LEARNED = ("approach_net_goal_map.indoor", "social_walker.eth_ucy")
-
 policy_of = cache(load_policy)
 
 

@@ -6,13 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from pedzoo.core.geometry import identity_pose
-from pedzoo.maps.bank import MapBank
 from pedzoo.policies import neighbours
 from pedzoo.policies.neighbours import nearest
-from pedzoo.policies.rule_based.orca import OrcaSettings, orca_velocity
-from pedzoo.sim.physics._base import Bodies
-from pedzoo.sim.physics.compiled import Compiled
 
 WAYS = pytest.mark.parametrize("all_pairs", [10_000, 0], ids=["all pairs", "trees"])
 
@@ -85,16 +80,6 @@ def test_no_people_have_no_neighbours(all_pairs: int, shape: tuple[int, int], mo
 
 
 @WAYS
-def test_a_scene_finds_the_same_alone(all_pairs: int) -> None:
-    position, mask = scene("random")
-    whole, near = nearest(position, mask, 3.0, 6)
-    alone, close = nearest(position[1:2], mask[1:2], 3.0, 6)
-    assert near is not None and close is not None
-    assert torch.equal(near[: len(close), 24:48], close)
-    assert torch.equal((whole[: len(close), 24:48] - 24)[close], alone[close])
-
-
-@WAYS
 def test_double_precision(all_pairs: int) -> None:
     position, mask = scene("random")
     single, double = (nearest(part, mask, 3.0, 6)[0] for part in (position, position.double()))
@@ -112,25 +97,3 @@ def test_a_crowd_is_searched_in_little_memory() -> None:
     _, near = nearest(position, mask, 3.0, 10)
     assert near is not None
     assert near.sum() == pytest.approx(20_000 * 20_000 * math.pi * 9 / 160_000, rel=0.05)
-
-
-def test_a_crowd_of_500_walks_and_touches_the_same_in_both_ways(monkeypatch: pytest.MonkeyPatch) -> None:
-    random = torch.Generator().manual_seed(0)
-    position = 25 * torch.rand(1, 500, 2, generator=random)
-    velocity, wish = torch.randn(2, 1, 500, 2, generator=random)
-    mask = torch.rand(1, 500, generator=random) < 0.9
-    people = Bodies(position, mask, torch.full((1, 1), -1), identity_pose(1))
-    path = (position[:, :, None] + velocity[:, :, None] * torch.arange(1, 9).view(8, 1) / 20).unflatten(
-        2, (2, 4)
-    )
-    result = []
-    for all_pairs in (10_000, 0):
-        monkeypatch.setattr(neighbours, "ALL_PAIRS", all_pairs)
-        for most in (10, 500):
-            settings = OrcaSettings(max_neighbors=most)
-            speed = torch.full((1, 500), 1.7)
-            result.append(orca_velocity(position, velocity, wish, speed, mask, settings))
-        result.append(Compiled(MapBank()).contacts(path, people).agent)
-    for one, other in zip(result[:3], result[3:], strict=True):
-        assert torch.equal(one, other)
-    assert 50 < result[2].any(-1).sum() < 450

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.geometry import identity_pose, move_to_scene, turn_to_scene
+from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
 from pedzoo.maps.segments import Segments
@@ -116,15 +116,6 @@ def test_alone_people_walk_as_they_like_up_to_their_top_speed() -> None:
     preferred = torch.tensor([[[1.0, 0.5]], [[30.0, 40.0]]])
     chosen = walk(torch.zeros(2, 1, 2), torch.zeros(2, 1, 2), preferred, top_speed=2.0)
     assert chosen.flatten().tolist() == pytest.approx([1, 0.5, 1.2, 1.6])
-
-
-def test_turn_mirror_and_shift_change_nothing() -> None:
-    position, velocity, preferred = (part.double() for part in crowd(40, 8, 4.0))
-    pose = torch.tensor([[0.7, -1.0, 5.0, -3.0]], dtype=torch.float64).expand(40, 4)
-    there = walk(move_to_scene(position, pose), turn_to_scene(velocity, pose), turn_to_scene(preferred, pose))
-    here = walk(position, velocity, preferred)
-    assert here.dtype == torch.float64  # programs are solved in single precision
-    torch.testing.assert_close(there, turn_to_scene(here, pose), atol=1e-4, rtol=0)
 
 
 def test_order_padding_and_other_scenes_change_nothing() -> None:
@@ -279,23 +270,6 @@ def test_walls_are_obeyed_whatever_people_do() -> None:
     chosen = solve(lines, 2, preferred, speed)
     assert violation(lines[:, :2], chosen).max() < 1e-3
     assert 200 < (violation(lines, chosen).amax(0) > 1e-3).sum() < 700
-
-
-def test_walls_turn_and_mirror_with_the_scene() -> None:
-    grid = room()
-    bank, ids = MapBank([grid]), torch.full((150,), grid.map_id)
-    position, velocity, preferred = crowd(30, 5, 5.6)
-    position = position + 0.2
-    pose = torch.stack((torch.rand(30) * 6, torch.randint(2, (30,)) * 2.0 - 1, *torch.rand(2, 30)), 1)
-    near = bank.segments_near(position.flatten(0, 1), ids, identity_pose(150), 3.6)
-    here = walk(position, velocity, preferred, walls=near)
-    places = move_to_scene(position, pose)
-    turned = bank.segments_near(places.flatten(0, 1), ids, pose.repeat_interleave(5, 0), 3.6)
-    there = walk(places, turn_to_scene(velocity, pose), turn_to_scene(preferred, pose), walls=turned)
-    gap = (there - turn_to_scene(here, pose)).norm(dim=-1)
-    # walls that are equally far may come in another order
-    assert (gap < 1e-3).float().mean() > 0.97
-    assert (here - walk(position, velocity, preferred)).norm(dim=-1).max() > 0.3
 
 
 def test_people_pressed_against_a_wall_do_not_enter_it() -> None:

@@ -1,6 +1,5 @@
 """The safety layer on blended velocities: true paths, compiled loops against torch, and who goes first."""
 
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -29,8 +28,6 @@ from pedzoo.policies.clearance import (
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.safety_layer import kept_clear, safe
 from pedzoo.sim.make import make_env
-
-PART = math.sqrt(0.5)
 
 
 def path_of(steps: ProposedSteps, step: Tensor) -> Tensor:

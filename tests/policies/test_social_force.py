@@ -159,16 +159,6 @@ def test_top_speed_by_hand() -> None:
     torch.testing.assert_close(planned, slow)
 
 
-def test_turn_mirror_and_shift_change_nothing() -> None:
-    position, velocity, desired = (part.double() for part in crowd(40, 8, 4.0))
-    pose = torch.tensor([[0.7, -1.0, 5.0, -3.0]], dtype=torch.float64).expand(40, 4)
-    here = accelerate(position, velocity, desired)
-    there = accelerate(
-        move_to_scene(position, pose), turn_to_scene(velocity, pose), turn_to_scene(desired, pose)
-    )
-    torch.testing.assert_close(there, turn_to_scene(here, pose), atol=1e-8, rtol=0)
-
-
 def test_order_padding_and_other_scenes_change_nothing() -> None:
     position, velocity, desired = crowd(30, 25, 6.0)
     whole = accelerate(position, velocity, desired)

@@ -10,7 +10,6 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-import pedzoo
 from pedzoo.cli.main import main
 from pedzoo.core.batch import ROBOT, agents_of, ids_of, scene_batch
 from pedzoo.core.errors import UserError
@@ -403,11 +402,6 @@ def test_rollout_of_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert crowd in capsys.readouterr().out
     assert main(["rollout", "orca:share=0.5+sgan_goal_map.indor"]) == 2
     assert "did you mean 'approach_net_goal_map.indoor'" in capsys.readouterr().err
-
-
-def test_policies_are_listed() -> None:
-    assert {"orca", "approach_net_goal_map.indoor", "bent_line"} <= set(pedzoo.list_policies())
-    assert pedzoo.list_policies("orc*") == ["orca"]
 
 
 def test_weights_of_a_mixed_crowd_have_not_seen_the_fold() -> None:

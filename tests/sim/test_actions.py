@@ -3,8 +3,6 @@
 from collections.abc import Callable
 from typing import Any, ClassVar
 
-import gymnasium
-import numpy as np
 import pytest
 import torch
 from tensordict import TensorDictBase
@@ -67,13 +65,3 @@ def test_double_precision_walks_as_single(scenario: str) -> None:
         after = env.step(policy(env.reset()))["next"]
         assert after["agents", "history"].dtype == torch.float32
         assert after["agents", "velocity"].norm(dim=-1).max() > 0.1
-
-
-@pytest.mark.parametrize("shape", [(2, 4), (4, 1), (4, 3), (8,)])
-def test_vectors_of_robots_refuse_turned_actions(shape: tuple[int, ...]) -> None:
-    robots: Any = gymnasium.make_vec("pedzoo/Crossing-v0", num_envs=4)
-    robots.reset(seed=0)
-    with pytest.raises(UserError, match=r"expected \(1, 2\) per scene"):
-        robots.step(np.zeros(shape))
-    robots.step(np.zeros((4, 2)))
-    robots.close()

@@ -7,12 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.policies.load import load_local_planner
 from pedzoo.policies.robots._base import ObservedPeople, Robot
-from pedzoo.policies.robots.baselines import Straight
 from pedzoo.sim.crowdnav import (
     COLLISION,
     CROWDNAV,
@@ -81,14 +79,6 @@ def test_cases_are_those_that_numpys_legacy_generator_draws() -> None:
             taken += [place, -place]
             assert drawn.people.position[case, person].tolist() == pytest.approx(place.tolist(), abs=1e-12)
     assert torch.equal(drawn.goal, -drawn.people.position)
-
-
-@pytest.mark.parametrize("setting", [CROWDNAV, CROWDNAV_PP])
-def test_a_case_is_the_same_in_any_batch(setting: Setting) -> None:
-    many, one = cases(setting, range(TEST, TEST + 30)), cases(setting, [TEST + 17])
-    assert torch.equal(many.people.position[17:18], one.people.position)
-    assert torch.equal(many.robot.goal[17:18], one.robot.goal)
-    assert many.draws[17].random_sample() == one.draws[0].random_sample()
 
 
 def test_a_run_is_the_same_in_any_batch_and_leaves_cases_as_they_are() -> None:
@@ -194,21 +184,6 @@ def test_robots_are_not_faster_than_they_can_and_nan_fails_alone() -> None:
     after, events = step(CROWDNAV, state, velocity)
     assert events.outcome[1] == GOES_ON
     assert torch.equal(after.people.position[1], state.people.position[1])
-
-
-def test_cases_turn_with_their_frame() -> None:
-    drawn = cases(CROWDNAV, range(TEST, TEST + 8))
-    robot, people = drawn.robot, drawn.people
-
-    def turned(part: Tensor) -> Tensor:
-        return torch.stack((-part[..., 1], part[..., 0]), dim=-1)
-
-    other = drawn._replace(
-        robot=robot._replace(position=turned(robot.position), goal=turned(robot.goal)),
-        people=people._replace(position=turned(people.position)),
-        goal=turned(drawn.goal),
-    )
-    assert ends(run(Straight(), CROWDNAV, drawn)) == ends(run(Straight(), CROWDNAV, other))
 
 
 # The crowd of 20

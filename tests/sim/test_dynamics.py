@@ -11,7 +11,7 @@ from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
 from pedzoo.maps.plans import rectangles, room, wall
 from pedzoo.sim import dynamics
-from pedzoo.sim.dynamics import SKIN, WallsAhead, substeps
+from pedzoo.sim.dynamics import SKIN, substeps
 
 BANK = MapBank([rectangles(room((0, 0), (4, 3), 0.1) + wall((2.05, 0), (2.05, 3), 0.1), 0.05)], "wall")
 """Two rooms and no door: free for x from 0 to 2 and from 2.1 to 4, for y from 0 to 3."""
@@ -109,11 +109,6 @@ def test_no_sub_step_is_deeper_in_a_wall_than_a_body_gives(top: float) -> None:
         start = path[:, :, -1]
 
 
-def test_sub_steps_are_at_most_half_a_body_radius() -> None:
-    for speed in (0.5, 1.3, 2.47, 5.0):
-        assert speed * 0.1 / substeps(speed) <= BODY_RADIUS / 2 + 1e-9
-
-
 def test_who_starts_inside_a_wall_may_only_move_out() -> None:
     deeper = moved([2.04, 1.5], [1.0, 0.0])
     assert (gaps(deeper[None, None])[0].diff() >= -1e-5).all()
@@ -154,25 +149,3 @@ def test_no_person_creeps_into_a_wall() -> None:
         velocity = torch.tensor([[[1e-3, 0.5 if step // 10 % 2 else -0.5]]])
         position = walk(position, velocity)[:, :, -1]
     assert float(position[0, 0, 0]) < 2.0 - NEAREST + 1e-3
-
-
-def test_an_agent_that_runs_into_a_wall_goes_back_and_slides() -> None:
-    bank = MapBank([rectangles(wall((0, 1), (4, 1), 0.2), 0.05)])  # it begins at y = 0.9
-    walls, reach = bank.walls_on_map(torch.tensor([0])).per_scene(), 0.14
-    keeping = torch.full((1, 1), reach), torch.full((1, 1), 0.29)
-
-    def at(x: float, y: float) -> Tensor:
-        return torch.tensor([[[x]], [[y]]])
-
-    ahead, up = WallsAhead(walls, at(2.0, 0.7), *keeping), at(0.0, 0.1)
-    first = ahead.target(at(2.0, 0.7), up, torch.tensor([[0.1]]))
-    torch.testing.assert_close(first, at(2.0, 0.9 - reach), atol=1e-5, rtol=0)
-    assert float(ahead.arrive(at(2.0, 0.8))) == 0  # too near
-    # a long step is shortened to the reach, and both walls leave the line along them
-    slanted = ahead.target(at(2.0, 0.7), at(0.3, 0.4), torch.tensor([[0.5]]))
-    torch.testing.assert_close(slanted, at(2.0 + 0.6 * reach, 0.9 - reach), atol=1e-5, rtol=0)
-    assert float(ahead.arrive(at(2.0, 0.75))) == 1
-    # inside the wall an agent creeps out
-    inside = WallsAhead(walls, at(2.0, 0.91), *keeping)
-    out = inside.target(at(2.0, 0.91), at(0.0, -0.1), torch.tensor([[0.1]]))
-    torch.testing.assert_close(out, at(2.0, 0.91 - 0.02), atol=1e-5, rtol=0)

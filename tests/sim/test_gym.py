@@ -158,16 +158,6 @@ def test_an_action_that_is_no_number_ends_its_scene_alone() -> None:
     assert all(np.isfinite(value).all() for value in seen.values())
 
 
-def test_an_action_that_is_no_number_truncates_the_episode() -> None:
-    env = made("pedzoo/Door-v0", robot="unicycle")
-    env.reset(seed=0)
-    with pytest.warns(UserWarning, match="the robot's policy gave"):
-        *_, terminated, truncated, info = env.step([float("nan"), 0.0])
-    assert truncated and not terminated and info["FAILED"]
-    env.reset()
-    assert not any(env.step([0.0, 0.0])[2:4])
-
-
 @pytest.mark.parametrize("people", [0, 100])
 def test_any_number_of_people(people: int) -> None:
     name = f"goals:map=office.7,people={people},pool=8"
@@ -278,8 +268,10 @@ def test_seeds_masks_and_actions_that_do_not_fit_are_named() -> None:
         with pytest.raises(UserError, match="reset_mask"):
             env.reset(options={"reset_mask": mask})
     env.reset(seed=1)
-    with pytest.raises(UserError, match="action of shape"):
-        env.step(np.zeros((2, 3)))
+    for shape in ((2, 3), (1, 2), (2, 1), (4,)):
+        with pytest.raises(UserError, match=r"expected \(1, 2\) per scene"):
+            env.step(np.zeros(shape))
+    env.step(np.zeros((2, 2)))
 
 
 def test_without_gymnasium_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,7 +10,6 @@ from pedzoo.sim import kernel
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env
 from pedzoo.sim.physics.compiled import Compiled
-from pedzoo.sim.physics.torch import Torch
 
 SCENES = ("door:people=4", "goals:map=apartment.7,people=5,goals=2,pool=6")
 
@@ -40,27 +39,6 @@ def test_a_step_reads_nothing_back_to_the_host(env: PedestrianEnv, wheels: bool)
     if not wheels:
         events.reward.sum().backward()
         assert action.grad is not None and action.grad.shape == action.shape
-
-
-def test_compiled_loops_and_torch_agree(env: PedestrianEnv) -> None:
-    """The same decisions, some of them into walls, for 25 steps."""
-    env.reset()
-    state, planner, worst = env.state, env.prepared.planner, 0.0
-    generator = torch.Generator().manual_seed(0)
-    for _ in range(25):
-        action = 1.5 * torch.randn(*state.mask.shape, 2, generator=generator)
-        results = []
-        for compiled in (True, False):
-            planner.compiled = compiled
-            results.append(kernel.step(state, action, (Compiled if compiled else Torch)(env.bank), env.rules))
-        (_, guided, seen), (state, other, met) = results
-        worst = max(worst, float((seen.trace - met.trace).abs().max()))
-        for name in ("agent_contact", "wall_contact", "reached"):
-            assert torch.equal(getattr(seen, name), getattr(met, name)), name
-        assert torch.allclose(guided.desired_velocity, other.desired_velocity, atol=1e-3)
-        assert torch.allclose(guided.distance, other.distance, atol=1e-3)
-    planner.compiled = True
-    assert worst < 1e-4
 
 
 @pytest.mark.parametrize("leave", [True, False])

@@ -360,14 +360,6 @@ def test_environments_share_a_scenario() -> None:
     assert prepared.planner.clearance == 0.25
 
 
-def test_workers_share_a_seed() -> None:
-    whole = make_env("door", num_envs=4, seed=1)
-    workers = [make_env("door", num_envs=2, seed=1, first_episode=2 * i, stride=4) for i in range(2)]
-    for _ in range(2):
-        together = torch.cat([worker.reset()["scene_key"] for worker in workers])
-        assert torch.equal(together, whole.reset()["scene_key"])
-
-
 def test_environments_go_to_workers_and_are_the_same_there() -> None:
     """Which another process shows: no draw depends on the order of a set, or on a hash."""
     env = make_env("goals:pool=6", num_envs=2, seed=3, physics="bullet")
@@ -455,19 +447,6 @@ def test_rows_begin_the_episodes_of_their_numbers_whole() -> None:
     other.reset()
     for name, mine, theirs in zip(env.state._fields, env.state, other.state, strict=True):
         assert torch.equal(mine[ended], theirs[ended]), name
-
-
-def test_episodes_follow_one_another_in_a_long_rollout() -> None:
-    env = make_env("door", num_envs=3, seed=5)
-    policy = load_policy("orca")
-    long = env.rollout(60, policy, break_when_any_done=False)
-    keys = [list(dict.fromkeys(row)) for row in long["scene_key"][..., 0].tolist()]
-    assert all(len(row) > 1 for row in keys)
-    for row, result in enumerate(keys):
-        expected = Draws.for_episodes(5, torch.arange(len(result)) * 3 + row).key
-        assert result == expected.tolist()
-    starts = long["time"][..., 0] == 0
-    assert int(starts.sum()) == sum(map(len, keys))
 
 
 def test_step_and_maybe_reset_is_torchrls() -> None:

@@ -24,7 +24,9 @@ SCENES = {
     "planner and walls": "goals:map=apartment.7,people=5,goals=2,pool=6",
     "several maps": "door:people=4,width=[0.8,1.2]",
     "no walls": "circle:people=4",
-    "people who wait": "standing:people=2",
+    "people who stand": "standing:people=2",
+    "people who wait": "waiting",
+    "a queue": "queue",
     "playback": "replay:simulated=one,share=0.1",
 }
 

@@ -14,7 +14,6 @@ from pedzoo.eval.evaluate import evaluate
 from pedzoo.eval.rollout import rollout
 from pedzoo.metrics.closed_loop import measure
 from pedzoo.metrics.smoothness import standing_drift_m
-from pedzoo.sim import kernel
 from pedzoo.sim.make import make_env, make_scenario
 
 TWO = "waiting:people=3,waiting=2,stay=0,seconds=2.1,speed_std=0"
@@ -163,11 +162,3 @@ def test_scenes_end_even_if_no_person_moves(scenario: str) -> None:
         now = step_mdp(env.step(now))
         assert steps < 260
     assert now["truncated"].all() and steps > 40
-
-
-@pytest.mark.parametrize("scenario", ["queue", "waiting"])
-def test_a_step_reads_nothing_back_to_the_host(scenario: str) -> None:
-    env = make_env(scenario, num_envs=2)
-    action = env.reset()["agents", "desired_velocity"].to("meta")
-    after, _, _ = kernel.step(env.state.to("meta"), action, env.physics, env.rules)
-    assert after.stands.device.type == "meta"
