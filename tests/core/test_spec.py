@@ -123,7 +123,6 @@ class Box:
     """A class whose default differs from its group's."""
 
     def __init__(self, name: str = "box", size: Size = Size(height=3.0)) -> None:
-        """Take them."""
         self.name, self.size = name, size
 
 

@@ -25,23 +25,19 @@ class Yard(Scenario):
     fastest_agent = 3.0  # type: ignore[assignment]
 
     def __init__(self, people: int = 1, **bodies: Any) -> None:
-        """Take fields of `Layout` as lists of ``people`` values."""
         super().__init__(people, speed_std=0.0)
         self.bodies = bodies
 
     def plans(self) -> list[OccupancyGrid]:
-        """Return none."""
         return []
 
     def prepare(self, clearance: float, planner: str = "shortest") -> PreparedScenario:
-        """Find the goals."""
         prepared = super().prepare(clearance, planner)
         points = [[40.0, 3.0 * slot] for slot in range(self.people)]
         goals = prepared.planner.add_goals(-1, torch.tensor(points, dtype=torch.float64))
         return replace(prepared, tables=goals)
 
     def layout(self, prepared: PreparedScenario, draws: Draws) -> Layout:
-        """Return the row of agents."""
         scenes = len(draws.key)
         start = torch.tensor([[0.0, 3.0 * slot] for slot in range(self.people)])
         fields: dict[str, Any] = {key: torch.tensor([values] * scenes) for key, values in self.bodies.items()}
@@ -59,12 +55,10 @@ class Wide(Goals):
     """From goal to goal, with bodies of a radius of their own."""
 
     def __init__(self, map: str, width: float, people: int = 5) -> None:
-        """Set the radius, metres."""
         super().__init__(map, people=people, pool=8)
         self.width, self.smallest_radius = width, width
 
     def layout(self, prepared: PreparedScenario, draws: Draws) -> Layout:
-        """Add the radii."""
         layout = super().layout(prepared, draws)
         return layout._replace(radius=torch.full_like(layout.pref_speed, self.width))
 

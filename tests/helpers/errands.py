@@ -42,7 +42,6 @@ class OwnError(Exception):
     """It cannot be unpickled, for it is rebuilt with one argument."""
 
     def __init__(self, first: str, second: str) -> None:
-        """Take two arguments."""
         super().__init__(first + second)
 
 

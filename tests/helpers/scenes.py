@@ -66,13 +66,11 @@ class Watch(Policy):
     """Walks straight to the goal, at a factor of the desired velocity, and keeps what it saw."""
 
     def __init__(self, dt: float = 0.4, factor: float = 1.0) -> None:
-        """Set the clock and the factor."""
         super().__init__(dt)
         self.factor = factor
         self.seen: list[Any] = []
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write the desired velocities."""
         self.seen.append(tensordict.clone())
         tensordict["agents", "action"] = tensordict["agents", "desired_velocity"] * self.factor
         return tensordict

@@ -102,8 +102,7 @@ def test_torch_guides_as_compiled_loops_do(mirror: float) -> None:
             ids = one.add_goals(0, ends)[torch.arange(40) % 5].view(1, 40)
             ids[:, 7] = -1
             results.append(one.guidance(points, ids, torch.tensor([0]), pose, speed, ahead, 1.8))
-        for name, mine, theirs in zip(Guidance._fields, *results, strict=True):
-            torch.testing.assert_close(mine, theirs, rtol=1e-4, atol=1e-4, msg=name)
+        torch.testing.assert_close(*results, rtol=1e-4, atol=1e-4)
 
 
 def test_places_outside_a_plan_have_its_nearest_cells() -> None:
@@ -342,8 +341,7 @@ def test_goals_keep_their_numbers() -> None:
     assert third.tolist() == [3]
     assert planner.add_goals(0, torch.zeros(0, 2)).tolist() == []
     after = next_waypoints(planner, torch.tensor([[2.0, 2.0]]), second[:1])
-    for one, other in zip(before, after, strict=True):
-        assert torch.equal(one, other)
+    torch.testing.assert_close(before, after, rtol=0, atol=0)
 
 
 def test_people_without_map_or_goal() -> None:
@@ -379,8 +377,7 @@ def test_several_maps_of_one_bank() -> None:
     ids = torch.full((len(starts),), other.map_id)
     two = alone.next_waypoints(starts, theirs.expand(len(starts)), ids, identity_pose(len(starts)))
     mixed = both.next_waypoints(starts, second.expand(len(starts)), ids, identity_pose(len(starts)))
-    for a, b in zip((*one, *two), (*again, *mixed), strict=True):
-        torch.testing.assert_close(a, b)
+    torch.testing.assert_close((one, two), (again, mixed))
     with pytest.raises(UserError, match="goal 1 was added for row 1 of the bank, but person 0 is on row 0"):
         next_waypoints(both, torch.tensor([[0.5, 0.5]]), second)
 

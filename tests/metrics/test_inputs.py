@@ -26,12 +26,10 @@ class Crowded(Forecaster):
     stochastic = False
 
     def __init__(self, goal: bool = False) -> None:
-        """Look at the goal or not."""
         super().__init__()
         self.needs = frozenset(["goal"] * goal)
 
     def mode(self, batch: TensorDict, steps: int) -> Tensor:
-        """Return one future."""
         agents = agents_of(batch)
         place, mask = agents["history"][:, :, -1], agents["mask"].unsqueeze(-1)
         others = ((place * mask).sum(1, keepdim=True) - place) / (mask.sum(1, keepdim=True) - 1).clamp(min=1)
@@ -44,7 +42,6 @@ class Blind(Crowded):
     """Walks straight on."""
 
     def mode(self, batch: TensorDict, steps: int) -> Tensor:
-        """Return one future."""
         moved = agents_of(batch)["velocity"] * 0.4
         return for_all_samples(moved.unsqueeze(2).expand(-1, -1, steps, 2), batch, 1)
 

@@ -392,7 +392,6 @@ class Swaying(GoToGoal):
     share, angle = 1.0, torch.pi / 3
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Walk."""
         wanted = self.share * cast("torch.Tensor", tensordict["agents", "desired_velocity"])
         angle = self.angle * torch.sin(5 * cast("torch.Tensor", tensordict["time"]))
         direction = torch.cat((angle.cos(), angle.sin()), dim=1).unsqueeze(1).expand_as(wanted)

@@ -247,8 +247,7 @@ def test_futures_of_the_same_people_are_judged_as_whole_windows(kind):
         assert score.shape == (14,)
         weighted = (torch.linspace(-1, 2, 14).double() * score.square()).sum()
         results.append((score, *torch.autograd.grad(weighted, [futures, *judge.parameters()])))
-    for got, wanted in zip(*results, strict=True):
-        torch.testing.assert_close(got, wanted)
+    torch.testing.assert_close(*results)
 
 
 # -- what a controller sees and is: closest approaches, the frame of the way, a trait

@@ -203,7 +203,6 @@ class Dash(Forecaster):
     stochastic = False
 
     def __init__(self, safety: bool) -> None:
-        """Set whether it is held back."""
         super().__init__()
         self.config, self.walking = {"safety": safety}, Walking(safety)
 

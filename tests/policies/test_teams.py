@@ -37,7 +37,6 @@ class Told(Policy):
         self.command, self.calls, self.moved = (x, y), [], []
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write the velocity."""
         agents = agents_of(tensordict)
         self.calls.append([round(float(time), 3) for time in tensordict["time"]])
         self.moved.append(agents["controlled"].clone())
@@ -49,7 +48,6 @@ class Clock(Told):
     """Tells its agents a velocity that says when it was told: 1 + time along x, m/s."""
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write the velocity."""
         super().forward(tensordict)
         agents_of(tensordict)["action"][..., 0] = 1 + cast("Tensor", tensordict["time"])
         return tensordict

@@ -23,7 +23,6 @@ class Echo(Forecaster):
     noise_dim = 2
 
     def __init__(self) -> None:
-        """It has not been called yet."""
         super().__init__()
         self.asked = 0
         self.config = {}

@@ -20,12 +20,10 @@ class Made(Policy):
     out_keys: ClassVar[list[Any]] = [("agents", "action")]
 
     def __init__(self, result: Callable[[TensorDictBase], Any]) -> None:
-        """Take the function."""
         super().__init__(0.4)
         self.result = result
 
     def forward(self, tensordict: TensorDictBase) -> Any:
-        """Ask the function."""
         return self.result(tensordict)
 
 

@@ -280,7 +280,6 @@ class Counting(Compiled):
     """Counts the decisions of 0.1 s and of 0.4 s that it is asked for."""
 
     def decide(self, state: State, commands: Tensor, rules: Rules) -> Decision | None:
-        """Count this one."""
         asked.append(rules.ticks)
         return super().decide(state, commands, rules)
 
@@ -398,7 +397,6 @@ class Breaks(GoToGoal):
     number = 0.0
 
     def forward(self, tensordict: Any) -> Any:
-        """Write the actions."""
         super().forward(tensordict)
         if abs(float(tensordict["time"][0, 0]) - 0.8) < 1e-3:
             tensordict["agents", "action"] = tensordict["agents", "action"].clone()

@@ -25,27 +25,22 @@ class WithRobot(Scenario):
     wheels = True
 
     def __init__(self, of: str, x: float) -> None:
-        """Take the other scenario's name with settings, and metres."""
         self.inner, self.x = make_scenario(of), x
         super().__init__(self.inner.people + 1, self.inner.speed, self.inner.speed_std)
         self.goals, self.later, self.finished = self.inner.goals, self.inner.later, self.inner.finished
 
     def plans(self) -> list[OccupancyGrid]:
-        """Return those of the other scenario."""
         return self.inner.plans()
 
     def prepare(self, clearance: float, planner: str = "shortest") -> PreparedScenario:
-        """Return the other scenario as tables."""
         inner = self.inner.prepare(clearance, planner)
         return PreparedScenario(scenario=self, planner=inner.planner, tables=inner)
 
     def next_goal(self, prepared: Any, draws: Any, agent: Tensor, number: Tensor, last: Tensor) -> Tensor:
-        """Return goals of people alone."""
         found = self.inner.next_goal(prepared.tables, draws, agent, number, last)
         return torch.where(agent < self.inner.people, found, -1)
 
     def layout(self, prepared: PreparedScenario, draws: Any) -> Layout:
-        """Add the robot."""
         layout = prepared.tables.layout(draws)
 
         def and_one(values: Tensor, one: Any) -> Tensor:

@@ -30,11 +30,9 @@ class Fixed:
     """A program whose steps take given times."""
 
     def __init__(self, name: str, seconds: list[float], said: list[str]) -> None:
-        """Take a name and the times."""
         self.name, self.left, self.said = name, list(seconds), said
 
     def ask(self, question: dict[str, float], patience: float) -> dict[str, float]:
-        """Answer with the next time."""
         self.said.append(self.name)
         return {"seconds": self.left.pop(0)}
 

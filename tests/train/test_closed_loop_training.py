@@ -128,7 +128,7 @@ def test_values_are_those_of_pedzoo_rollout(physics, scenarios):
 class Noisy(SGAN):
     """Draws from torch's own generator, in validation and while walking."""
 
-    def next_steps(self, batch: Any, noise: Any, steps: int, horizon: int) -> Tensor:  # noqa: D102
+    def next_steps(self, batch: Any, noise: Any, steps: int, horizon: int) -> Tensor:
         result = super().next_steps(batch, noise, steps, horizon)
         return result + 1e-3 * torch.randn_like(result)
 
@@ -173,7 +173,6 @@ class Scripted(ClosedLoopValidation):
     """No person walks; the shares of success are given."""
 
     def __init__(self, script: list[float], **options: Any) -> None:
-        """Log ``script``, one value per rollout."""
         super().__init__(["door"], **options)
         self.script = list(script)
 

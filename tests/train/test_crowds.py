@@ -57,11 +57,9 @@ class AsRecorded:
     """Walks every person to where they really were."""
 
     def __init__(self, real: Excerpts) -> None:
-        """Take the recorded crowd."""
         self.real = real
 
     def __call__(self, batch: TensorDictBase) -> TensorDictBase:
-        """Write the velocities."""
         frame = OBS_LEN + round(float(batch["time"][0, 0]) / STEP_SECONDS)
         there = self.real.xy[:, :, frame] - agents_of(batch)["history"][:, :, -1]
         batch["agents", "action"] = there / STEP_SECONDS

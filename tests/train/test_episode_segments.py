@@ -206,11 +206,9 @@ class Straight:
     """Walks as the planner says, times a number that has a gradient."""
 
     def __init__(self) -> None:
-        """Begin with 1."""
         self.factor = torch.tensor(1.0, requires_grad=True)
 
     def __call__(self, seen: TensorDictBase) -> TensorDictBase:
-        """Write the action."""
         seen["agents", "action"] = self.factor * seen["agents", "desired_velocity"]
         return seen
 

@@ -333,7 +333,6 @@ class Chases(ConstantVelocity):
     """People walk to the nearest person, 0.3 m in a step."""
 
     def next_steps(self, batch: TensorDict, noise: Tensor | None, steps: int, horizon: int) -> Tensor:
-        """Return the step (B, A, 1, 2)."""
         agents = agents_of(batch)
         position = agents["history"][:, :, -1].where(agents["mask"].unsqueeze(-1), 1e4)
         away = torch.cdist(position, position) + 1e6 * torch.eye(position.shape[1])
