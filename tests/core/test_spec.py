@@ -1,14 +1,31 @@
-"""Names with settings, also in groups: what they mean, and what a misspelling is told."""
+"""Names with settings, also in groups, and config files: what they mean and inherit, and mistakes."""
 
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
+from pedzoo.core.configs import load_config, merged
 from pedzoo.core.errors import UserError
+from pedzoo.core.paths import config_names
 from pedzoo.core.registry import POLICIES, SCENARIOS
-from pedzoo.core.spec import Spec, build, build_ungrouped, flattened, grouped, parse, setting_types, split
+from pedzoo.core.size_limits import load_yaml, read_mapping
+from pedzoo.core.spec import (
+    Spec,
+    SpecText,
+    build,
+    build_ungrouped,
+    flattened,
+    grouped,
+    make,
+    parse,
+    setting_types,
+    split,
+    with_settings,
+)
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.policy import Policy
@@ -143,3 +160,186 @@ def test_settings_of_groups_have_names_and_defaults_of_the_class() -> None:
     assert flattened(Size(1.0)) == {"width": 1.0, "height": 2.0}
     with pytest.raises(UserError, match="noise_dim 32: expected 1 to 31"):
         SGAN.of(noise_dim=32)
+
+
+# Config files
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def write(name: str, **settings: Any) -> str:
+    Path(name).parent.mkdir(parents=True, exist_ok=True)
+    Path(name).write_text(yaml.safe_dump(settings, sort_keys=False))
+    return name
+
+
+def test_a_config_takes_its_base_beside_it_or_a_shipped_one() -> None:
+    write("a.yaml", data={"fold": "zara1", "files": ["x", "y"]}, trainer={"max_epochs": 3})
+    write("b.yaml", base="a.yaml", data={"fold": "eth", "files": ["z"]}, monitor="val/fde")
+    write("c.yaml", base="b.yaml", trainer={"max_epochs": None}, data={"goal": "none"})
+    assert load_config("c.yaml") == {
+        "data": {"fold": "eth", "files": ["z"], "goal": "none"},
+        "trainer": {"max_epochs": None},
+        "monitor": "val/fde",
+    }
+    assert load_config("a.yaml")["data"]["fold"] == "zara1"
+    write("mine/first.yaml", data={"fold": "eth"})
+    assert load_config(write("mine/second.yaml", base="first.yaml")) == {"data": {"fold": "eth"}}
+    result = load_config(write("third.yaml", base="sgan_goal", data={"fold": "mall"}))
+    assert result["data"].pop("fold") == "mall"
+    shipped = load_config("sgan_goal")
+    del shipped["data"]["fold"]
+    assert result == shipped
+
+
+def test_another_class_takes_none_of_the_arguments_of_the_base() -> None:
+    base = {"class_path": "A", "init_args": {"x": 1, "y": {"class_path": "C", "init_args": {"p": 1}}}}
+    other = {"class_path": "B", "init_args": {"z": 2}}
+    assert merged(base, other) == other
+    same = {"class_path": "A", "init_args": {"y": {"class_path": "D"}}}
+    assert merged(base, same) == {"class_path": "A", "init_args": {"x": 1, "y": {"class_path": "D"}}}
+    inner = merged(base, {"init_args": {"y": {"init_args": {"q": 2}}}})["init_args"]["y"]
+    assert inner == {"class_path": "C", "init_args": {"p": 1, "q": 2}}
+    assert base["init_args"]["y"] == {"class_path": "C", "init_args": {"p": 1}}
+
+
+def test_scenarios_may_be_mappings() -> None:
+    door = {"scenario": "door", "width": [0.9, 1.0], "people": 3, "jitter": 0, "together": True}
+    plans = {"scenario": "goals:people=2", "map": ["a.1", "b,c.yaml"], "seed": None}
+    courses = [door | {"scenes": 6, "share": 0.5}, {"scenario": "circle"}, {"scenario": "door:people=2"}]
+    walked = {"scenarios": [door, plans, "hallway", {"scenario": "circle"}]}
+    result = load_config(write("mine.yaml", rollout=walked, model={"init_args": {"courses": courses}}))
+    text = "door:width=[0.9,1.0],people=3,jitter=0,together=true"
+    goals = "goals:people=2,map=[a.1,'b,c.yaml'],seed=null"
+    assert result["rollout"]["scenarios"] == [text, goals, "hallway", "circle"]
+    assert result["model"]["init_args"]["courses"] == [
+        {"scenario": text, "scenes": 6, "share": 0.5},
+        {"scenario": "circle"},
+        {"scenario": "door:people=2"},
+    ]
+    assert load_config(write("none.yaml", rollout={"scenarios": None})) == {"rollout": {"scenarios": None}}
+
+
+def test_what_is_spelled_out_is_read_again() -> None:
+    settings = {"map": "/a,b/plan.yaml", "share": 0.05, "walls": False}
+    written = parse(with_settings("goals", settings))
+    assert written.name == "goals"
+    assert written.settings == {"map": "'/a,b/plan.yaml'", "share": "0.05", "walls": "false"}
+    assert with_settings("door", {}) == "door"
+
+
+@pytest.mark.parametrize("name", config_names())
+def test_shipped_configs_are_whole(name: str) -> None:
+    result = load_config(name)
+    robot = name.startswith("robot/")  # it learns in an environment, and from no recordings
+    wanted = {"model", "trainer"} if robot else {"model", "data", "trainer", "rollout"}
+    assert "base" not in result and wanted <= result.keys()
+    assert robot or all(isinstance(one, str) for one in result["rollout"]["scenarios"] or [])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("base: sgan_gaol", r"config 'own\.yaml': unknown config 'sgan_gaol': did you mean 'sgan_goal'"),
+        ("base: own.yaml", r"its own base: own -> own"),
+        ("base: other.yaml", r"'own\.yaml' is its own base: own -> other -> own"),
+        ("base: [sgan]", "expected the name of one config as base, not"),
+        ("rollout: {scenarios: [{width: 1}]}", r"expected its name, as in \{scenario: door"),
+        ("rollout: {scenarios: [{scenario: door, x: {y: 1}}]}", "door:x: expected a number"),
+        ("model: [", r"config '.*own\.yaml' is no YAML"),
+        ("- a\n- b", r"own\.yaml': expected a mapping"),
+        ("words", r"own\.yaml': expected a mapping"),
+        ("a: &a [*a]", "a value is inside itself"),
+        ("a: " + "[" * 1000 + "]" * 1000, "at most 20 levels|maximum nesting depth"),
+        ("monitor: 2026-11-99", "day is out of range"),
+        ("seed_everything: " + "1" * 5000, "has 5,000 digits, at most 300"),
+        ("1: 2", "1 stands in the place of an option's name"),
+        ("model: {2026-01-01: 2}", "stands in the place of an option's name"),
+        ("[1, 2]: 2", "cannot be read"),
+        ("<<: 3", "cannot be read"),
+        ("monitor: caf\u00e9".encode("latin-1"), "save it as UTF-8"),
+        ("base: sgan".encode("utf-16"), "save it as UTF-8"),
+    ],
+)
+def test_mistakes_in_configs_are_one_line(text: str | bytes, message: str) -> None:
+    write("other.yaml", base="own.yaml")
+    Path("own.yaml").write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(UserError, match=message) as caught:
+        load_config("own.yaml")
+    assert "\n" not in str(caught.value)
+
+
+def test_yaml_has_so_many_values_that_a_second_reads_them(tmp_path: Path) -> None:
+    path = tmp_path / "many.yaml"
+    path.write_text("people:\n" + "- {from: [-1, 0], to: [1, 0]}\n" * 150_000)
+    began = time.process_time()
+    with pytest.raises(UserError, match="it has 100,001 values or more, at most 100,000 are read"):
+        load_config(path)
+    assert time.process_time() - began < 2
+
+
+def test_references_are_for_people_and_not_for_bombs(tmp_path: Path) -> None:
+    path = tmp_path / "own.yaml"
+    path.write_text("a: &size 3\nb: *size\nc: {<<: &more {d: 1}}\ne: *more")
+    assert load_config(path) == {"a": 3, "b": 3, "c": {"d": 1}, "e": {"d": 1}}
+    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
+    lines += [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 9)]
+    path.write_text("\n".join(lines))
+    with pytest.raises(UserError, match="490,329,055 values, at most 100,000 are read: write fewer"):
+        load_config(path)
+
+
+def _merges(levels: int, width: int) -> str:
+    lines = ["a0: &a0 {a: 1, b: 2, c: 3, d: 4, e: 5, f: 6, g: 7, h: 8, i: 9}"]
+    lines += [f"a{n}: &a{n} {{<<: [{', '.join([f'*a{n - 1}'] * width)}]}}" for n in range(1, levels + 1)]
+    return "\n".join(lines)
+
+
+BOMBS = {
+    "merges": _merges(9, 9),
+    "wide merges": _merges(2, 300),
+    "merge keys": f"a0: &a {{{', '.join(f'k{n}: 1' for n in range(1000))}}}\nb: {{{'<<: *a, ' * 200}}}",
+    "merges of merges": _merges(6, 9).replace("<<: [", "<<: [{<<: [").replace("]}", "]}]}"),
+    "references": "\n".join(
+        ["a0: &a0 [x, x]", *(f"a{n}: &a{n} [*a{n - 1}, *a{n - 1}]" for n in range(1, 60))]
+    ),
+    "a merge in itself": "a: &a {<<: *a}",
+    "levels": "a: " + "[" * 100_000,
+    "levels of mappings": "a: " + "{a: " * 60 + "}" * 60,
+}
+
+
+@pytest.mark.parametrize("bomb", BOMBS)
+@pytest.mark.parametrize("inside", ["file", "text"])
+def test_yaml_is_counted_before_it_is_loaded(bomb: str, inside: str, tmp_path: Path) -> None:
+    """Also that in texts, which the command line reads as YAML where no text is expected."""
+    path, said = tmp_path / "own.yaml", "at most 100,000 are|inside itself|at most 20 levels|maximum nesting"
+    text = BOMBS[bomb] if inside == "file" else yaml.safe_dump({"data": {"files": BOMBS[bomb]}})
+    path.write_text(text)
+    began, settings = time.process_time(), {"people": BOMBS[bomb]}
+    reads = [lambda: load_config(path)]
+    if inside == "file":
+        reads += [lambda: read_mapping(path, "scenario", "people")]
+    else:
+        reads += [lambda: build(SCENARIOS, Spec("door", settings), Scenario)]
+        reads += [lambda: make(SCENARIOS.get("door"), "scenario", SpecText("door", settings))]
+    for read in reads:
+        with pytest.raises(UserError, match=said):
+            read()
+    assert time.process_time() - began < 1
+
+
+def test_what_is_merged_and_is_no_bomb_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "own.yaml"
+    path.write_text(_merges(3, 9) + "\nb: {<<: [{a: 5}, *a1], b: 7}\nc: {<<: *a0, a: 8}\nd:\n")
+    result = load_config(path)
+    usual = dict(zip("abcdefghi", range(1, 10), strict=True))
+    assert result["a3"] == usual and result["b"] == usual | {"a": 5, "b": 7} and result["d"] is None
+    assert result["c"] == usual | {"a": 8} and load_yaml("") is None
+    for text in ("59:" * 999 + "59.5", "0x" + "f" * 5000, "a: 2001-99-14t21:59:43"):
+        with pytest.raises(UserError, match=r"cannot be read|digits"):
+            load_yaml(text)

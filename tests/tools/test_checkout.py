@@ -1,4 +1,4 @@
-"""Tools of a checkout: absent from a wheel; dependencies of the checks, and trainings that are killed."""
+"""Tools of a checkout: absent from a wheel; dependencies of the checks, killed trainings, walks."""
 
 import re
 import tomllib
@@ -18,6 +18,7 @@ from pedzoo.eval.cards import about
 from pedzoo.models.zoo.card import read_card
 from tools import kills
 from tools.kills import difference
+from tools.walks import plan_to_input, track_to_loss
 
 
 @pytest.mark.parametrize("words", [["bench", "loop"], ["bench", "--help"], ["reproduce", "table1"]])
@@ -143,3 +144,10 @@ def test_the_lock_has_all_dependencies_and_all_is_every_extra() -> None:
     (every,) = extras["all"]
     assert set(re.split(r"[\[\],]", every)[1:-1]) == set(EXTRAS) == extras.keys() - {"all", "dev"}
     assert extras["dev"][0] == "pedzoo[all]"
+
+
+def test_ways_through_the_code_can_be_walked() -> None:
+    for walk, first in ((track_to_loss, "data/datamodule.py"), (plan_to_input, "maps/plans.py")):
+        trace = walk()
+        assert next(iter(trace.files)) == first
+        assert 2 < len(trace.files) < 60 and trace.changes >= 1
