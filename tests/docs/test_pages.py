@@ -65,13 +65,13 @@ LESS = {
 ELSEWHERE = {
     r"evaluate \S+ --from-card": "tests/eval/test_card_numbers.py",
     r"evaluate straight .*": "tests/eval/test_robots.py",
-    r"evaluate .* --keep_episodes .*": "tests/eval/test_packed_episodes.py",
+    r"evaluate .* --keep_episodes .*": "tests/eval/test_rollout.py",
     r"evaluate .* --data.files .*": "tests/eval/test_evaluate.py",
     r"export \S+ --onnx .*": "tests/models/test_onnx.py",
     r"bench .*": "tests/tools/test_bench.py",
     r"reproduce .*": "tests/tools/test_reproduce.py",
     r"report .*": "tests/viz/test_report.py",
-    r"view .*": "tests/viz/test_live.py",
+    r"view .*": "tests/viz/test_video.py",
     r"fit --config closed_loop/(?!.*losses).*|rollout runs/.*": "tests/train/test_in_the_loop.py",
     r"fit --config (ppo|robot)/.*": "tests/train/test_configs.py",
 }

@@ -274,7 +274,7 @@ def test_people_alone_see_no_others() -> None:
     assert not alone(Crowded(), scenes(), 2).any()
 
 
-def test_strangers_stand_where_the_others_of_somebody_there_stood() -> None:
+def test_strangers_stand_where_others_of_somebody_stood() -> None:
     taken = among_strangers(Crowded(), scenes(), 1)[:, :, 0, 0]
     # in the second scene the first person's others are 3 and 6 m ahead, in the first 1 m ahead
     assert taken.tolist() == [[4.5, 4.5, 0], [1, 1, 1]]

@@ -82,7 +82,7 @@ def test_a_plain_simulator_of_thirty_lines():
     assert controller.step({}) == {}
 
 
-def test_the_order_of_agents_and_the_names_of_others_do_not_matter():
+def test_order_of_agents_and_names_of_others_do_not_matter():
     draw = np.random.default_rng(1)
     people = {who: draw.uniform(0.5, 4.5, 2) for who in ("a", 7, ("x", 1), 2.5, frozenset([3]))}
     goals = {who: draw.uniform(0.5, 4.5, 2) for who in people}

@@ -65,7 +65,7 @@ def test_goals_of_the_controller_are_as_far_as_in_training(plan: str) -> None:
     assert ((goal - expected).abs() < 0.05).all()
 
 
-def test_whoever_waits_or_stands_has_a_goal_no_farther_than_their_place() -> None:
+def test_whoever_waits_has_a_goal_no_farther_than_their_place() -> None:
     """Only goals of people who walk are moved out."""
     scenes = seen_by(make_env("queue", num_envs=2, seed=1), 20)
     for scene in scenes:

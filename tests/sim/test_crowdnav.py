@@ -81,7 +81,7 @@ def test_cases_are_those_that_numpys_legacy_generator_draws() -> None:
     assert torch.equal(drawn.goal, -drawn.people.position)
 
 
-def test_a_run_is_the_same_in_any_batch_and_leaves_cases_as_they_are() -> None:
+def test_a_run_is_the_same_in_any_batch_and_leaves_its_cases() -> None:
     drawn = cases(CROWDNAV_PP, range(1425, 1429))
     before = drawn.people.position.clone(), [one.random_sample() for one in drawn.copy().draws]
     many = run(load_local_planner("crowdnav_social_force", TIME_STEP), CROWDNAV_PP, drawn)
@@ -127,7 +127,7 @@ def test_orca_that_people_see_ends_as_with_rvo2(rvo2: Any) -> None:
         assert made == [rvo2.crowdnav(TEST + case, space, visible=True) for case in range(10)]
 
 
-def test_social_forces_among_20_people_end_as_in_the_published_log() -> None:
+def test_social_forces_among_20_end_as_in_the_published_log() -> None:
     from tools.paper.published import SOCIAL_FORCE_LOG
 
     seeds = SOCIAL_FORCE_LOG.seeds[:20]
@@ -135,7 +135,7 @@ def test_social_forces_among_20_people_end_as_in_the_published_log() -> None:
     assert "".join(end[0] for end, _ in ends(made)) == SOCIAL_FORCE_LOG.outcomes[:20]
 
 
-def test_rvo2_with_random_people_ends_as_in_the_published_log_of_orca(rvo2: Any) -> None:
+def test_rvo2_ends_as_in_the_published_log_of_orca(rvo2: Any) -> None:
     from tools.paper.published import ORCA_LOG
 
     assert rvo2.compare(ORCA_LOG, "orca", random_people=True, cases=8) == 8
@@ -158,7 +158,7 @@ def test_a_collision_counts_on_the_way_of_a_step() -> None:
     assert stepped(replace(CROWDNAV_PP, foresight=0, replaced=False), drawn, 1.0, 0.0)[1] == "goes on"
 
 
-def test_the_goal_counts_after_the_step_and_a_collision_counts_more() -> None:
+def test_the_goal_counts_after_the_step_a_collision_counts_more() -> None:
     far = scene([[0.0, 9.0]], [[0.0, 0.0]], goal=(0.54, 0.0))
     assert stepped(CROWDNAV, far, 1.0, 0.0)[1:] == ("success", 1.0)
     assert stepped(CROWDNAV, far, 0.9, 0.0)[1:] == ("goes on", 0.0)

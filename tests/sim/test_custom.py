@@ -41,7 +41,7 @@ def rooms(tmp_path: Path) -> str:
     return "rooms.yaml"
 
 
-def test_people_begin_where_the_file_says_on_their_way_to_their_goals(tmp_path: Path) -> None:
+def test_people_begin_where_the_file_says_on_their_way(tmp_path: Path) -> None:
     file = write(tmp_path / "mine.yaml", people=[ANNA, BEN], speed=1.2, speed_std=0.0)
     env = make_env(file, 2)
     history = env.reset()["agents", "history"]

@@ -287,7 +287,7 @@ class Counting(Compiled):
 asked: list[int] = []
 
 
-def test_the_warm_start_of_igibson_is_in_the_physics_of_the_scenes_at_10_hz() -> None:
+def test_the_warm_start_of_igibson_is_in_physics_at_10_hz() -> None:
     prepared = prepare_scenario("circle:people=4")
     cases: list[tuple[Any, list[int]]] = [("igibson", [1] * 28), ("orca", []), ("static", [])]
     for kind, expected in cases:

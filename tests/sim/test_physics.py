@@ -340,7 +340,7 @@ def test_looking_for_a_gpu_runs_no_code_of_the_working_directory(
     assert os.listdir() == ["pybullet.py"]
 
 
-def test_one_setting_names_the_physics_of_environments_and_trainings(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_setting_names_the_physics_of_all_environments(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("PEDZOO_PHYSICS", raising=False)
     usual = usual_physics()
     assert usual == ("bullet" if importlib.util.find_spec("pybullet") else "compiled")

@@ -581,7 +581,7 @@ def test_a_scene_without_stops_is_as_before(folder: Path) -> None:
     assert torch.equal(without.trace, stops.trace)
 
 
-def test_waiting_people_go_to_their_place_and_others_by_the_model() -> None:
+def test_waiting_people_go_to_their_place_others_by_the_model() -> None:
     desired = torch.tensor([[[1.3, 0.0], [0.0, 0.65], [0.0, 0.0]]])
     agents = {"desired_velocity": desired, "pref_speed": torch.full((1, 3, 1), 1.3)}
     step = torch.tensor([[[0.1, 0.2], [0.4, 0.0], [0.3, 0.3]]])

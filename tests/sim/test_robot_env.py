@@ -179,7 +179,7 @@ def test_people_do_not_change_where_the_robot_is_missing() -> None:
     assert torch.equal(joined.state.past[:, :people, 0], alone.state.past[:, :people, 0])
 
 
-def test_zero_people_one_robot_and_a_number_of_people_that_varies() -> None:
+def test_zero_people_one_robot_and_a_number_that_varies() -> None:
     env = made("goals:map=flat,people=[1,3]", num_envs=32)
     env.reset()
     counts = env.state.mask[:, :-1].sum(1)

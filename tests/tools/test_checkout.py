@@ -109,7 +109,7 @@ def test_the_lock_has_the_versions_of_the_constraints() -> None:
     assert {name: packages[name][0] for name in versions} == versions
 
 
-def test_an_installation_brings_what_pedzoo_is_named_for_and_a_smaller_one_all_else() -> None:
+def test_an_installation_brings_what_pedzoo_is_named_for() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     lines = (ROOT / "requirements-small.txt").read_text().splitlines()
     small, wanted = [line for line in lines if not line.startswith("#")], project["dependencies"]

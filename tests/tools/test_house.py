@@ -157,7 +157,7 @@ def foreign(trees: dict[str, ast.Module]) -> dict[str, set[str]]:
     return {file: names for file, names in read.items() if names}
 
 
-def test_private_parts_of_other_libraries_are_in_the_adapters_alone() -> None:
+def test_private_parts_of_libraries_are_in_the_adapters_alone() -> None:
     trees = {str(file.relative_to(PACKAGE)): ast.parse(file.read_text()) for file in PACKAGE.rglob("*.py")}
     assert set(foreign(trees)) == {"core/adapters.py"}
 

@@ -255,7 +255,7 @@ def test_the_papers_table_is_as_printed() -> None:
     assert {cell: (TABLE_2_STEPS[cell], parity_text(TABLE_2_PARITY[cell])) for cell in CELLS} == printed
 
 
-def test_the_papers_method_walks_as_in_the_paper_and_ours_in_one_change_each() -> None:
+def test_the_papers_method_walks_as_in_the_paper() -> None:
     assert Table2.models[0] == Figure4.models[0] == PAPER and load_policy(PAPER).safety is False
     table = Table2(models=["go_to_goal", "orca"])
     papers = [unit for unit in table.evaluation.units if unit.case.case["world"] == PAPERS_WORLD]
