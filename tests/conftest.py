@@ -19,7 +19,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session", autouse=True)
-def empty_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+def empty_cache(tmp_path_factory) -> Iterator[None]:
     """Keep what the user has downloaded out of the tests."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PEDZOO_HOME", str(tmp_path_factory.mktemp("pedzoo_home")))
@@ -43,7 +43,7 @@ def shared() -> Path:
 
 
 @pytest.fixture
-def alexnet(shared: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def alexnet(shared: Path, monkeypatch) -> Path:
     """AlexNet's published weights, where models find them."""
     weights = shared / "weights" / "alexnet_imagenet_features_fp16.safetensors"
     monkeypatch.setenv("PEDZOO_ALEXNET", str(weights))
@@ -51,7 +51,7 @@ def alexnet(shared: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def elsewhere(tmp_path, monkeypatch) -> Path:
     """The working directory: an empty folder, so that each test writes runs and files of its own."""
     monkeypatch.chdir(tmp_path)
     return tmp_path

@@ -92,7 +92,7 @@ CASES = [(kind, case) for kind, (_, cases) in KINDS.items() for case in cases]
 
 
 @pytest.mark.parametrize("kind,case", CASES, ids=[" ".join((kind, *case)) for kind, case in CASES])
-def test_numbers_have_not_moved(kind: str, case: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_numbers_have_not_moved(kind: str, case: tuple[str, ...], monkeypatch) -> None:
     monkeypatch.setitem(TREES, "max_iter", 5)  # the classifier's numbers are not here
     expected = json.loads(FILE.read_text())[kind][" ".join(case)]
     assert KINDS[kind][0](*case) == pytest.approx(expected, abs=1e-5, rel=1e-5, nan_ok=True)

@@ -107,7 +107,7 @@ def test_misspelt_names_import_nothing_heavy() -> None:
 
 
 @pytest.mark.parametrize(("line", "message"), VALUES)
-def test_mistakes_in_values_are_one_line(line: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_mistakes_in_values_are_one_line(line: str, message: str, capsys) -> None:
     assert main(line.split()) == 2
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1 and "Base" not in error
@@ -140,7 +140,7 @@ def test_doubtful_names_pass() -> None:
         check_names(command, words)
 
 
-def test_too_long_names_are_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_too_long_names_are_one_line(capsys) -> None:
     for line in ("fit --config", "fit --resume", "report"):
         assert main([*line.split(), "a" * 300]) == 2
         error = capsys.readouterr().err
@@ -172,7 +172,7 @@ def test_head_ends_a_command_without_a_traceback() -> None:
     assert done.stdout.count("\n") == 1 and "Traceback" not in done.stderr
 
 
-def test_shells_complete_commands_options_and_names(capsys: pytest.CaptureFixture[str]) -> None:
+def test_shells_complete_commands_options_and_names(capsys) -> None:
     assert main(["completion", "bash"]) == 0
     script = capsys.readouterr().out
     expected = {"ro": "rollout", "rollout orca --scenario doo": "door", "fit --data.fo": "--data.fold"}

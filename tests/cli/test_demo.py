@@ -3,8 +3,6 @@
 import json
 import shlex
 from importlib.util import find_spec
-from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -18,7 +16,7 @@ pytestmark = [
 ]
 
 
-def test_the_demo_walks_tunes_and_compares(tmp_path: Path, capsys: Any, monkeypatch: Any) -> None:
+def test_the_demo_walks_tunes_and_compares(tmp_path, capsys, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("PEDZOO_DATA", raising=False)
     policies = f"{demo.CONTROLLER} orca:radius=0.3"
@@ -51,7 +49,7 @@ def test_the_demo_walks_tunes_and_compares(tmp_path: Path, capsys: Any, monkeypa
     assert anna > 0 > ben
 
 
-def test_a_step_that_fails_ends_the_demo_or_it_does_not_begin(tmp_path: Path, capsys: Any) -> None:
+def test_a_step_that_fails_ends_the_demo_or_it_does_not_begin(tmp_path, capsys) -> None:
     (tmp_path / "out" / "door.png").mkdir(parents=True)
     assert main(["demo", "--out", str(tmp_path / "out")]) == 2
     said = capsys.readouterr()
@@ -67,7 +65,7 @@ def test_a_step_that_fails_ends_the_demo_or_it_does_not_begin(tmp_path: Path, ca
         assert message in said.err and not said.out
 
 
-def test_rollout_prints_the_metrics_that_are_asked_for(capsys: Any) -> None:
+def test_rollout_prints_the_metrics_that_are_asked_for(capsys) -> None:
     command = ["rollout", "go_to_goal", "--physics", "compiled", "--episodes", "1", "--metrics"]
     assert main([*command, "time_ratio,success"]) == 0
     printed = capsys.readouterr().out

@@ -31,7 +31,7 @@ def answers(model: Forecaster) -> torch.Tensor:
 
 
 @pytest.fixture
-def model(tmp_path: Path) -> str:
+def model(tmp_path) -> str:
     """A folder of models with one in it."""
     measured = make_card("sgan.mall").evaluations
     write_model(random_weights(SGAN()), tmp_path / "zoo", "sgan.mall", evaluations=measured)
@@ -62,13 +62,13 @@ def test_a_run_becomes_weights_and_a_card_with_its_numbers(tmp_path, monkeypatch
     assert said["command"] == "export" and said["files"] == files
 
 
-def test_numbers_are_left_out_where_no_person_wants_them(tmp_path: Path) -> None:
+def test_numbers_are_left_out_where_no_person_wants_them(tmp_path) -> None:
     options = ["--to", str(tmp_path / "zoo"), "--name", "sgan_goal.mall", "--no-evaluation"]
     assert main(["export", str(make_run(tmp_path)), "--zoo", *options]) == 0
     assert read_card(tmp_path / "zoo" / "sgan_goal.mall" / "card.yaml").evaluations == []
 
 
-def test_a_hub_folder_loads_and_is_written_the_same_again(model: str, tmp_path: Path) -> None:
+def test_a_hub_folder_loads_and_is_written_the_same_again(model: str, tmp_path) -> None:
     hub = tmp_path / "hub"
     assert main(["export", model, "--hub", str(hub)]) == 0
     assert sorted(os.listdir(hub)) == ["LICENSE.md", "README.md", "card.yaml", "weights.safetensors"]
@@ -136,7 +136,7 @@ def test_mistakes_are_told_and_nothing_is_written(arguments, message, tmp_path, 
     assert not any(tmp_path.iterdir())
 
 
-def test_shipped_weights_have_the_licence_of_their_data(tmp_path: Path) -> None:
+def test_shipped_weights_have_the_licence_of_their_data(tmp_path) -> None:
     """MIT are only those that saw no recorded person; masks under CC BY-NC are passed on as what they are."""
     seen = set()
     for file in sorted(shipped("checkpoints").glob("*/card.yaml")):

@@ -16,7 +16,7 @@ from pedzoo.models.zoo.store import names
 
 
 @pytest.fixture(autouse=True)
-def zoo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def zoo(tmp_path, monkeypatch) -> Path:
     """A folder of the user's with one card, and an empty cache."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PEDZOO_HOME", str(tmp_path / "home"))
@@ -35,7 +35,7 @@ def rows(pattern: str) -> list[dict[str, Any]]:
     return json.loads(Path("models.json").read_text())["weights"]
 
 
-def test_info_shows_the_whole_card_and_writes_it(capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_shows_the_whole_card_and_writes_it(capsys) -> None:
     assert main(["info", "sgan_goal.mall"]) == 0
     text = capsys.readouterr().out
     for part in (
@@ -61,7 +61,7 @@ def test_info_shows_the_whole_card_and_writes_it(capsys: pytest.CaptureFixture[s
     assert capsys.readouterr().out == page(card)
 
 
-def test_text_of_a_card_gives_the_terminal_no_orders(zoo: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_text_of_a_card_gives_the_terminal_no_orders(zoo: Path, capsys) -> None:
     evaluations = make_card().evaluations
     evaluations[1]["rows"][0]["table"] = "[/red]"
     card = make_card("sgan_goal.mall", licence="[bold]MIT[/nothing]", evaluations=evaluations)
@@ -71,7 +71,7 @@ def test_text_of_a_card_gives_the_terminal_no_orders(zoo: Path, capsys: pytest.C
     assert "[bold]MIT[/nothing]" in text and "[/red]" in text
 
 
-def test_names_that_have_no_card_are_told(capsys: pytest.CaptureFixture[str]) -> None:
+def test_names_that_have_no_card_are_told(capsys) -> None:
     assert "did you mean 'sgan_goal.mall'" in refused(capsys, "info", "sgan_goal.mal")
     assert "unknown model 'sgan_goal'" in refused(capsys, "info", "sgan_goal")
     message = refused(capsys, "info", "sgan")
@@ -81,7 +81,7 @@ def test_names_that_have_no_card_are_told(capsys: pytest.CaptureFixture[str]) ->
     assert "is a folder" in refused(capsys, "info", "zoo", "--json", "zoo")
 
 
-def test_models_has_a_row_for_every_card_with_its_headline(capsys: pytest.CaptureFixture[str]) -> None:
+def test_models_has_a_row_for_every_card_with_its_headline(capsys) -> None:
     result = {row["name"]: row for row in rows("*")}
     assert list(result) == names() and len(result) > 16
     facts = {"name": "sgan_goal.mall", "kB": 192, "fold": "zara1", "goal": "window_end", "clock": "benchmark"}
@@ -93,7 +93,7 @@ def test_models_has_a_row_for_every_card_with_its_headline(capsys: pytest.Captur
     assert rows("nothing") == [] and "none" in capsys.readouterr().out
 
 
-def test_one_bad_card_does_not_hide_the_others(zoo: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_bad_card_does_not_hide_the_others(zoo: Path, capsys) -> None:
     (zoo / "sgan.bad").mkdir()
     (zoo / "sgan.bad" / "card.yaml").write_text("name: sgan.bad")
     bad, good = rows("*.[bm]a*")

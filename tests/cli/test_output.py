@@ -2,7 +2,6 @@
 
 import io
 import json
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -24,7 +23,7 @@ ODD = "[/a/b.yaml,[bold]c[/]]:door:"
 WALK = ["--scenario", "circle:people=2", "--physics", "compiled", "--episodes", "1"]
 
 
-def test_a_scenario_on_several_files_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_scenario_on_several_files_is_printed(tmp_path, capsys) -> None:
     write_ros(flat(), tmp_path / "a.yaml")
     scenario, file = f"goals:map=[{tmp_path}/a.yaml,apartment.1],people=2,goals=1,pool=4", tmp_path / "r.json"
     words = ["rollout", "go_to_goal", "--scenario", scenario, "--physics", "compiled", "--episodes", "1"]
@@ -33,7 +32,7 @@ def test_a_scenario_on_several_files_is_printed(tmp_path: Path, capsys: pytest.C
     assert json.loads(file.read_text())["protocol"]["scenario"] == scenario
 
 
-def test_tables_print_text_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+def test_tables_print_text_as_it_is(capsys) -> None:
     row = {"name": ODD, "case": {"map": ODD}, "n": 1, "metrics": {"x_m": 1.0}}
     print_report({"protocol": {"scenario": ODD}, "rows": [row]})
     assert capsys.readouterr().out.count(ODD) == 3
@@ -41,7 +40,7 @@ def test_tables_print_text_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out.count(ODD) == 5
 
 
-def test_bars_show_text_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bars_show_text_as_it_is(monkeypatch) -> None:
     screen = io.StringIO()
 
     def terminal(**_: Any) -> Console:
@@ -81,14 +80,14 @@ def test_results_are_written_before_they_are_printed(words, printer, tmp_path, m
     assert not more or "go_to_goal" in (tmp_path / "page.md").read_text()
 
 
-def test_a_report_for_the_terminal_comes_last(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_report_for_the_terminal_comes_last(capsys) -> None:
     write_and_print({"a": 1}, "-", lambda: print("table"))
     assert capsys.readouterr().out.startswith("table\n{")
     write_and_print({"a": 1}, None, lambda: print("table"))
     assert capsys.readouterr().out == "table\n" and output.check_outputs() is None
 
 
-def test_wide_tables_are_transposed_where_that_needs_fewer_parts(capsys: pytest.CaptureFixture[str]) -> None:
+def test_wide_tables_are_transposed_where_that_needs_fewer_parts(capsys) -> None:
     """Twenty metrics of two policies become one table in a log; three of sixty models stay as they are."""
     metrics = {f"metric_{number}_per_min": float(number) for number in range(20)}
     rows = [{"name": name, "case": {}, "n": 5, "metrics": metrics} for name in ("orca", "go_to_goal")]
@@ -104,7 +103,7 @@ def test_wide_tables_are_transposed_where_that_needs_fewer_parts(capsys: pytest.
     assert sum(line.startswith("│") for line in capsys.readouterr().out.splitlines()) == 80
 
 
-def test_pages_and_reports_need_their_endings(tmp_path: Path) -> None:
+def test_pages_and_reports_need_their_endings(tmp_path) -> None:
     with pytest.raises(UserError, match=r"--html .*walk\.txt: expected a file that ends in \.html"):
         check_outputs(html=str(tmp_path / "walk.txt"))
     with pytest.raises(UserError, match=r"--json .*walk\.csv: expected a file that ends in \.json$"):

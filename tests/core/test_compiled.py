@@ -2,13 +2,12 @@
 
 from pathlib import Path
 
-import pytest
 from numba.core import config
 
 from pedzoo.core import compiled as loops
 
 
-def test_a_changed_file_gives_another_cache_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_changed_file_gives_another_cache_folder(tmp_path, monkeypatch) -> None:
     root = tmp_path / "pedzoo"
     (root / "core").mkdir(parents=True)
     loop = "from pedzoo.core.compiled import jit\n"

@@ -133,7 +133,7 @@ REWARD = '''
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path) -> Path:
     for name, code in {"robot": ROBOT, "carts": PHYSICS, "loss": LOSS, "reward": REWARD}.items():
         (tmp_path / f"{name}.py").write_text(dedent(code))
     return tmp_path
@@ -147,7 +147,7 @@ def carts(folder: Path, speed: float) -> PedestrianEnv:
 
 
 @pytest.mark.parametrize("physics", ["compiled", "torch"])
-def test_a_unicycle_robot(folder: Path, physics: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_unicycle_robot(folder: Path, physics: str, capsys) -> None:
     file, report = folder / "robot.py", folder / "out.json"
     words = [f"{file}:Drives:gain=3", "--scenario", f"{file}:Robots:people=2,radius=5,jitter=0,aside=0"]
     words += ["--physics", physics, "--episodes", "3", "--json", str(report)]

@@ -76,7 +76,7 @@ def bare(code: str, folder: Path, *arguments: str) -> subprocess.CompletedProces
     return subprocess.run(command, capture_output=True, text=True, cwd=folder, env=environment, check=False)
 
 
-def test_the_core_loads_steps_walks_and_evaluates(tmp_path: Path) -> None:
+def test_the_core_loads_steps_walks_and_evaluates(tmp_path) -> None:
     done = bare(WALKS, tmp_path)
     assert done.returncode == 0, done.stderr
     said: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
@@ -84,7 +84,7 @@ def test_the_core_loads_steps_walks_and_evaluates(tmp_path: Path) -> None:
     assert said == expected | {"failed": False, "loaded": []}
 
 
-def test_commands_name_the_missing_extra_in_one_line(tmp_path: Path) -> None:
+def test_commands_name_the_missing_extra_in_one_line(tmp_path) -> None:
     code = "from pedzoo.cli.main import main\n"
     code += "for line in sys.argv[1:]: print(main(line.split()), 'torch' in sys.modules)"
     commands = [line.replace("OUT", str(tmp_path / "out")) for line in COMMANDS]
@@ -98,7 +98,7 @@ def test_commands_name_the_missing_extra_in_one_line(tmp_path: Path) -> None:
         assert "not installed here" in line and errors.install_command(extra) in line
 
 
-def test_python_is_told_as_the_command_line_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_is_told_as_the_command_line_is(monkeypatch) -> None:
     monkeypatch.setattr(errors, "find_spec", lambda name: None)
     for extra in errors.EXTRAS:
         command = re.escape(errors.install_command(extra))
@@ -118,7 +118,7 @@ def test_python_is_told_as_the_command_line_is(monkeypatch: pytest.MonkeyPatch) 
     ],
 )
 def test_messages_name_an_install_that_works(
-    origin: dict[str, Any] | None, command: str, monkeypatch: pytest.MonkeyPatch
+    origin: dict[str, Any] | None, command: str, monkeypatch
 ) -> None:
     """From where this installation came: a checkout, git, a file; the index where nothing else is known."""
     written = SimpleNamespace(read_text=lambda name: origin and json.dumps(origin))
@@ -126,7 +126,7 @@ def test_messages_name_an_install_that_works(
     assert errors.install_command("onnx") == f"pip install {command}"
 
 
-def test_lines_of_sight_without_numba_are_those_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lines_of_sight_without_numba_are_those_with_it(monkeypatch) -> None:
     rng = np.random.default_rng(3)
     sight = Sight(is_open := rng.random((40, 60)) < 0.9)
     cells = np.argwhere(is_open)[:, ::-1].astype(np.int32)

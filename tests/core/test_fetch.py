@@ -24,7 +24,7 @@ REFUSED = "http://127.0.0.1:9/file.bin"
 
 
 @pytest.fixture
-def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Site]:
+def site(tmp_path, monkeypatch) -> Iterator[Site]:
     """A server, an empty cache, and a client without patience."""
     monkeypatch.setenv("PEDZOO_HOME", str(tmp_path / "cache"))
     without_patience(monkeypatch)
@@ -33,7 +33,7 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Site]:
 
 
 @pytest.fixture
-def place(tmp_path: Path) -> Path:
+def place(tmp_path) -> Path:
     return tmp_path / "cache" / "file.bin"
 
 
@@ -41,7 +41,7 @@ def part_of(place: Path) -> Path:
     return place.with_name(".file.bin.part")
 
 
-def test_a_file_is_downloaded_once_and_again_where_it_is_damaged(site: Site, tmp_path: Path) -> None:
+def test_a_file_is_downloaded_once_and_again_where_it_is_damaged(site: Site, tmp_path) -> None:
     url = site.put("file.bin", CONTENT)
     for number, checksum in enumerate((SUM, None), start=1):
         path = fetch(url, checksum, f"models{number}/file.bin")
@@ -133,7 +133,7 @@ def test_a_silent_server_is_given_up_and_a_slow_one_waited_for(site: Site) -> No
         fetch(stuck, SUM, "stuck.bin")
 
 
-def test_redirections_lead_to_the_web_only(site: Site, tmp_path: Path) -> None:
+def test_redirections_lead_to_the_web_only(site: Site, tmp_path) -> None:
     secret = tmp_path / "secret.bin"
     secret.write_bytes(CONTENT)
     moved = Page(statuses=[302] * 9, headers={"Location": site.put("file.bin", CONTENT)})
@@ -170,7 +170,7 @@ def test_names_do_not_lead_out_of_the_cache(site: Site, name: str) -> None:
     assert not site.asked
 
 
-def test_offline_nothing_is_asked(site: Site, place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_offline_nothing_is_asked(site: Site, place: Path, monkeypatch) -> None:
     url = site.put("file.bin", CONTENT)
     monkeypatch.setenv("PEDZOO_OFFLINE", "1")
     with pytest.raises(UserError, match="is not there, and PEDZOO_OFFLINE forbids the network") as caught:
@@ -255,7 +255,7 @@ def test_servers_get_nothing_of_the_users(site, tmp_path, monkeypatch):
     assert not {"authorization", "proxy-authorization"} & {name.lower() for name in told}
 
 
-def test_links_of_others_are_not_followed(site: Site, tmp_path: Path) -> None:
+def test_links_of_others_are_not_followed(site: Site, tmp_path) -> None:
     """The names of unfinished downloads are known to all, those of unfinished files to nobody."""
     precious = tmp_path / "precious"
     folder = tmp_path / "cache"

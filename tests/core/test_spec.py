@@ -120,7 +120,7 @@ def test_mistakes(name: str, message: str) -> None:
         load_policy(name)
 
 
-def test_what_a_name_may_not_be_is_told(tmp_path: Path) -> None:
+def test_what_a_name_may_not_be_is_told(tmp_path) -> None:
     with pytest.raises(UserError, match=r"files=a.csv: expected list.*; write a list of one as \[a.csv\]$"):
         build(SCENARIOS, "replay:files=a.csv,dt=0.1", Scenario)
     (tmp_path / "mine.py").write_text("class Mine:\n    pass\n")
@@ -166,7 +166,7 @@ def test_settings_of_groups_have_names_and_defaults_of_the_class() -> None:
 
 
 @pytest.fixture(autouse=True)
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def here(tmp_path, monkeypatch) -> Path:
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -273,7 +273,7 @@ def test_mistakes_in_configs_are_one_line(text: str | bytes, message: str) -> No
     assert "\n" not in str(caught.value)
 
 
-def test_yaml_has_so_many_values_that_a_second_reads_them(tmp_path: Path) -> None:
+def test_yaml_has_so_many_values_that_a_second_reads_them(tmp_path) -> None:
     path = tmp_path / "many.yaml"
     path.write_text("people:\n" + "- {from: [-1, 0], to: [1, 0]}\n" * 150_000)
     began = time.process_time()
@@ -282,7 +282,7 @@ def test_yaml_has_so_many_values_that_a_second_reads_them(tmp_path: Path) -> Non
     assert time.process_time() - began < 2
 
 
-def test_references_are_for_people_and_not_for_bombs(tmp_path: Path) -> None:
+def test_references_are_for_people_and_not_for_bombs(tmp_path) -> None:
     path = tmp_path / "own.yaml"
     path.write_text("a: &size 3\nb: *size\nc: {<<: &more {d: 1}}\ne: *more")
     assert load_config(path) == {"a": 3, "b": 3, "c": {"d": 1}, "e": {"d": 1}}
@@ -315,7 +315,7 @@ BOMBS = {
 
 @pytest.mark.parametrize("bomb", BOMBS)
 @pytest.mark.parametrize("inside", ["file", "text"])
-def test_yaml_is_counted_before_it_is_loaded(bomb: str, inside: str, tmp_path: Path) -> None:
+def test_yaml_is_counted_before_it_is_loaded(bomb: str, inside: str, tmp_path) -> None:
     """Also that in texts, which the command line reads as YAML where no text is expected."""
     path, said = tmp_path / "own.yaml", "at most 100,000 are|inside itself|at most 20 levels|maximum nesting"
     text = BOMBS[bomb] if inside == "file" else yaml.safe_dump({"data": {"files": BOMBS[bomb]}})
@@ -333,7 +333,7 @@ def test_yaml_is_counted_before_it_is_loaded(bomb: str, inside: str, tmp_path: P
     assert time.process_time() - began < 1
 
 
-def test_what_is_merged_and_is_no_bomb_is_read(tmp_path: Path) -> None:
+def test_what_is_merged_and_is_no_bomb_is_read(tmp_path) -> None:
     path = tmp_path / "own.yaml"
     path.write_text(_merges(3, 9) + "\nb: {<<: [{a: 5}, *a1], b: 7}\nc: {<<: *a0, a: 8}\nd:\n")
     result = load_config(path)

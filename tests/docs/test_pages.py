@@ -97,7 +97,7 @@ MADE = {
 
 
 @pytest.fixture
-def readers_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def readers_folder(tmp_path, monkeypatch) -> Path:
     """A working directory with the files that a reader is supposed to have."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
@@ -113,7 +113,7 @@ def readers_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if commands(page)])
-def test_commands(page: str, readers_folder: Path, shared: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commands(page: str, readers_folder: Path, shared: Path, monkeypatch) -> None:
     monkeypatch.setenv("PEDZOO_DATA", str(shared / "data"))
     for name, text in files(page).items():
         (readers_folder / name).write_text(text)

@@ -24,7 +24,7 @@ DOOR = {"suites": ["door"], "episodes": 3, "physics": "compiled"}
 
 
 @pytest.fixture(autouse=True)
-def nothing_at_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def nothing_at_hand(tmp_path, monkeypatch) -> None:
     """No recordings but the embedded ones, and few samples and walks."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("PEDZOO_DATA", raising=False)
@@ -80,7 +80,7 @@ def test_a_card_gets_what_the_commands_say(measured: list[dict[str, Any]], repor
     assert said.startswith("not measured, zara1 test: ") and "PEDZOO_DATA" in said
 
 
-def test_weights_of_all_scenes_have_validation_windows(shared: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_weights_of_all_scenes_have_validation_windows(shared: Path, monkeypatch) -> None:
     monkeypatch.setattr(card_numbers, "WALKS", [])
     result = measure("sgan_goal.eth_ucy", "mine.all", root=str(shared / "data"))
     assert [report["protocol"]["fold"] for report in result] == ["eth_ucy", "embedded"]
@@ -92,9 +92,7 @@ def test_weights_of_all_scenes_have_validation_windows(shared: Path, monkeypatch
     assert result[0]["rows"][0]["metrics"]["ade_m"] == pytest.approx(entry.card.training["value"], 1e-3)
 
 
-def test_the_numbers_of_a_card_are_found_again_or_not(
-    measured: list[dict[str, Any]], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_numbers_of_a_card_are_found_again_or_not(measured: list[dict[str, Any]], capsys) -> None:
     code, printed = again(capsys, card_with(measured), "--json", "again.json")
     count = sum(1 + len(row["metrics"]) for report in measured for row in report["rows"])
     assert code == 0 and f"zoo/{NAME}: {count} of {count} numbers are those of the card" in printed
@@ -110,9 +108,7 @@ def test_the_numbers_of_a_card_are_found_again_or_not(
     assert code == 1 and "ade_m" in line and "13 of 14 numbers" in printed
 
 
-def test_what_cannot_be_done_here_is_skipped_and_says_why(
-    measured: list[dict[str, Any]], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_done_here_is_skipped_and_says_why(measured: list[dict[str, Any]], capsys) -> None:
     elsewhere = deepcopy(measured[0])
     elsewhere["protocol"]["fold"] = "zara1"
     code, printed = again(capsys, card_with([elsewhere, measured[0]]))
@@ -159,7 +155,7 @@ def test_a_strange_protocol_is_refused_and_runs_nothing(
         report_of(command, Job("constant_velocity", data | usual | changed, [0]))
 
 
-def test_who_has_no_card_or_asks_for_something_else_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+def test_who_has_no_card_or_asks_for_something_else_is_refused(capsys) -> None:
     for words, message in (
         (["orca"], "unknown model with a card 'orca'"),
         (["sgan_goal.zara11"], "did you mean 'sgan_goal.zara1'"),
@@ -206,7 +202,7 @@ def test_gone_numbers_and_other_numbers_of_episodes_differ() -> None:
     assert {one.now for one in compare(before, after | {"rows": []})} == {None}
 
 
-def test_the_card_of_a_shipped_model_is_true(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_card_of_a_shipped_model_is_true(capsys) -> None:
     """What needs no recordings and little time; the whole card takes a minute."""
     here = [one for one in shipped().evaluations if one["protocol"].get("fold") == "embedded"]
     here += [one for one in shipped().evaluations if one["protocol"].get("suites") == ["door"]]
@@ -214,9 +210,7 @@ def test_the_card_of_a_shipped_model_is_true(capsys: pytest.CaptureFixture[str])
     assert code == 0 and " NO " not in printed and len(here) == 2
 
 
-def test_the_card_of_a_shipped_model_is_true_on_recordings(
-    capsys: pytest.CaptureFixture[str], shared: Path
-) -> None:
+def test_the_card_of_a_shipped_model_is_true_on_recordings(capsys, shared: Path) -> None:
     here = [one for one in shipped().evaluations if one["protocol"].get("fold") == "zara1"]
     code, printed = again(capsys, card_with(here), "--data.root", str(shared / "data"))
     assert code == 0 and "zara1 test" in printed and "11 of 11 numbers" in printed

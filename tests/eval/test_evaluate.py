@@ -50,7 +50,7 @@ class Small(Suite):
 
 
 @pytest.fixture
-def small(tmp_path: Path) -> str:
+def small(tmp_path) -> str:
     file = tmp_path / "small.py"
     file.write_text(SMALL)
     return f"{file}:Small"
@@ -64,9 +64,7 @@ def compared(report: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in result.items() if key not in ("versions", "command")}
 
 
-def test_a_resumed_command_and_python_give_the_same_table(
-    small: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_resumed_command_and_python_give_the_same_table(small: str, tmp_path, capsys, monkeypatch) -> None:
     policies, file = ["go_to_goal", "sgan_goal.zara1"], tmp_path / "out.json"
     command = ["evaluate", *policies, "--suite", small, "--quick", "--seeds", "0,3", "--json", str(file)]
     (page := tmp_path / "page.md").write_text("the page of a whole evaluation")
@@ -106,7 +104,7 @@ def test_a_resumed_command_and_python_give_the_same_table(
     }
 
 
-def test_kept_parts_of_another_command_stay(small: str, tmp_path: Path) -> None:
+def test_kept_parts_of_another_command_stay(small: str, tmp_path) -> None:
     stored = tmp_path / "out.json.partial"
     Journal(stored).add("another", [{"n": 1}])
     command = ["evaluate", "go_to_goal", "--suite", small, "--episodes", "1"]
@@ -114,9 +112,7 @@ def test_kept_parts_of_another_command_stay(small: str, tmp_path: Path) -> None:
     assert "another" in Journal(stored).done and len(Journal(stored).done) == 3
 
 
-def test_parts_are_kept_when_a_worker_is_killed(
-    small: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_parts_are_kept_when_a_worker_is_killed(small: str, tmp_path, capsys, monkeypatch) -> None:
     def results(units: Any, *_: Any) -> Iterator[tuple[int, Any]]:
         yield 0, work(units[0])
         raise RuntimeError("worker 1 of 2 is killed by SIGKILL")
@@ -129,7 +125,7 @@ def test_parts_are_kept_when_a_worker_is_killed(
     assert len(Journal(Path(f"{file}.partial")).done) == 1
 
 
-def test_workers_end_when_a_part_cannot_be_kept(small: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_end_when_a_part_cannot_be_kept(small: str, monkeypatch) -> None:
     ended: list[int] = []
 
     def results(*_: Any) -> Iterator[tuple[int, Any]]:
@@ -145,7 +141,7 @@ def test_workers_end_when_a_part_cannot_be_kept(small: str, monkeypatch: pytest.
     assert ended and caught.traceback  # though the caught error holds on to the iterator
 
 
-def test_a_policy_without_numbers_fails_and_others_go_on(small: str, tmp_path: Path) -> None:
+def test_a_policy_without_numbers_fails_and_others_go_on(small: str, tmp_path) -> None:
     file = tmp_path / "broken.py"
     file.write_text(BROKEN)
     with pytest.warns(UserWarning, match="the scene ends as failed"):
@@ -156,9 +152,7 @@ def test_a_policy_without_numbers_fails_and_others_go_on(small: str, tmp_path: P
     assert "time_ratio" not in broken["metrics"]
 
 
-def test_misspelt_words_are_refused_before_anything_walks(
-    small: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_misspelt_words_are_refused_before_anything_walks(small: str, capsys, monkeypatch) -> None:
     monkeypatch.setattr(module, "finished", lambda *args: pytest.fail("something walked"))
     for words, message in (
         (["orca", "--suite", "dor"], "unknown suite 'dor': did you mean 'door'?"),
@@ -203,7 +197,7 @@ def test_misspelt_words_are_refused_before_anything_walks(
         ),
     ],
 )
-def test_what_a_suite_in_a_file_lacks_is_said(code: str, message: str, tmp_path: Path) -> None:
+def test_what_a_suite_in_a_file_lacks_is_said(code: str, message: str, tmp_path) -> None:
     file = tmp_path / "wrong.py"
     file.write_text(f"from pedzoo.eval.suite import EvaluationCase, Suite\nclass Mine(Suite):\n    {code}\n")
     with pytest.raises(UserError, match=message) as error:
@@ -232,7 +226,7 @@ ODD = "a,b=[c:d,people=1"
 
 
 @pytest.mark.parametrize("suite", ["goals", "table2"])
-def test_floor_plans_may_have_any_path(suite: str, tmp_path: Path) -> None:
+def test_floor_plans_may_have_any_path(suite: str, tmp_path) -> None:
     file = tmp_path / ODD / "plan.yaml"
     file.parent.mkdir()
     write_ros(flat(), file)
@@ -242,7 +236,7 @@ def test_floor_plans_may_have_any_path(suite: str, tmp_path: Path) -> None:
     assert row["n"] == 1 and len(row["per_agent"]) == 2
 
 
-def test_recordings_may_have_any_root(shared: Path, tmp_path: Path) -> None:
+def test_recordings_may_have_any_root(shared: Path, tmp_path) -> None:
     (tmp_path / ODD).symlink_to(shared / "data")
     options = EvaluationOptions(quick=True, root=str(tmp_path / ODD / "eth_ucy"))
     evaluation = Evaluation(["go_to_goal"], ["replay"], options)
@@ -253,7 +247,7 @@ def test_recordings_may_have_any_root(shared: Path, tmp_path: Path) -> None:
     assert digest(again.units[evaluation.units.index(unit)]) == digest(unit)
 
 
-def test_cases_on_one_floor_plan_find_its_ways_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cases_on_one_floor_plan_find_its_ways_once(monkeypatch) -> None:
     monkeypatch.setattr(keeping, "_kept", {})
     first = keeping.prepared("goals:map=flat,people=2,goals=3,pool=6")
     second = keeping.prepared("goals:map=flat,people=5,goals=3,pool=6")
@@ -266,7 +260,7 @@ def test_cases_on_one_floor_plan_find_its_ways_once(monkeypatch: pytest.MonkeyPa
         keeping.prepared("goals:map=flat,people=500,goals=3,pool=6")
 
 
-def test_without_recordings_the_embedded_crowd_is_replayed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_recordings_the_embedded_crowd_is_replayed(monkeypatch) -> None:
     monkeypatch.delenv("PEDZOO_DATA", raising=False)
     report = pedzoo.evaluate(["go_to_goal"], ["replay"], quick=True)
     real, rounds, missing = report["notes"]
@@ -308,14 +302,14 @@ HELD_OUT = {
     ],
 )
 def test_weights_that_saw_a_fold_make_way_for_others(
-    policy: str, fold: str, walks: str, seen: bool, monkeypatch: pytest.MonkeyPatch
+    policy: str, fold: str, walks: str, seen: bool, monkeypatch
 ) -> None:
     monkeypatch.setattr(trained_on, "weight_files", lambda: {name: Path(name) for name in HELD_OUT})
     monkeypatch.setattr(trained_on, "read_config", lambda path: {"training": {"fold": HELD_OUT[str(path)]}})
     assert (trained_on.for_fold(policy, fold), trained_on.has_seen(policy, fold)) == (walks, seen)
 
 
-def test_own_weights_are_known_by_checkpoint_or_card(tmp_path: Path) -> None:
+def test_own_weights_are_known_by_checkpoint_or_card(tmp_path) -> None:
     file, name = tmp_path / "best.ckpt", f"{tmp_path}/sgan_goal.mall"
     record = {"architecture": "sgan", "init": {}, "protocol": {"fold": "zara1"}}
     torch.save({"pedzoo": record, "state_dict": {}}, file)
@@ -326,9 +320,7 @@ def test_own_weights_are_known_by_checkpoint_or_card(tmp_path: Path) -> None:
     assert trained_on.for_fold(name, "hotel") == name
 
 
-def test_a_journal_is_on_the_disk_and_refuses_other_files(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_journal_is_on_the_disk_and_refuses_other_files(tmp_path, monkeypatch) -> None:
     file, synchronised = tmp_path / "parts", []
     monkeypatch.setattr(os, "fsync", lambda handle: synchronised.append(os.fstat(handle).st_size))
     journal = Journal(file)
@@ -354,9 +346,7 @@ TORN = (
 
 
 @pytest.mark.parametrize("torn", TORN)
-def test_a_journal_does_again_what_is_torn(
-    torn: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_journal_does_again_what_is_torn(torn: bytes, tmp_path, capsys) -> None:
     for place in range(3):
         file, units = tmp_path / f"parts{place}", ["one", "two", "three"]
         for unit in units:
@@ -436,9 +426,7 @@ def test_code_is_known_by_what_it_does(old: str, new: str, same: bool) -> None:
     assert code_sum(b"1 +") != code_sum(b"1 -")  # no Python at all
 
 
-def test_the_key_of_a_part_has_what_users_code_imports(
-    small: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_key_of_a_part_has_what_users_code_imports(small: str, tmp_path, monkeypatch) -> None:
     (home := tmp_path / "home").mkdir()
     (elsewhere := tmp_path / "elsewhere").mkdir()
     monkeypatch.syspath_prepend(elsewhere)
@@ -525,9 +513,7 @@ def test_tables_and_pages_show_the_same_cells(small: str) -> None:
 
 
 @pytest.mark.parametrize("columns", [80, 200])
-def test_tables_fit_the_terminal(
-    columns: int, small: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_tables_fit_the_terminal(columns: int, small: str, capsys, monkeypatch) -> None:
     monkeypatch.setenv("FORCE_COLOR", "1")  # a terminal, as far as rich is concerned
     monkeypatch.setenv("COLUMNS", str(columns))
     assert main(["evaluate", "go_to_goal", "--suite", small, "--episodes", "2"]) == 0
@@ -536,7 +522,7 @@ def test_tables_fit_the_terminal(
     assert ("[0.34," in plain or "[0.34, 1.00]" in plain) and "…" not in plain
 
 
-def test_density_and_speed_of_a_replay_are_drawn(tmp_path: Path) -> None:
+def test_density_and_speed_of_a_replay_are_drawn(tmp_path) -> None:
     file = tmp_path / "density.png"
     curve = [{"density_per_m2": 0.1, "speed_m_per_s": None, "real_speed_m_per_s": 1.0, "real_share": 1.0}]
     case = {"suite": "replay", "fold": "embedded", "simulated": "all"}

@@ -2,7 +2,6 @@
 
 import json
 import math
-from pathlib import Path
 from typing import Any, cast
 
 import pytest
@@ -30,7 +29,7 @@ SAMPLED = {
 
 
 @pytest.fixture(scope="module")
-def weights(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+def weights(tmp_path_factory) -> dict[str, str]:
     """Two models with random weights: ``plain`` without a goal, ``goal`` for destinations."""
     folder = tmp_path_factory.mktemp("weights")
     options: dict[str, dict[str, Any]] = {
@@ -170,9 +169,7 @@ def test_what_cannot_be_forecast_is_refused(weights: dict[str, str]) -> None:
             forecast(names, make_data(goal), samples)
 
 
-def test_the_command_writes_what_the_function_returns(
-    weights: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_writes_what_the_function_returns(weights: dict[str, str], tmp_path, capsys) -> None:
     out = tmp_path / "out.json"
     argv = ["forecast", weights["goal"], "--data.fold", "embedded", "--data.goal", "window_end"]
     argv += ["--data.loading.batch_size", "256", "--samples", "3", "--seed", "4"]
@@ -186,7 +183,7 @@ def test_the_command_writes_what_the_function_returns(
     assert written["rows"][1]["case"] == {"note": "trained for destination goals"}
 
 
-def test_the_command_asks_a_model_for_its_own_goal(weights: dict[str, str], tmp_path: Path) -> None:
+def test_the_command_asks_a_model_for_its_own_goal(weights: dict[str, str], tmp_path) -> None:
     out = tmp_path / "out.json"
     argv = ["forecast", weights["plain"], weights["goal"], "--samples", "1", "--json", str(out)]
     assert main([*argv, "--data.fold", "embedded"]) == 0
@@ -195,7 +192,7 @@ def test_the_command_asks_a_model_for_its_own_goal(weights: dict[str, str], tmp_
     assert all(row["case"] == {} for row in written["rows"])
 
 
-def test_one_command_trains_and_tests_on_files_of_ones_own(tmp_path: Path) -> None:
+def test_one_command_trains_and_tests_on_files_of_ones_own(tmp_path) -> None:
     """The table has the baselines, the centroids of these files, and the two models that were trained."""
     lines = ["frame,agent,x,y"]
     random = torch.Generator().manual_seed(0)

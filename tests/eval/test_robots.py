@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -29,7 +28,7 @@ SMALL: Mapping[str, tuple[str, float]] = {
 
 
 @pytest.fixture
-def small(monkeypatch: pytest.MonkeyPatch) -> None:
+def small(monkeypatch) -> None:
     """Let the suite have few and quick scenes."""
     monkeypatch.setattr(suite, "SCENES", SMALL)
 
@@ -71,7 +70,7 @@ def test_a_robot_that_gives_no_way_delays_people() -> None:
     assert stands["standing_s"] == pytest.approx(stands["duration_s"]) == pytest.approx(4.0)
 
 
-def test_episodes_are_the_same_however_many_walk_together(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_episodes_are_the_same_however_many_walk_together(monkeypatch) -> None:
     settings = {"scenario": "hallway:people=2", "robot": "turtlebot4", "episodes": 3}
     together = driven(**settings)
     monkeypatch.setattr(Compiled, "scenes_at_once", 2)
@@ -99,7 +98,7 @@ def test_headings_are_between_decisions() -> None:
     assert turned.max() <= 2.0 * 0.1 + 1e-4, "no faster than the body turns"
 
 
-def test_the_command_its_table_and_its_page(small: None, tmp_path: Path) -> None:
+def test_the_command_its_table_and_its_page(small: None, tmp_path) -> None:
     file, page = tmp_path / "robots.json", tmp_path / "robots.md"
     command = ["evaluate", "straight", "stop", "--suite", "robots", "--episodes", "2"]
     command += ["--people", "go_to_goal,replay:fold=embedded,share=0.04", "--robot", "diff_drive:radius=0.35"]
@@ -151,7 +150,7 @@ def test_whatever_is_misspelt_is_refused_before_anything_drives(
         Evaluation([policy], [name], EvaluationOptions()._replace(**options))
 
 
-def test_numbers_of_a_robots_card_are_done_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_numbers_of_a_robots_card_are_done_again(monkeypatch) -> None:
     monkeypatch.setattr(card_numbers, "ROBOT_EPISODES", 1)
     monkeypatch.setattr(suite, "SCENES", {"open": suite.SCENES["open"]})
     report = card_numbers.measure_robot("robot_ppo.circle", "orca", "disc")

@@ -47,7 +47,7 @@ def assert_same(first: Rollout, second: Rollout, tolerance: float = 1e-6) -> Non
             torch.testing.assert_close(value, other[key], atol=tolerance, rtol=0)
 
 
-def test_paths_with_commas_are_written_in_quotes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_paths_with_commas_are_written_in_quotes(tmp_path, capsys) -> None:
     """Of a floor plan, alone and in a list; without quotes the error says how to write it."""
     file = tmp_path / "a,b" / "plan.yaml"
     file.parent.mkdir()
@@ -60,9 +60,7 @@ def test_paths_with_commas_are_written_in_quotes(tmp_path: Path, capsys: pytest.
 
 
 @pytest.mark.parametrize("scenario", ["door", "goals:people=3,goals=1,pool=8"])
-def test_episodes_are_the_same_however_many_walk_together(
-    scenario: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_episodes_are_the_same_however_many_walk_together(scenario: str, monkeypatch) -> None:
     together, _ = rollout("orca:dt=0.4", scenario, "compiled", 3, seed=3)
     monkeypatch.setattr(Compiled, "scenes_at_once", 2)
     in_parts, env = rollout("orca:dt=0.4", scenario, "compiled", 3, seed=3)
@@ -112,7 +110,7 @@ def test_a_lone_person_takes_as_long_as_the_planned_way() -> None:
     assert "symmetry_index" not in metrics and "specific_flow_per_m_s" not in metrics
 
 
-def test_a_failed_episode_ends_alone_and_counts_as_a_failure(tmp_path: Path) -> None:
+def test_a_failed_episode_ends_alone_and_counts_as_a_failure(tmp_path) -> None:
     (tmp_path / "broken.py").write_text(BROKEN)
     with pytest.warns(UserWarning, match=r"broken\.py:Broken gave the action .* agent 1 of scene 0"):
         broken, _ = rollout(f"{tmp_path}/broken.py:Broken", "door", "compiled", 3)
@@ -136,7 +134,7 @@ def test_noise_is_drawn_or_not() -> None:
     assert not torch.equal(sampled, traces("sgan_goal.zara1", False, seed=1))
 
 
-def test_command_prints_what_it_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_prints_what_it_writes(tmp_path, capsys) -> None:
     file = tmp_path / "out.json"
     policies = ["orca:radius=0.1,dt=0.4", "go_to_goal"]
     words = ["rollout", *policies, "--physics", "compiled", "--episodes", "3", "--seed", "2"]
@@ -161,9 +159,7 @@ def test_command_prints_what_it_writes(tmp_path: Path, capsys: pytest.CaptureFix
     assert again == report["rows"][1]
 
 
-def test_interrupted_command_prints_what_is_over(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_interrupted_command_prints_what_is_over(tmp_path, monkeypatch, capsys) -> None:
     def interrupt(name: str, done: int, total: int) -> None:
         if name == "go_to_goal:dt=0.2" and done == 2:
             raise KeyboardInterrupt
@@ -205,7 +201,7 @@ def test_interrupted_command_prints_what_is_over(
     ],
 )
 def test_mistakes_on_the_command_line_are_one_line(
-    words: list[str], expected: str, capsys: pytest.CaptureFixture[str], elsewhere: Path
+    words: list[str], expected: str, capsys, elsewhere: Path
 ) -> None:
     if "--physics" not in words:
         words = [*words, "--physics", "compiled"]
@@ -214,7 +210,7 @@ def test_mistakes_on_the_command_line_are_one_line(
     assert expected in err and err.count("\n") == 1 and err.startswith("pedzoo: ")
 
 
-def test_overview_names_scenarios_and_policies(capsys: pytest.CaptureFixture[str]) -> None:
+def test_overview_names_scenarios_and_policies(capsys) -> None:
     assert main([]) == 0
     text = capsys.readouterr().out
     for name in ("door", "goals", "orca", "go_to_goal"):

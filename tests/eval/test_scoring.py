@@ -45,7 +45,7 @@ from pedzoo.sim.scenarios.replay import PreparedReplay
 
 
 @pytest.fixture(autouse=True)
-def few_trees(monkeypatch: pytest.MonkeyPatch) -> None:
+def few_trees(monkeypatch) -> None:
     monkeypatch.setitem(TREES, "max_iter", 20)
 
 
@@ -82,7 +82,7 @@ def still(agent: int, rows: int, speed: float = 0.0, first: int = 0) -> np.ndarr
 
 
 def test_a_file_of_the_recording_scores_as_the_recording(
-    real: PreparedReplay, recorded: ScoredCrowd, tmp_path: Path
+    real: PreparedReplay, recorded: ScoredCrowd, tmp_path
 ) -> None:
     later = plaza()
     later[:, 0] += 1000  # another clock
@@ -114,7 +114,7 @@ def auc_of(table: np.ndarray, path: Path, real: PreparedReplay, recorded: Scored
     return float(auc(verdict, *once))
 
 
-def test_people_who_are_known_keep_their_part(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_people_who_are_known_keep_their_part(monkeypatch) -> None:
     monkeypatch.setattr(score_rows, "two_sample", lambda mine, theirs, own, split: (own, split))
     monkeypatch.setattr(
         score_rows, "nearest_parts", lambda mine, theirs, split, people: torch.full((people,), 9)
@@ -162,20 +162,20 @@ def straightened(table: np.ndarray, agents: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("change", [[0, 0, 0, 0], [0, 0, 0.6, 0], [400, 0, 80, -0.6]])
 def test_copies_cannot_be_told_apart(
-    change: list[float], real: PreparedReplay, recorded: ScoredCrowd, tmp_path: Path
+    change: list[float], real: PreparedReplay, recorded: ScoredCrowd, tmp_path
 ) -> None:
     assert auc_of(plaza() + change, tmp_path, real, recorded) == pytest.approx(0.5, abs=0.03)
 
 
 def test_the_copied_half_of_a_crowd_does_not_hide_the_other(
-    real: PreparedReplay, recorded: ScoredCrowd, tmp_path: Path
+    real: PreparedReplay, recorded: ScoredCrowd, tmp_path
 ) -> None:
     """Straight walkers are found and copies count half: three quarters. Near straight ones they are more."""
     half = straightened(plaza(), np.unique(plaza()[:, 1])[::2])
     assert 0.7 < auc_of(half, tmp_path, real, recorded) < 0.95
 
 
-def test_strangers_are_scored_wherever_they_stand(real: PreparedReplay, tmp_path: Path) -> None:
+def test_strangers_are_scored_wherever_they_stand(real: PreparedReplay, tmp_path) -> None:
     crowd = [still(500 + i, 40) for i in range(3)]
     side = file_crowd(written(tmp_path / "queue.csv", np.concatenate(crowd)), real)
     assert (side.twin == -1).all()
@@ -199,7 +199,7 @@ DEGENERATE = {
 }
 
 
-def test_degenerate_crowds_keep_their_rows(tmp_path: Path) -> None:
+def test_degenerate_crowds_keep_their_rows(tmp_path) -> None:
     some = written(tmp_path / "real.csv", plaza()[plaza()[:, 1] < 6])
     files = [written(tmp_path / f"{name}.csv", np.concatenate(rows)) for name, rows in DEGENERATE.items()]
     report = score([*files, "go_to_goal"], Reference(some, 0.4), dt=0.4, likelihood=False)
@@ -217,7 +217,7 @@ def test_degenerate_crowds_keep_their_rows(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("rate", [10, 25])
-def test_rows_of_a_video_are_not_taken_for_steps(rate: int, real: PreparedReplay, tmp_path: Path) -> None:
+def test_rows_of_a_video_are_not_taken_for_steps(rate: int, real: PreparedReplay, tmp_path) -> None:
     table = plaza()[plaza()[:, 1] < 20]
     walks = []
     for agent in np.unique(table[:, 1]):
@@ -230,7 +230,7 @@ def test_rows_of_a_video_are_not_taken_for_steps(rate: int, real: PreparedReplay
     assert float(str(error.value).split()[-3]) == pytest.approx(1 / rate, rel=0.3)
 
 
-def test_what_a_score_needs_is_asked_for_by_its_own_options(tmp_path: Path) -> None:
+def test_what_a_score_needs_is_asked_for_by_its_own_options(tmp_path) -> None:
     mine = written(tmp_path / "mine.csv", plaza())
     with pytest.raises(UserError, match=r"--data.dt is None: .* of the file of --against"):
         score([mine], mine)
@@ -238,7 +238,7 @@ def test_what_a_score_needs_is_asked_for_by_its_own_options(tmp_path: Path) -> N
         score(["orca"], "embedded", rollouts=0)
 
 
-def test_one_recorded_person_is_too_few(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
+def test_one_recorded_person_is_too_few(tmp_path, recwarn) -> None:
     table = plaza()
     longest = np.bincount(table[:, 1].astype(int)).argmax()
     alone = written(tmp_path / "alone.csv", table[table[:, 1] == longest])
@@ -250,7 +250,7 @@ def test_one_recorded_person_is_too_few(tmp_path: Path, recwarn: pytest.Warnings
 
 
 def test_a_constant_velocity_crowd_is_told_apart(
-    real: PreparedReplay, recorded: ScoredCrowd, tmp_path: Path
+    real: PreparedReplay, recorded: ScoredCrowd, tmp_path
 ) -> None:
     table = straightened(plaza(), np.unique(plaza()[:, 1]))
     metrics = row(file_crowd(written(tmp_path / "straight.csv", table), real), recorded, {})["metrics"]
@@ -375,7 +375,7 @@ def test_preferred_speeds_are_not_those_of_a_queue() -> None:
     assert float(observed[5:].max()) == pytest.approx(0.3)  # the least that there is
 
 
-def test_the_suite_replay_walks_own_files(tmp_path: Path) -> None:
+def test_the_suite_replay_walks_own_files(tmp_path) -> None:
     own = OwnRecordings((written(tmp_path / "hall.csv", plaza()),), 0.4)
     report = evaluate(["go_to_goal"], ["replay"], quick=True, own=own)
     assert {row["case"]["fold"] for row in report["rows"]} == {"files"}
@@ -384,7 +384,7 @@ def test_the_suite_replay_walks_own_files(tmp_path: Path) -> None:
         evaluate(["go_to_goal"], ["replay"], folds=["zara1"], own=own)
 
 
-def test_the_command_writes_one_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_one_json(tmp_path, capsys) -> None:
     mine, out = written(tmp_path / "mine.csv", plaza()[plaza()[:, 1] < 12]), tmp_path / "score.json"
     against = ["--against", mine, "--data.dt", "0.4", "--dt", "0.4", "--likelihood", "false"]
     assert main(["score", mine, *against, "--json", str(out)]) == 0

@@ -91,7 +91,7 @@ def test_a_killed_worker_is_named_while_others_are_busy() -> None:
         assert worker.death(SystemExit(7)) == "gone with exit code 7"
 
 
-def test_errors_of_a_worker_can_be_sent_and_say_where_they_were(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_errors_of_a_worker_can_be_sent_and_say_where_they_were(monkeypatch) -> None:
     """In this process: `fail` is what a worker does, and a module is gone before it loads the function."""
     expected = (UserError, "no map 'x': expected a file"), (RuntimeError, "OwnError: cannot be rebuilt")
     for job, (kind, message) in zip(("user", "own"), expected, strict=True):
@@ -146,9 +146,7 @@ def helper(job): return job.size
 """
 
 
-def test_jobs_of_a_script_or_a_notebook_need_no_guard(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_jobs_of_a_script_or_a_notebook_need_no_guard(monkeypatch, tmp_path) -> None:
     script = tmp_path / "script.py"
     script.write_text("raise RuntimeError('a worker runs the script')")
     main = ModuleType("__main__")
@@ -164,7 +162,7 @@ def test_jobs_of_a_script_or_a_notebook_need_no_guard(
     assert seen and set(seen.values()) == {2}
 
 
-def test_what_cannot_be_done_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_cannot_be_done_is_refused(monkeypatch) -> None:
     with pytest.raises(UserError, match=r"cannot be sent these jobs .*lock.*workers=1"):
         list(finished([threading.Lock()] * 2, str, 2))
     with pytest.raises(UserError, match=r"^workers 0: expected at least 1"):
@@ -198,9 +196,7 @@ def test_every_job_is_handed_out_once_whoever_asks() -> None:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_two_workers_give_what_one_gives_and_leave_nothing(
-    backend, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
-) -> None:
+def test_two_workers_give_what_one_gives_and_leave_nothing(backend, tmp_path, monkeypatch, request) -> None:
     resource_tracker.ensure_running()  # the first processes would leave it open
     monkeypatch.chdir(tmp_path)
     if backend == "ray":
@@ -246,7 +242,7 @@ def test_ray_tells_of_errors_and_deaths_and_its_cluster_stays(ray: Any) -> None:
 
 
 @needs_ray
-def test_a_cluster_is_started_where_none_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cluster_is_started_where_none_runs(monkeypatch) -> None:
     import ray  # pyright: ignore[reportMissingImports]
 
     called: list[Any] = []

@@ -25,7 +25,7 @@ def test_examples_are_shorter_than_60_lines(path: Path) -> None:
     assert len(path.read_text().splitlines()) < 60
 
 
-def test_robots_in_gymnasium(capsys: pytest.CaptureFixture[str]) -> None:
+def test_robots_in_gymnasium(capsys) -> None:
     run("robot_gym.py", decisions=70)
     first, second = capsys.readouterr().out.splitlines()
     assert "'SUCCESS': True" in first and "'COLLISION_HUMAN': False" in first
@@ -33,25 +33,25 @@ def test_robots_in_gymnasium(capsys: pytest.CaptureFixture[str]) -> None:
     assert 0 < arrived <= ended
 
 
-def test_robots_in_torchrl(capsys: pytest.CaptureFixture[str]) -> None:
+def test_robots_in_torchrl(capsys) -> None:
     run("robot_torchrl.py", scenes=4, decisions=60)
     straight, untrained = capsys.readouterr().out.splitlines()
     assert straight.startswith("straight: ") and untrained.startswith("untrained: ")
     assert int(straight.split()[1]) > int(untrained.split()[1])
 
 
-def test_people_walk_around_a_robot_of_ones_own(capsys: pytest.CaptureFixture[str]) -> None:
+def test_people_walk_around_a_robot_of_ones_own(capsys) -> None:
     assert run("people_around_a_robot.py", seconds=6.0) > 0.15  # a body's radius: no touch
     assert capsys.readouterr().out.startswith(" 0.0 s: robot (6.")
 
 
-def test_policies_are_compared(tmp_path: Path) -> None:
+def test_policies_are_compared(tmp_path) -> None:
     results = run("compare_policies.py", episodes=2, out=str(tmp_path / "door.png"))
     assert results["approach_net_goal_map.indoor"]["clean"] == 1.0 > results["go_to_goal"]["clean"]
     assert (tmp_path / "door.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_notebook(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_notebook(monkeypatch) -> None:
     monkeypatch.setenv("MPLBACKEND", "agg")
     cells = json.loads((EXAMPLES / "first_steps.ipynb").read_text())["cells"]
     scope: dict[str, Any] = {}
@@ -64,7 +64,7 @@ def test_the_notebook(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.skipif(find_spec("pybullet") is None, reason="needs pybullet")
-def test_people_walk_around_a_husky(capfd: pytest.CaptureFixture[str]) -> None:
+def test_people_walk_around_a_husky(capfd) -> None:
     """They meet it head-on: the middle one has to leave the straight line, and none touches it."""
     assert run("husky_pybullet.py", seconds=10.0) > 0
     driven = float(capfd.readouterr().out.split("drove ")[1].split()[0])
@@ -103,7 +103,7 @@ def request(seconds: float, agents: list[SimpleNamespace], robot: SimpleNamespac
 
 
 @pytest.fixture
-def services(monkeypatch: pytest.MonkeyPatch) -> Services:
+def services(monkeypatch) -> Services:
     """What the node serves, once ROS spins."""
     served: Services = {}
 

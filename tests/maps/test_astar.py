@@ -97,9 +97,7 @@ def test_collinear_steps_are_joined_and_stay_on_the_grid(name: str) -> None:
             assert length == pytest.approx(float(lengths[i, k]), abs=1e-3)
 
 
-def test_compiled_and_torch_waypoints_lead_to_the_goal(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_compiled_and_torch_waypoints_lead_to_the_goal(monkeypatch) -> None:
     planner = AStarPlanner(MapBank([load_plan("apartment.7")]))
     starts, goals = ends_of(planner, 50, 3)
     seen = guided(planner, starts, goals)

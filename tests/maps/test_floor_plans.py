@@ -135,9 +135,7 @@ def test_free_space_of_the_shared_maps(shared: Path) -> None:
 
 @pytest.mark.parametrize("origin", [(0.0, 0.0, 0.0), (-3.05, 1 / 3, 0.7), (-0.0, 1e-7, -3.1)])
 @pytest.mark.parametrize("resolution", [0.05, 0.1 / 3])
-def test_saving_is_a_round_trip(
-    tmp_path: Path, origin: tuple[float, float, float], resolution: float
-) -> None:
+def test_saving_is_a_round_trip(tmp_path, origin: tuple[float, float, float], resolution: float) -> None:
     cells = np.random.default_rng(0).integers(0, 3, (7, 5))
     grid = OccupancyGrid(cells.astype(np.uint8), resolution, origin, name="office")
     path = tmp_path / "new" / "office.yaml"
@@ -162,7 +160,7 @@ def igibson(folder: Path, name: str = "floor_trav_0.png", size: int = 60) -> Pat
     return folder / name
 
 
-def test_igibson_maps_have_their_own_frame(tmp_path: Path) -> None:
+def test_igibson_maps_have_their_own_frame(tmp_path) -> None:
     path = igibson(tmp_path)
     plain = read_igibson(path, erosion=0)
     expected = np.zeros((6, 6), dtype=int)
@@ -182,7 +180,7 @@ def test_igibson_maps_have_their_own_frame(tmp_path: Path) -> None:
     assert read_plan(path, resolution=0.05).resolution == 0.05
 
 
-def test_igibson_floor_image_forbids_cells(tmp_path: Path) -> None:
+def test_igibson_floor_image_forbids_cells(tmp_path) -> None:
     path = igibson(tmp_path)
     floor = np.full((60, 60), 255, dtype=np.uint8)
     floor[34, 34] = 0  # bilinear resizing samples the four pixels at a cell's centre
@@ -200,7 +198,7 @@ def test_igibson_floor_image_forbids_cells(tmp_path: Path) -> None:
         read_plan(igibson(tmp_path, size=50))
 
 
-def test_an_image_with_a_resolution(tmp_path: Path) -> None:
+def test_an_image_with_a_resolution(tmp_path) -> None:
     pixels = np.array([[0, 127, 128], [255, 200, 90]], dtype=np.uint8)
     for name in ("plan.png", "plan.pgm"):
         cv2.imwrite(str(tmp_path / name), pixels)
@@ -215,7 +213,7 @@ def test_an_image_with_a_resolution(tmp_path: Path) -> None:
         read_plan(tmp_path / "plan.png", resolution=0)
 
 
-def test_plain_and_binary_pgm_and_yaw(tmp_path: Path) -> None:
+def test_plain_and_binary_pgm_and_yaw(tmp_path) -> None:
     keys = "resolution: 0.5\norigin: [1, 2, 0.3]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
     (tmp_path / "m.yaml").write_text("image: m.pgm\n" + keys)
     for content in (
@@ -228,7 +226,7 @@ def test_plain_and_binary_pgm_and_yaw(tmp_path: Path) -> None:
         assert grid.origin == (1.0, 2.0, 0.3)
 
 
-def test_files_of_no_known_kind(tmp_path: Path) -> None:
+def test_files_of_no_known_kind(tmp_path) -> None:
     for name, message in {
         "plan.png": "an image needs a resolution: write a ROS map yaml",
         "plan.dxf": "expected a ROS map yaml or an image",
@@ -241,7 +239,7 @@ def test_files_of_no_known_kind(tmp_path: Path) -> None:
         read_plan(tmp_path / "plan.yaml", resolution=0.1)
 
 
-def test_the_image_of_a_ros_map_names_its_yaml(tmp_path: Path) -> None:
+def test_the_image_of_a_ros_map_names_its_yaml(tmp_path) -> None:
     write_ros(flat(), tmp_path / "lab.yaml")
     image = next(file for file in tmp_path.iterdir() if file.suffix != ".yaml")
     with pytest.raises(UserError, match=r"an image has no metres: give '.*lab\.yaml', which does"):

@@ -48,7 +48,7 @@ def ask(bank: MapBank, grid: OccupancyGrid | None, *points: tuple[float, float])
 
 
 @pytest.mark.parametrize("image", ["m.png", "m.pgm", "below/m.png"])
-def test_ros_yaml_is_read_with_the_smallest_y_first(tmp_path: Path, image: str) -> None:
+def test_ros_yaml_is_read_with_the_smallest_y_first(tmp_path, image: str) -> None:
     grid = read_ros(write(tmp_path, image))
     assert grid.cells.tolist() == [[FREE, FREE, FREE], [OCCUPIED, UNKNOWN, FREE]]
     assert (grid.resolution, grid.origin, grid.name) == (0.5, (1.0, 2.0, 0.0), "m")
@@ -71,7 +71,7 @@ def test_ros_yaml_is_read_with_the_smallest_y_first(tmp_path: Path, image: str) 
         ({"mode": "[unclosed"}, "not a ROS map yaml"),
     ],
 )
-def test_bad_values_are_named(tmp_path: Path, keys: dict[str, object], message: str) -> None:
+def test_bad_values_are_named(tmp_path, keys: dict[str, object], message: str) -> None:
     with pytest.raises(UserError, match=message):
         read_ros(write(tmp_path, **keys))  # type: ignore[arg-type]
 
@@ -80,14 +80,14 @@ OUTSIDE = "/etc/n.png ../m.png a/../../m.png C:\\n.png ..\\m.png /../m.png /etc/
 
 
 @pytest.mark.parametrize("image", [*OUTSIDE.split(), "\\\\host\\share\\m.png", "/", "C:\\"])
-def test_an_image_outside_the_folder_is_refused(tmp_path: Path, image: str) -> None:
+def test_an_image_outside_the_folder_is_refused(tmp_path, image: str) -> None:
     path = write(tmp_path)
     path.write_text(path.read_text().replace("m.png", image))
     with pytest.raises(UserError, match="must lie in the yaml's folder"):
         read_ros(path)
 
 
-def test_absolute_paths_lead_to_the_image_or_one_beside(tmp_path: Path) -> None:
+def test_absolute_paths_lead_to_the_image_or_one_beside(tmp_path) -> None:
     path = write(tmp_path)
     text = path.read_text()
     for image in (str(tmp_path / "m.png"), "/home/robot/maps/m.png", "C:\\maps\\m.png"):
@@ -115,7 +115,7 @@ def nav2(pixel: np.ndarray, mode: str, negate: bool, free: float, occupied: floa
 
 @pytest.mark.parametrize("mode", ["trinary", "scale", "raw", "Scale"])
 @pytest.mark.parametrize("channels", [1, 3, 4])
-def test_modes_are_those_of_nav2(tmp_path: Path, mode: str, channels: int) -> None:
+def test_modes_are_those_of_nav2(tmp_path, mode: str, channels: int) -> None:
     rng = np.random.default_rng(channels)
     for negate, free, occupied in ((0, 0.2, 0.65), (1, 0.25, 0.7), (0, 0.1, 0.9)):
         pixels = rng.integers(0, 256, (24, 24, channels), dtype=np.uint8)
@@ -133,7 +133,7 @@ def test_modes_are_those_of_nav2(tmp_path: Path, mode: str, channels: int) -> No
 @pytest.mark.parametrize(
     "kind", ["grey", "16 bits", "palette", "colour", "transparent", "pgm", "jpg", "jpg in colour"]
 )
-def test_grey_levels_are_those_of_opencv(tmp_path: Path, kind: str) -> None:
+def test_grey_levels_are_those_of_opencv(tmp_path, kind: str) -> None:
     """Of colours to one level: roundings differ."""
     rng = np.random.default_rng(2)
     grey = np.kron(rng.integers(0, 256, (3, 5)), np.ones((8, 8))).astype(np.uint8)
@@ -155,7 +155,7 @@ def test_grey_levels_are_those_of_opencv(tmp_path: Path, kind: str) -> None:
     assert np.abs(read_pixels(file).astype(int) - known).max() <= most
 
 
-def test_missing_and_broken_files_are_named(tmp_path: Path) -> None:
+def test_missing_and_broken_files_are_named(tmp_path) -> None:
     with pytest.raises(UserError, match="no map file"):
         read_ros(tmp_path / "none.yaml")
     path = write(tmp_path)

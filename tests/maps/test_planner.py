@@ -278,7 +278,7 @@ def test_the_carrot_by_hand() -> None:
 
 
 @pytest.mark.parametrize("compiled", [True, False])
-def test_the_carrot_is_seen_and_as_far_as_the_way(compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_carrot_is_seen_and_as_far_as_the_way(compiled: bool, monkeypatch) -> None:
     bank, planner = flat()
     monkeypatch.setattr(planner, "compiled", compiled)
     graph, rooms = planner.graph(0), rooms_of(planner)
@@ -424,7 +424,7 @@ def test_bad_goals_are_moved_a_little_or_refused() -> None:
         Planner(bank, clearance=-1)
 
 
-def test_lines_of_sight_are_kept_on_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lines_of_sight_are_kept_on_disk(tmp_path, monkeypatch) -> None:
     monkeypatch.setenv("PEDZOO_HOME", str(tmp_path))
     monkeypatch.setattr(graph, "_KEPT", 0)
     grid = random_plan(3)

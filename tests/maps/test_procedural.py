@@ -5,7 +5,6 @@ import os
 import subprocess
 import sys
 from functools import cache
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -204,7 +203,7 @@ def test_bad_settings_are_named(kind: str, options: dict, message: str) -> None:
         generate(kind, **{"seed": 0, **options})
 
 
-def test_plans_by_name_and_file(tmp_path: Path) -> None:
+def test_plans_by_name_and_file(tmp_path) -> None:
     assert load_plan("flat").digest == flat().digest
     assert load_plan("apartment.5").digest == plans("apartment")[5].grid.digest
     bare = load_plan("office.2.bare")
@@ -234,7 +233,7 @@ def test_unknown_names_are_helped(name: str, message: str) -> None:
         load_plan(name)
 
 
-def test_a_controller_and_a_datamodule_take_a_name(tmp_path: Path) -> None:
+def test_a_controller_and_a_datamodule_take_a_name(tmp_path) -> None:
     graph = OpenGraph(plans("apartment")[3].grid, "wall", 0.25)
     start, goal = graph.xy[0], graph.xy[-1]
     controller = pedzoo.controller("constant_velocity", "apartment.3")
@@ -261,7 +260,7 @@ def test_people_find_their_ways(scenario: str, scenes: int) -> None:
     assert row("go_to_goal", result)["metrics"]["success"] > 0.95
 
 
-def test_the_command_writes_what_it_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_what_it_says(tmp_path, capsys) -> None:
     out, table, picture = tmp_path / "maps", tmp_path / "plans.json", tmp_path / "sheet.png"
     words = ["plans", "apartment", "office", "--count", "2", "--seed", "4", "--out", str(out)]
     assert main([*words, "--json", str(table), "--sheet", str(picture)]) == 0
@@ -302,13 +301,7 @@ def test_the_command_writes_what_it_says(tmp_path: Path, capsys: pytest.CaptureF
         (["office", "--size", "3,4"], "expected width and height from 12 to 60 m"),
     ],
 )
-def test_the_command_refuses(
-    words: list[str],
-    message: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_the_command_refuses(words: list[str], message: str, tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["plans", *words]) == 2
     assert message in capsys.readouterr().err

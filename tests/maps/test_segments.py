@@ -79,7 +79,7 @@ def test_thin_walls_keep_their_area() -> None:
 
 
 @pytest.fixture
-def exact(monkeypatch: pytest.MonkeyPatch) -> None:
+def exact(monkeypatch) -> None:
     """Outlines run along the cells' edges."""
     monkeypatch.setattr(stored_walls, "outlines", lambda cells: outlines(cells, 0.0))
 

@@ -48,9 +48,7 @@ def test_a_touch_that_lasts_is_one_event() -> None:
 
 
 @pytest.mark.parametrize("at_once", [1, 100, 10**9])
-def test_nearest_is_the_least_distance_to_present_others(
-    at_once: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nearest_is_the_least_distance_to_present_others(at_once: int, monkeypatch) -> None:
     monkeypatch.setattr(contacts, "_AT_ONCE", at_once)
     generator = torch.Generator().manual_seed(0)
     trace = 5 * torch.rand(3, 4, 50, 2, generator=generator)
@@ -108,7 +106,7 @@ def test_time_to_collision_of_simple_encounters(
 
 
 @pytest.mark.parametrize("at_once", [1, 10**9])
-def test_time_to_collision_is_when_discs_first_touch(at_once: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_time_to_collision_is_when_discs_first_touch(at_once: int, monkeypatch) -> None:
     monkeypatch.setattr(contacts, "_AT_ONCE", at_once)
     generator = torch.Generator().manual_seed(0)
     position = 3 * torch.randn(2, 5, 20, 2, generator=generator)

@@ -48,12 +48,12 @@ METRICS = '''
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path) -> Path:
     (tmp_path / "metrics.py").write_text(dedent(METRICS))
     return tmp_path
 
 
-def test_a_metric_on_rollout(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_metric_on_rollout(folder: Path, capsys) -> None:
     """The mean over people of the time that they are there, with an interval, in the table and in JSON."""
     words = ["rollout", "go_to_goal", "--physics", "compiled", "--episodes", "5"]
     metrics, report = f"{folder / 'metrics.py'}:seconds_there", folder / "out.json"
@@ -71,7 +71,7 @@ def test_a_metric_on_rollout(folder: Path, capsys: pytest.CaptureFixture[str]) -
     assert "seconds" in both and "success" in both and "spl" not in both
 
 
-def test_a_metric_that_fails_does_not_lose_the_walk(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_metric_that_fails_does_not_lose_the_walk(folder: Path, capsys) -> None:
     """Table, report, plot and page have all others; the error names the metric, its line and the cause."""
     words = ["rollout", "go_to_goal", "--scenario", "circle:people=2", "--physics", "compiled"]
     file, report = folder / "metrics.py", folder / "out.json"
@@ -90,7 +90,7 @@ def test_a_metric_that_fails_does_not_lose_the_walk(folder: Path, capsys: pytest
     assert isinstance(caught.value.__cause__, KeyError)
 
 
-def test_metrics_on_evaluate(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_metrics_on_evaluate(folder: Path, monkeypatch) -> None:
     """Of ordinary scenes and of replays, beside the real people, the same with two workers."""
     monkeypatch.setattr("pedzoo.eval.suites.replay.QUICK", 20)
     (folder / "all.py").write_text(

@@ -227,7 +227,7 @@ def test_walks_are_compared_while_both_last() -> None:
     assert error[0] == pytest.approx(2.0) and error[1].isnan()
 
 
-def test_dtw_is_that_of_a_plain_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_dtw_is_that_of_a_plain_loop(monkeypatch) -> None:
     generator = torch.Generator().manual_seed(1)
     points, others = (torch.randint(0, most, (25,), generator=generator) for most in (9, 14))
     points[:2], others[:2] = torch.tensor([5, 0]), torch.tensor([0, 5])

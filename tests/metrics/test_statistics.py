@@ -21,7 +21,7 @@ def test_quantiles_by_hand() -> None:
     assert quantiles(value[:0], group[:0], weights, (0.5,)).isnan().all()
 
 
-def test_quantiles_of_resamples_are_those_of_the_repeated_values(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_quantiles_of_resamples_are_those_of_the_repeated_values(monkeypatch) -> None:
     monkeypatch.setattr("pedzoo.metrics.statistics._AT_ONCE", 700)  # several parts
     generator = torch.Generator().manual_seed(0)
     value = torch.randn(300, generator=generator, dtype=torch.float64)

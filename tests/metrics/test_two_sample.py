@@ -20,7 +20,7 @@ from pedzoo.metrics.realism.two_sample import FOLDS, TREES, Verdict, auc, booste
 
 
 @pytest.fixture(autouse=True)
-def few_trees(monkeypatch: pytest.MonkeyPatch) -> None:
+def few_trees(monkeypatch) -> None:
     monkeypatch.setitem(TREES, "max_iter", 10)
 
 
@@ -151,7 +151,7 @@ def test_trees_are_those_of_the_page() -> None:
     assert (TREES["learning_rate"], TREES["max_bins"], TREES["min_samples_leaf"]) == (0.1, 64, 20)
 
 
-def test_larger_crowds_are_thinned_evenly(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_larger_crowds_are_thinned_evenly(monkeypatch) -> None:
     monkeypatch.setattr("pedzoo.metrics.realism.two_sample.MOST", 100)
     real, other = crowd_of(0.05, 40, 0), crowd_of(0.05, 40, 1)
     verdict = two_sample(real, other, PARTS, PARTS)

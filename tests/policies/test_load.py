@@ -1,7 +1,6 @@
 """Loading of models and policies by one function, and what policies may return."""
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, ClassVar
 
 import pytest
@@ -127,7 +126,7 @@ def test_environments_are_short_and_plots_are_one_call(tmp_path):
         ("Timeless", r"has no decision_dt: call super\(\).__init__\(dt\)"),
     ],
 )
-def test_classes_that_are_no_whole_policy_are_refused(name: str, message: str, tmp_path: Path) -> None:
+def test_classes_that_are_no_whole_policy_are_refused(name: str, message: str, tmp_path) -> None:
     file = tmp_path / "half.py"
     file.write_text(
         "from pedzoo.policies.policy import Policy\n\n\nclass Other:\n    pass\n\n\n"

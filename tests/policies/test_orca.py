@@ -325,7 +325,7 @@ WAYS = pytest.mark.parametrize("all_pairs", [10_000, 0], ids=["all pairs", "tree
 
 
 @pytest.fixture(autouse=True)
-def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+def way(request, monkeypatch) -> None:
     """Search in the way of the parameter."""
     if "all_pairs" in request.fixturenames:
         monkeypatch.setattr(neighbours, "ALL_PAIRS", request.getfixturevalue("all_pairs"))

@@ -214,9 +214,7 @@ def test_no_queue_locks(scenario: str, decisions: int) -> None:
 
 
 @pytest.mark.parametrize("people", ["people=4", "people=4,from_right=1", "people=6,from_right=0"])
-def test_no_social_walker_is_held_up_at_a_door_but_by_halts(
-    people: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_social_walker_is_held_up_at_a_door_but_by_halts(people: str, monkeypatch) -> None:
     """Those who stand for 5 s do so by themselves: with halts some do, without them none."""
     scenario = f"door:{people},width=[0.7,0.8,0.9,1.0,1.1,1.2],offset=[-0.4,0,0.3,0.6]"
     monkeypatch.setattr(social_walker, "RARE_HALT", 50.0)

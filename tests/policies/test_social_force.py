@@ -271,7 +271,7 @@ def plain(distance: float) -> float:
     return NEAREST * math.exp(-distance / 0.2)
 
 
-def test_a_straight_wall_by_hand_in_however_many_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_straight_wall_by_hand_in_however_many_pieces(monkeypatch) -> None:
     at = torch.tensor([[5.0, 1.3], [5.03, 1.3], [4.987, 1.05], [5.0, 1.0005]])
     expected = torch.tensor([[0.0, 0.223130], [0, 0.223130], [0, 0.778801], [0, 0.997503]]) * 50
 
@@ -323,7 +323,7 @@ def test_corners_and_opposite_walls_count_once() -> None:
         torch.testing.assert_close(result, torch.tensor(expected), atol=1e-3, rtol=0)
 
 
-def test_at_a_bend_the_force_neither_doubles_nor_jumps(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_at_a_bend_the_force_neither_doubles_nor_jumps(monkeypatch) -> None:
     bent = np.array([[0.0, 0.0], [200, 0], [200, 60], [100, 40], [0, 60]])  # 11 degrees to either side
     monkeypatch.setattr(stored_walls, "outlines", lambda occupied: [bent])
     walls = block((EVERY, EVERY), shape=(2, 2))

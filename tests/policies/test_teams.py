@@ -115,9 +115,7 @@ def test_a_plus_joins_policies_outside_paths_and_numbers(text: str, result: list
     assert is_crowd(text) == (len(result) > 1 or "share" in text)
 
 
-def test_a_plus_in_the_name_of_an_existing_file_is_part_of_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_plus_in_the_name_of_an_existing_file_is_part_of_it(tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     for name in ("a+orca", "deep"):
         (tmp_path / name).mkdir()
@@ -391,7 +389,7 @@ def test_recorded_people_stay_with_their_team() -> None:
     assert {team for teams in results.values() for team in teams} == {True, False}
 
 
-def test_rollout_of_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rollout_of_the_command_line(tmp_path, capsys) -> None:
     crowd, report = "orca:share=0.5+approach_net_goal_map.indoor", tmp_path / "report.json"
     command = ["rollout", crowd, "--scenario", "door", "--physics", "compiled", "--episodes", "3"]
     assert main([*command, "--json", str(report)]) == 0
@@ -409,7 +407,7 @@ def test_weights_of_a_mixed_crowd_have_not_seen_the_fold() -> None:
     assert not has_seen(crowd, "zara1") and not has_seen("orca+go_to_goal", "eth")
 
 
-def test_a_unit_of_a_mixed_crowd_knows_its_weights(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_unit_of_a_mixed_crowd_knows_its_weights(monkeypatch) -> None:
     case = EvaluationCase("door", "door", "door", "compiled", 1, {})
     units = [
         WorkUnit(crowd, crowd, case, (0,), False)

@@ -305,7 +305,7 @@ QUICK = settings(
 
 @pytest.mark.parametrize("kind", ["mistakes", "any bytes"])
 @pytest.mark.parametrize("name", READERS)
-def test_contents_are_read_or_refused_in_words(name: str, kind: str, tmp_path: Path) -> None:
+def test_contents_are_read_or_refused_in_words(name: str, kind: str, tmp_path) -> None:
     reader = READERS[name]
     warm(reader, tmp_path)
     contents = st.one_of(st.binary(max_size=300), st.text(max_size=100).map(str.encode), st.sampled_from(ODD))
@@ -322,7 +322,7 @@ def test_contents_are_read_or_refused_in_words(name: str, kind: str, tmp_path: P
 
 
 @pytest.mark.parametrize("file", sorted(CORPUS.glob("*-*")), ids=lambda file: file.name)
-def test_what_was_wrong_once_is_right(file: Path, tmp_path: Path) -> None:
+def test_what_was_wrong_once_is_right(file: Path, tmp_path) -> None:
     reader = READERS[file.name.partition("-")[0]]
     warm(reader, tmp_path)
     assert wrong_of(reader, file.read_bytes(), tmp_path) is None
@@ -338,7 +338,7 @@ def test_what_was_wrong_once_is_right(file: Path, tmp_path: Path) -> None:
     ],
 )
 def test_what_a_reader_may_not_do_is_noticed(
-    read: Callable[[Path], object], wrong: str | None, tmp_path: Path
+    read: Callable[[Path], object], wrong: str | None, tmp_path
 ) -> None:
     folder = tmp_path / "folder"
     folder.mkdir()

@@ -66,7 +66,7 @@ def png(width: int, height: int) -> bytes:
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(bytes(10)))
 
 
-def test_yaml_of_a_floor_plan_has_no_references(tmp_path: Path) -> None:
+def test_yaml_of_a_floor_plan_has_no_references(tmp_path) -> None:
     lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
     lines += [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 9)]
     path = tmp_path / "map.yaml"
@@ -79,9 +79,7 @@ def test_yaml_of_a_floor_plan_has_no_references(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("size", [(60_000, 60_000), (2**31 - 1, 2**31 - 1), (8193, 8192)])
 @pytest.mark.parametrize("cut", [None, 72])
-def test_pictures_are_measured_by_their_headers(
-    tmp_path: Path, size: tuple[int, int], cut: int | None
-) -> None:
+def test_pictures_are_measured_by_their_headers(tmp_path, size: tuple[int, int], cut: int | None) -> None:
     path = tmp_path / "plan.png"
     path.write_bytes(png(*size)[:cut])
     with at_most(300), pytest.raises(UserError, match=r"pixels, at most 67,108,864 are read: reduce it"):
@@ -91,7 +89,7 @@ def test_pictures_are_measured_by_their_headers(
         read_ros(tmp_path / "map.yaml")
 
 
-def test_igibson_makes_no_more_cells_than_are_read(tmp_path: Path) -> None:
+def test_igibson_makes_no_more_cells_than_are_read(tmp_path) -> None:
     cv2.imwrite(str(tmp_path / "floor_trav_0.png"), np.full((100, 100), 255, np.uint8))
     with at_most(300), pytest.raises(UserError, match="cells, at most 67,108,864 are read: give a larger"):
         read_igibson(tmp_path / "floor_trav_0.png", resolution=1e-5)
@@ -107,7 +105,7 @@ def test_igibson_makes_no_more_cells_than_are_read(tmp_path: Path) -> None:
         ("".join(f"{400_000_000 * k} 1 0 0\n" for k in range(9)), 0.04, "seconds between consecutive frame"),
     ],
 )
-def test_frame_numbers_far_apart(tmp_path: Path, text: str, dt: float, message: str) -> None:
+def test_frame_numbers_far_apart(tmp_path, text: str, dt: float, message: str) -> None:
     path = tmp_path / "people.csv"
     path.write_text(text)
     with at_most(300), pytest.raises(UserError, match=message):
@@ -116,7 +114,7 @@ def test_frame_numbers_far_apart(tmp_path: Path, text: str, dt: float, message: 
     assert len(OwnFiles([str(path)], 1e-9, "1,0,0").recordings("train")[0].tracks) == 9
 
 
-def test_homographies_are_small_and_archives_not_unpacked(tmp_path: Path) -> None:
+def test_homographies_are_small_and_archives_not_unpacked(tmp_path) -> None:
     path = tmp_path / "H.txt"
     path.write_text("1 2 3\n" * 1_000_000)
     with at_most(300), pytest.raises(UserError, match="at most 2,000,000 are read: is it the right file"):
@@ -141,7 +139,7 @@ def weights(path: Path, empty: bool = False, **init: Any) -> str:
 
 @pytest.mark.parametrize("size", [20_000, 10**7, 10**15, 10**30])
 @pytest.mark.parametrize("empty", [False, True])
-def test_config_of_weights_asks_for_more_than_they_have(tmp_path: Path, size: int, empty: bool) -> None:
+def test_config_of_weights_asks_for_more_than_they_have(tmp_path, size: int, empty: bool) -> None:
     name = weights(tmp_path / "sgan.safetensors", empty, encoder_dim=size)
     load("constant_velocity")
     with at_most(300), pytest.raises(UserError, match=r"another architecture|cannot be built|plain values"):
@@ -156,7 +154,7 @@ def saved(path: Path, change: Callable[[dict[str, Any]], Any], model: Any = None
     return str(path)
 
 
-def test_checkpoints_are_not_unpacked(tmp_path: Path) -> None:
+def test_checkpoints_are_not_unpacked(tmp_path) -> None:
     plain = saved(tmp_path / "plain.ckpt", lambda content: None)
     assert load(plain)
     packed = tmp_path / "packed.ckpt"
@@ -172,9 +170,7 @@ def test_checkpoints_are_not_unpacked(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("says_length", [True, False])
-def test_cards_from_servers_have_a_largest_size(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, says_length: bool
-) -> None:
+def test_cards_from_servers_have_a_largest_size(tmp_path, monkeypatch, says_length: bool) -> None:
     monkeypatch.setenv("PEDZOO_HOME", str(tmp_path))
     with serving() as site:
         page = Page(bytes(30_000_000), says_length=says_length)
@@ -183,7 +179,7 @@ def test_cards_from_servers_have_a_largest_size(
     assert sum(file.stat().st_size for file in tmp_path.rglob("*") if file.is_file()) < 3_000_000
 
 
-def test_servers_have_an_end_to_their_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_servers_have_an_end_to_their_time(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(fetching, "PATIENCE", 0.5)
     without_patience(monkeypatch)
     with serving() as site:
@@ -219,7 +215,7 @@ def test_cards_name_no_endless_weights() -> None:
         (torch.cat((torch.zeros(127), torch.tensor([-2e6]))).view(64, 2), r"has a weight of 2e\+06, at most"),
     ],
 )
-def test_weights_are_finite_real_numbers(tmp_path: Path, kind: str, value: Any, message: str) -> None:
+def test_weights_are_finite_real_numbers(tmp_path, kind: str, value: Any, message: str) -> None:
     key = "encoder.embedding.weight"
     model = SGAN.of(embedding_dim=64)
     path = tmp_path / f"sgan.{kind}"
@@ -231,7 +227,7 @@ def test_weights_are_finite_real_numbers(tmp_path: Path, kind: str, value: Any, 
         load(str(path))
 
 
-def test_the_largest_weights_that_are_read_give_finite_steps(tmp_path: Path) -> None:
+def test_the_largest_weights_that_are_read_give_finite_steps(tmp_path) -> None:
     # a social walker sees its own steps again: those that follow one of 1e17 m are no numbers
     steps = {SGAN: 8, MODELS.get("anchor_net"): 8, MODELS.get("social_walker"): 1}
     for number, cls in enumerate(steps):
@@ -257,7 +253,7 @@ def test_the_largest_weights_that_are_read_give_finite_steps(tmp_path: Path) -> 
         ({"goal_protocol": None}, "goal_protocol is None, expected 'none' or"),
     ],
 )
-def test_settings_of_weights_are_of_their_kinds(tmp_path: Path, init: dict[str, Any], message: str) -> None:
+def test_settings_of_weights_are_of_their_kinds(tmp_path, init: dict[str, Any], message: str) -> None:
     with pytest.raises(UserError, match=message):
         load(weights(tmp_path / "sgan.safetensors", **init))
     checkpoint = saved(tmp_path / "sgan.ckpt", lambda content: content["pedzoo"]["init"].update(init))
@@ -279,6 +275,6 @@ def test_settings_of_weights_are_of_their_kinds(tmp_path: Path, init: dict[str, 
         lambda content: content["state_dict"].update({7: torch.ones(2)}),
     ],
 )
-def test_malformed_checkpoints(tmp_path: Path, change: Callable[[dict[str, Any]], Any]) -> None:
+def test_malformed_checkpoints(tmp_path, change: Callable[[dict[str, Any]], Any]) -> None:
     with pytest.raises(UserError):
         load(saved(tmp_path / "sgan.ckpt", change))

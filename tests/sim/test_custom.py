@@ -32,7 +32,7 @@ def write(path: Path, **keys: Any) -> str:
 
 
 @pytest.fixture
-def rooms(tmp_path: Path) -> str:
+def rooms(tmp_path) -> str:
     """Two rooms of 4 x 4 m with a door between them, and a third one without a door."""
     walls = (
         room((0, 0), (12, 4), 0.2) + wall((4, 0), (4, 4), 0.2, doors=[(2, 0.9)]) + wall((8, 0), (8, 4), 0.2)
@@ -41,7 +41,7 @@ def rooms(tmp_path: Path) -> str:
     return "rooms.yaml"
 
 
-def test_people_begin_where_the_file_says_on_their_way(tmp_path: Path) -> None:
+def test_people_begin_where_the_file_says_on_their_way(tmp_path) -> None:
     file = write(tmp_path / "mine.yaml", people=[ANNA, BEN], speed=1.2, speed_std=0.0)
     env = make_env(file, 2)
     history = env.reset()["agents", "history"]
@@ -55,7 +55,7 @@ def test_people_begin_where_the_file_says_on_their_way(tmp_path: Path) -> None:
     assert slower.reset()["agents", "pref_speed"].flatten().tolist() == pytest.approx([1.0, 0.8])
 
 
-def test_people_pass_the_door_of_a_map_beside_the_file(tmp_path: Path, rooms: str) -> None:
+def test_people_pass_the_door_of_a_map_beside_the_file(tmp_path, rooms: str) -> None:
     """Nobody has come through a wall: who has no free floor behind them stands at first."""
     file = write(tmp_path / "mine.yaml", people=[ANNA, BEN], map=rooms)
     assert bool((make_env(file).reset()["agents", "velocity"] == 0).all())
@@ -63,7 +63,7 @@ def test_people_pass_the_door_of_a_map_beside_the_file(tmp_path: Path, rooms: st
     assert bool((walked.reached[:, :, -1] == 1).all())
 
 
-def test_a_place_at_a_wall_is_moved_with_a_warning(tmp_path: Path, rooms: str) -> None:
+def test_a_place_at_a_wall_is_moved_with_a_warning(tmp_path, rooms: str) -> None:
     for end in ("from", "to"):
         file = write(tmp_path / "mine.yaml", **in_rooms(ANNA, end, 3.0, 3.8))
         with pytest.warns(UserWarning, match=rf"person 1: {end}: \(3.00, 3.80\) is less than 0.25 m") as said:
@@ -76,7 +76,7 @@ def test_a_table_says_that_no_warm_start_moved_people() -> None:
         assert comparison.report()["protocol"]["warm_start"] == "recorded"
 
 
-def test_a_robot_takes_the_place_of_the_last_person(tmp_path: Path) -> None:
+def test_a_robot_takes_the_place_of_the_last_person(tmp_path) -> None:
     file = write(tmp_path / "mine.yaml", people=[ANNA, BEN])
     env = pedzoo.make_robot_env(file, "disc", "orca", 1)
     history = env.reset()["agents", "history"][0]
@@ -105,13 +105,13 @@ def test_a_robot_takes_the_place_of_the_last_person(tmp_path: Path) -> None:
         ({"image": "a.png", "resolution": 0.05, "origin": [0, 0, 0]}, "is a floor plan, .* write goals:map"),
     ],
 )
-def test_mistakes_in_the_file(keys: dict[str, Any], message: str, tmp_path: Path, rooms: str) -> None:
+def test_mistakes_in_the_file(keys: dict[str, Any], message: str, tmp_path, rooms: str) -> None:
     with pytest.raises(UserError, match=message) as error:
         make_env(write(tmp_path / "mine.yaml", **keys))
     assert "\n" not in str(error.value)
 
 
-def test_wrong_scenario_files_are_refused(tmp_path: Path) -> None:
+def test_wrong_scenario_files_are_refused(tmp_path) -> None:
     for text, message in (("people: [", "is no YAML"), ("- 1", r"expected people: \[")):
         (tmp_path / "mine.yaml").write_text(text)
         with pytest.raises(UserError, match=message):
@@ -173,7 +173,7 @@ class Forgetful(NoLayout):
         ("Forgetful", r"Forgetful\.layout returned NoneType: expected a pedzoo\.sim\..*\.Layout"),
     ],
 )
-def test_mistakes_in_a_class(name: str, message: str, tmp_path: Path) -> None:
+def test_mistakes_in_a_class(name: str, message: str, tmp_path) -> None:
     (tmp_path / "half.py").write_text(HALF)
     with pytest.raises(UserError, match=message) as error:
         make_env(f"{tmp_path}/half.py:{name}:people=1").reset()

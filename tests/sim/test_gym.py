@@ -125,7 +125,7 @@ def test_gymnasiums_vector_wrappers_take_it() -> None:
     assert len(episodes) >= 4 and 5 in episodes and max(episodes) == 5
 
 
-def test_an_id_needs_no_import_of_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_id_needs_no_import_of_its_package(monkeypatch) -> None:
     """Gymnasium has read no entry points since 1.0: the id names the module that knows it."""
     monkeypatch.delitem(gymnasium.registry, CROSSING)
     monkeypatch.delitem(sys.modules, "pedzoo.sim.gym")
@@ -225,7 +225,7 @@ def test_settings_make_other_robots_and_spaces() -> None:
     assert env.reset(seed=0)[0] in env.observation_space
 
 
-def test_pictures_show_the_robot_and_a_window_needs_a_display(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pictures_show_the_robot_and_a_window_needs_a_display(monkeypatch) -> None:
     env = made(CROSSING, render_mode="rgb_array", render_size=(320, 240), **QUICK)
     env.reset(seed=0)
     before = env.render().astype(int)
@@ -274,7 +274,7 @@ def test_seeds_masks_and_actions_that_do_not_fit_are_named() -> None:
     env.step(np.zeros((2, 2)))
 
 
-def test_without_gymnasium_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_gymnasium_the_extra_is_named(monkeypatch) -> None:
     monkeypatch.setattr("pedzoo.core.errors.find_spec", lambda name: None)
     with pytest.raises(UserError, match=re.escape(install_command("gym"))):
         importlib.reload(pedzoo.sim.gym)

@@ -32,7 +32,7 @@ class PartByPart(Compiled):
 
 
 @pytest.fixture(params=SCENES)
-def env(request: pytest.FixtureRequest) -> Iterator[PedestrianEnv]:
+def env(request) -> Iterator[PedestrianEnv]:
     yield make_env(request.param, num_envs=3)
 
 
@@ -116,9 +116,7 @@ def values(tensor: Tensor) -> Tensor:
 
 
 @pytest.mark.parametrize(("scenes", "wheels"), [*((name, False) for name in PLACES), ("several maps", True)])
-def test_steps_on_a_device_are_those_on_the_cpu(
-    scenes: str, wheels: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_steps_on_a_device_are_those_on_the_cpu(scenes: str, wheels: bool, monkeypatch) -> None:
     """Four decisions, some of them into walls and others. After the first one nothing is copied there."""
     env = make_env(prepared(PLACES[scenes]), num_envs=3, physics="torch")
     action = 1.2 * env.reset(seed=0)["agents", "desired_velocity"]

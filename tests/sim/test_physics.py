@@ -50,7 +50,7 @@ ANSWERS = pytest.mark.parametrize("kind", [Torch, Compiled])
 
 
 @pytest.fixture(params=[Torch, Bullet])
-def draws(request: pytest.FixtureRequest) -> type[Physics]:
+def draws(request) -> type[Physics]:
     if request.param is Bullet:
         pytest.importorskip("pybullet")
     return request.param
@@ -287,7 +287,7 @@ def test_a_closed_physics_and_a_lost_client_say_what_to_do() -> None:
     assert gone() is None
 
 
-def test_without_pybullet_the_error_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_pybullet_the_error_says_how_to_get_it(monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "pybullet", None)
     with pytest.raises(UserError, match=r"pip install .*\[bullet\]'.*3\.11.*physics='compiled'"):
         Bullet(MapBank())
@@ -328,9 +328,7 @@ def test_people_face_where_they_go_and_keep_it_while_they_stand() -> None:
     assert torch.allclose(heading[1], torch.tensor(0.0))
 
 
-def test_looking_for_a_gpu_runs_no_code_of_the_working_directory(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_looking_for_a_gpu_runs_no_code_of_the_working_directory(tmp_path, monkeypatch) -> None:
     pytest.importorskip("pybullet")
     monkeypatch.chdir(tmp_path)
     Path("pybullet.py").write_text("open('it ran', 'w').close()")
@@ -340,7 +338,7 @@ def test_looking_for_a_gpu_runs_no_code_of_the_working_directory(
     assert os.listdir() == ["pybullet.py"]
 
 
-def test_one_setting_names_the_physics_of_all_environments(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_setting_names_the_physics_of_all_environments(monkeypatch) -> None:
     monkeypatch.delenv("PEDZOO_PHYSICS", raising=False)
     usual = usual_physics()
     assert usual == ("bullet" if importlib.util.find_spec("pybullet") else "compiled")

@@ -77,7 +77,7 @@ STOPS = [
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory) -> Path:
     """Return a folder with a recording, another one and their floor plan."""
     path = tmp_path_factory.mktemp("recordings")
     write_ros(OccupancyGrid(GRID, SIDE, name="rooms"), path / "rooms.yaml")
@@ -612,7 +612,7 @@ def test_ways_on_coarser_cells_lead_to_the_same_goals() -> None:
     assert torch.equal(exact.distance[1::2][:3], rough.distance[1::2][:3])  # in sight: to the goal itself
 
 
-def test_recordings_of_a_fold(shared: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_recordings_of_a_fold(shared: Path, monkeypatch) -> None:
     monkeypatch.setenv("PEDZOO_DATA", str(shared / "data"))
     result, env = rollout("go_to_goal", "replay:fold=zara1,share=0.1", "compiled", 1)
     people: Any = env.prepared.persons  # type: ignore[attr-defined]

@@ -2,7 +2,6 @@
 
 import math
 from functools import lru_cache
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -357,9 +356,7 @@ class Large(Wide):
         ({"reward": "Large"}, "Large: their sum is no finite number"),
     ],
 )
-def test_sensors_and_rewards_of_other_shapes_are_named(
-    settings: dict[str, str], said: str, tmp_path: Path
-) -> None:
+def test_sensors_and_rewards_of_other_shapes_are_named(settings: dict[str, str], said: str, tmp_path) -> None:
     file = tmp_path / "own.py"
     file.write_text(OWN)
     ((kind, name),) = settings.items()

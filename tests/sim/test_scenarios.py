@@ -138,7 +138,7 @@ def test_settings_that_give_no_scene_are_refused(spec: str, message: str) -> Non
         make_scenario(spec)
 
 
-def test_the_scenario_of_contributing_works(tmp_path: Path) -> None:
+def test_the_scenario_of_contributing_works(tmp_path) -> None:
     page = (Path(__file__).parents[2] / "CONTRIBUTING.md").read_text()
     code = page.partition("class `MyScenario(Scenario)`")[2].partition("```python\n")[2].partition("```")[0]
     (tmp_path / "my_scenario.py").write_text(code)
@@ -146,7 +146,7 @@ def test_the_scenario_of_contributing_works(tmp_path: Path) -> None:
     assert (walked.reached[:, :, -1] == 1).all() and walked.reached.shape[:2] == (3, 2)
 
 
-def test_a_scenario_that_returns_nothing_prepared(tmp_path: Path) -> None:
+def test_a_scenario_that_returns_nothing_prepared(tmp_path) -> None:
     code = """
         from pedzoo.sim.scenarios.door import Door
 
@@ -186,7 +186,7 @@ def test_goals_at_the_start_make_way_for_others(scenario: str, warm_start: Liter
             assert torch.equal(getattr(alone.state, key)[0], getattr(state, key)[episode])
 
 
-def test_a_scenario_without_other_goals_keeps_its_first_ones(tmp_path: Path) -> None:
+def test_a_scenario_without_other_goals_keeps_its_first_ones(tmp_path) -> None:
     """A person who starts on the only goal there is arrives at once, and the episode begins all the same."""
     (tmp_path / "mine.py").write_text(
         "import torch\nfrom pedzoo.sim.scenarios.goals import Goals\n\n\nclass One(Goals):\n"
@@ -209,7 +209,7 @@ def test_goals_can_be_reached_in_time(name: str) -> None:
 
 
 @EVERY_POLICY
-def test_policies_walk(name: str, request: pytest.FixtureRequest) -> None:
+def test_policies_walk(name: str, request) -> None:
     if "alexnet" in name:
         request.getfixturevalue("alexnet")
     policy = load_policy(name)
@@ -229,7 +229,7 @@ def test_policies_walk(name: str, request: pytest.FixtureRequest) -> None:
     assert torch.allclose(again[~absent], action[~absent], atol=1e-5)
 
 
-def test_policies_of_ones_own(tmp_path: Path) -> None:
+def test_policies_of_ones_own(tmp_path) -> None:
     (tmp_path / "mine.py").write_text(
         "from pedzoo.models.architectures.constant_velocity import ConstantVelocity\n"
         "from pedzoo.policies.rule_based.go_to_goal import GoToGoal\n\n\n"
@@ -270,7 +270,7 @@ def test_goals_are_new_ones_some_way_off() -> None:
     assert int((result.reached.diff(dim=2) > 1).sum()) == 0  # reached one after the other
 
 
-def test_a_scenario_on_several_floor_plans(tmp_path: Any) -> None:
+def test_a_scenario_on_several_floor_plans(tmp_path) -> None:
     for name in ("a", "b"):
         write_ros(flat(), tmp_path / f"{name}.yaml")
     grid = flat()
@@ -281,7 +281,7 @@ def test_a_scenario_on_several_floor_plans(tmp_path: Any) -> None:
     assert env.reset()["map_id"].unique().tolist() == [grid.map_id]  # the same content is the same map
 
 
-def test_processes_of_a_collector_walk_other_scenes_unless_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_processes_of_a_collector_walk_other_scenes_unless_told(monkeypatch) -> None:
     prepared = make_scenario("door:people=2").prepare(0.25)
 
     def starts(number: tuple[int, ...], **settings: Any) -> list[float]:

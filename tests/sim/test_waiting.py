@@ -254,7 +254,7 @@ def pairs_seen(folder: Path, decisions: int, *people: tuple[int, float, float, f
     return result
 
 
-def test_policies_see_companies_as_soon_as_these_show(tmp_path: Path) -> None:
+def test_policies_see_companies_as_soon_as_these_show(tmp_path) -> None:
     """The clock begins in frame 7, in which who comes in frame 0 has been seen eight times."""
     alone = (0, 5.0, 12.0, -0.4)
     both = [[0, 1], [1, 0]]

@@ -128,7 +128,7 @@ def test_robots_stand_and_face_as_told_in_the_warm_start(physics: str) -> None:
     ],
 )
 def test_bodies_that_a_scenario_does_not_announce_are_refused(
-    physics: str, bodies: dict[str, Any], message: str, monkeypatch: pytest.MonkeyPatch
+    physics: str, bodies: dict[str, Any], message: str, monkeypatch
 ) -> None:
     monkeypatch.setattr(Yard, "wheels", "drive" not in bodies)
     with pytest.raises(UserError, match=message):

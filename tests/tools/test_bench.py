@@ -53,7 +53,7 @@ def test_programs_take_turns_and_ratios_are_of_a_turn() -> None:
     assert theirs["metrics"]["times_as_fast"] == pytest.approx(2) and theirs["beside"] == "walk"
 
 
-def test_a_program_answers_and_its_errors_are_told(tmp_path: Path) -> None:
+def test_a_program_answers_and_its_errors_are_told(tmp_path) -> None:
     other = program(tmp_path, '{"seconds": 0.5}')
     (one,) = other.cases({"environment": [(2, 3)]})
     assert one.seconds(0.0) == 0.5 and other.versions == {"other": "1"}
@@ -96,7 +96,7 @@ def test_a_commit_is_checked_out_and_removed() -> None:
         pass
 
 
-def test_a_run_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_from_the_command_line(tmp_path, capsys) -> None:
     file = tmp_path / "speed.json"
     words = ["bench", "forecast", "--size", "1x10", "--turns", "1", "--seconds", "0", "--json", str(file)]
     assert main(words) == 0
@@ -106,7 +106,7 @@ def test_a_run_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "agent-steps/s" in capsys.readouterr().out
 
 
-def test_mistakes_and_help(capsys: pytest.CaptureFixture[str]) -> None:
+def test_mistakes_and_help(capsys) -> None:
     for words, said in (
         (["forecst"], "did you mean 'forecast'"),
         (["robots", "--turns", "0"], "expected 1 or more"),

@@ -2,7 +2,6 @@
 
 import re
 import tomllib
-from pathlib import Path
 
 import pytest
 import torch
@@ -22,9 +21,7 @@ from tools.walks import plan_to_input, track_to_loss
 
 
 @pytest.mark.parametrize("words", [["bench", "loop"], ["bench", "--help"], ["reproduce", "table1"]])
-def test_a_wheel_says_how_to_get_a_checkout(
-    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_wheel_says_how_to_get_a_checkout(words: list[str], tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.setattr(delegated, "folder_of", lambda name: tmp_path / "tools")
     assert main(words) == 2
     (line,) = capsys.readouterr().err.splitlines()
@@ -60,7 +57,7 @@ def test_every_trainer_is_killed() -> None:
     assert {*map(trainer, killed)} == {*map(trainer, config_names())}
 
 
-def test_what_a_kill_has_changed_is_told(tmp_path: Path) -> None:
+def test_what_a_kill_has_changed_is_told(tmp_path) -> None:
     runs = tmp_path / "one", tmp_path / "two"
     for run in runs:
         (run / "checkpoints").mkdir(parents=True)

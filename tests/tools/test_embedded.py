@@ -14,9 +14,7 @@ FOLDER = Embedded().folder
 PEOPLE: dict[Split, int] = {"train": 360, "val": 80, "test": 80}
 
 
-def test_script_reproduces_the_committed_files_byte_for_byte(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_script_reproduces_the_committed_files_byte_for_byte(tmp_path, monkeypatch) -> None:
     """The shortest recording and the floor plan: the others come from other seeds alone."""
     monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "tools" / "zoo"))
     script = import_module("make_embedded")

@@ -120,7 +120,7 @@ def test_training_sees_none_of_the_floor_plans_of_the_tests() -> None:
     assert _plans(config) == ["one.1", "two.yaml", "three"]
 
 
-def test_noise_changes_what_draws_do_in_the_same_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_noise_changes_what_draws_do_in_the_same_scenes(monkeypatch) -> None:
     monkeypatch.setattr("tools.paper.suites.DRAWS", 3)
     suite = LoopNoise("loop_noise")
     case = suite.cases(EvaluationOptions(episodes=4))[1]
@@ -138,7 +138,7 @@ def test_noise_changes_what_draws_do_in_the_same_scenes(monkeypatch: pytest.Monk
     json.dumps(row, allow_nan=False)
 
 
-def test_page_says_what_is_met_and_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_page_says_what_is_met_and_what_is_missing(monkeypatch) -> None:
     monkeypatch.setattr(Loop, "baselines", ())
     loop = Loop(models=["go_to_goal"], options=EvaluationOptions(quick=True))
 
@@ -168,9 +168,7 @@ def test_page_says_what_is_met_and_what_is_missing(monkeypatch: pytest.MonkeyPat
     assert "those that were given: flat, office.7" in given.notes()[1]
 
 
-def test_forecasts_stand_beside_those_of_the_weights_before(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_forecasts_stand_beside_those_of_the_weights_before(tmp_path, monkeypatch) -> None:
     cards = [shipped("checkpoints") / f"sgan_goal_map.{tag}" / CARD for tag in ("zara1", "zara2")]
     before, after = map(read_card, cards)
     reports = [one for one in before.evaluations if one["command"] == "forecast"]

@@ -47,7 +47,7 @@ def test_the_zoo_lists_every_model_with_its_held_out_scene() -> None:
     assert "| zara1 | window_end, true |" in row and "| yes |" in row
 
 
-def test_a_page_without_its_markers_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_page_without_its_markers_is_refused(tmp_path, monkeypatch) -> None:
     (tmp_path / "README.md").write_text("nothing")
     monkeypatch.setattr(tables, "ROOT", tmp_path)
     with pytest.raises(SystemExit, match="expected the markers"):
@@ -59,9 +59,7 @@ def test_a_page_without_its_markers_is_refused(tmp_path: Path, monkeypatch: pyte
 REALISM = {"zara1": {"walker.zara1": 0.1, "a/best.ckpt": 0.2}, "eth": {"walker.eth": 0.3, "b/best.ckpt": 0.6}}
 
 
-def test_rows_of_several_seeds_have_a_table_of_their_spread(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rows_of_several_seeds_have_a_table_of_their_spread(tmp_path, monkeypatch) -> None:
     """Of two recordings with a crowd and a checkpoint each; one seed alone has no spread."""
     files = []
     for against, values in REALISM.items():

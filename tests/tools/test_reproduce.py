@@ -40,7 +40,7 @@ pytestmark = pytest.mark.usefixtures("elsewhere")
 
 
 @pytest.fixture
-def recordings(tmp_path: Path) -> str:
+def recordings(tmp_path) -> str:
     """Social GAN's folders, zara1 alone: three people walk straight on at 1.25 m/s for 60 steps."""
     lines = [
         f"{10 * step}\t{person}\t{0.5 * step * (1 - 2 * (person % 2)):.4f}\t{2.0 * person:.4f}"
@@ -128,9 +128,7 @@ def test_ratio_of_means_and_seeds_on_the_pages() -> None:
     assert paper.rows[1][:4] == ["Social-VRNN", "0.41\n0.70", "social_vrnn\ngoal none", "-"]
 
 
-def test_present_models_are_scored_and_missing_ones_named(
-    recordings: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_present_models_are_scored_and_missing_ones_named(recordings: str, tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(module, "find", lambda name: None)
     journal = tmp_path / "journal"
     table = Table1(["zara1"], root=recordings, journal=journal)
@@ -158,9 +156,7 @@ def test_present_models_are_scored_and_missing_ones_named(
     assert (again.others, other.parts[0], other.others) == (0, 0, len(table.jobs))
 
 
-def test_what_cannot_be_loaded_says_why_and_is_tried_again(
-    recordings: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_loaded_says_why_and_is_tried_again(recordings: str, tmp_path, monkeypatch) -> None:
     def broken(name: str, goal: str) -> Any:
         raise UserError(f"{name}: no convolutions")
 
@@ -360,16 +356,14 @@ def test_outcomes_that_are_not_rare_are_told() -> None:
 
 
 @pytest.fixture
-def small(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def small(monkeypatch) -> list[str]:
     """Figure 4 with one baseline and a model that is not there, one episode, without pybullet."""
     monkeypatch.setattr(Figure4, "models", ("sgan.nowhere",))
     monkeypatch.setattr(Figure4, "baselines", ("go_to_goal", NARROW))
     return ["reproduce", "figure4", "--episodes", "1", "--physics", "compiled", "--out", "made"]
 
 
-def test_figure_4_writes_page_report_and_picture(
-    small: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_figure_4_writes_page_report_and_picture(small: list[str], capsys) -> None:
     assert main(small) == 0
     said, folder = capsys.readouterr().out, Path("made")
     assert sorted(path.name for path in folder.iterdir()) == ["FIGURE4.json", "FIGURE4.md", "FIGURE4.png"]
@@ -389,9 +383,7 @@ def test_figure_4_writes_page_report_and_picture(
     assert "* `outcome_circle`: in which both arrive and turn around each other" in page
 
 
-def test_what_was_interrupted_goes_on(
-    small: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_was_interrupted_goes_on(small: list[str], capsys, monkeypatch) -> None:
     whole = Figure4.run
 
     def stop(step: Any) -> None:
@@ -434,9 +426,7 @@ def test_what_was_interrupted_goes_on(
         (["crowdnav", "--physics", "torch"], "no use for it in crowdnav"),
     ],
 )
-def test_mistakes_are_told_before_anything_is_done(
-    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_mistakes_are_told_before_anything_is_done(words: list[str], message: str, capsys) -> None:
     assert main(["reproduce", *words]) == 2
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
@@ -459,7 +449,7 @@ def test_page_has_command_notes_pictures_and_tables() -> None:
 # CrowdNav
 
 
-def test_crowdnav_makes_page_and_report_of_any_robot(tmp_path: Path) -> None:
+def test_crowdnav_makes_page_and_report_of_any_robot(tmp_path) -> None:
     file = tmp_path / "mine.py"
     file.write_text("class Still:\n    def __call__(self, robot, people):\n        return 0 * robot.goal\n")
     argv = ["reproduce", "crowdnav", "--episodes", "3", "--models", f"{file}:Still", "--out", str(tmp_path)]

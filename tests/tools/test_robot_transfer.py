@@ -1,9 +1,6 @@
 """The page of robots trained among some people and tested among others."""
 
-from pathlib import Path
 from typing import Any
-
-import pytest
 
 from pedzoo.cli.main import main
 from tools.paper import suites
@@ -33,7 +30,7 @@ def test_seeds_count_as_one_robot_and_places_weigh_the_same() -> None:
     assert success.rows[0][1] == "0.80 [0.70, 0.90]" and success.rows[0][-1] == "0.30 [0.20, 0.40]"
 
 
-def test_the_command_makes_page_report_and_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_makes_page_report_and_picture(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(suites, "PEOPLE", {"orca": "orca", "sgan": "orca"})
     monkeypatch.setattr("tools.paper.robots.COLUMNS", (("doors", "orca"), ("reacting", "sgan")))
     monkeypatch.setattr("tools.paper.robots.PLACES", {"doors": PLACES["doors"]})

@@ -1,7 +1,7 @@
 """Training on whole recorded crowds: excerpts, walking on, what is compared, and the loss."""
 
 import math
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import pytest
@@ -322,7 +322,7 @@ def test_whole_replays_of_people_who_walk_as_they_did(crowd: RecordedCrowd, whol
     assert other["unlike"] == pytest.approx(other["realism"] + (other["auc"] + other["auc_coarse"]) / 2)
 
 
-def test_training_lowers_the_loss(tmp_path: Any) -> None:
+def test_training_lowers_the_loss(tmp_path) -> None:
     random = torch.Generator().manual_seed(1)
     policy, likeness = walker(), CrowdLikeness(judged=0.0)
     optimizer = torch.optim.Adam(policy.parameters(), 3e-3)

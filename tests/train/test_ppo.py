@@ -373,7 +373,7 @@ FIT = """fit --data.fold embedded --trainer.enable_progress_bar false --data.loa
 CONFIG = str(Path(__file__).parents[2] / "configs" / "ppo" / "sgan_goal.yaml")
 
 
-def test_command_line_fine_tunes_and_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_command_line_fine_tunes_and_resumes(tmp_path, monkeypatch) -> None:
     """A resumed run ends with the very weights of an uninterrupted one; both walk by their name."""
     monkeypatch.chdir(tmp_path)
     start = [*FIT, "--config", CONFIG, "--weights", "sgan_goal.eth_ucy"]

@@ -267,9 +267,7 @@ def fitted(runs: Path, epochs: int, scenario: str = "crowdnav:crowds=16", *optio
 
 
 @pytest.mark.parametrize("scenario", CASES)
-def test_the_command_line_trains_and_what_it_trained_loads(
-    scenario: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_line_trains_and_what_it_trained_loads(scenario: str, tmp_path, capsys) -> None:
     run = fitted(tmp_path, 1, scenario)
     printed, best = capsys.readouterr().out, run / "checkpoints" / "best.ckpt"
     assert re.search(r"\nval/return -?\d+\.\d{3} \(epoch 0\), success \d\.\d\d, \d+ s\nnext: ", printed)
@@ -285,7 +283,7 @@ def test_the_command_line_trains_and_what_it_trained_loads(
 
 
 @pytest.mark.parametrize("scenario", ["crowdnav:crowds=16", "door:people=2"])
-def test_a_resumed_training_ends_as_an_uninterrupted_one(scenario: str, tmp_path: Path) -> None:
+def test_a_resumed_training_ends_as_an_uninterrupted_one(scenario: str, tmp_path) -> None:
     parts, whole = fitted(tmp_path / "parts", 1, scenario), fitted(tmp_path / "whole", 2, scenario)
     assert main(["fit", "--resume", str(parts), "--trainer.max_epochs=2"]) == 0
     assert difference(parts, whole) == ""
@@ -293,7 +291,7 @@ def test_a_resumed_training_ends_as_an_uninterrupted_one(scenario: str, tmp_path
     assert int(state["iteration"]) == 4
 
 
-def test_what_cannot_go_on_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_cannot_go_on_is_refused(tmp_path, capsys) -> None:
     run = fitted(tmp_path, 1)
     capsys.readouterr()
     resume = ["fit", "--resume", str(run)]
@@ -324,13 +322,7 @@ def test_what_cannot_go_on_is_refused(tmp_path: Path, capsys: pytest.CaptureFixt
         ("--model.people=orcaa", "pedzoo: --model.people orcaa: no use"),
     ],
 )
-def test_a_mistake_leaves_no_run(
-    option: str,
-    said: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_mistake_leaves_no_run(option: str, said: str, tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     assert main([*FIT, "--model.scenarios=[crowdnav:crowds=8]", "--trainer.max_epochs=1", option]) == 2
     assert said in capsys.readouterr().err and not list(tmp_path.iterdir())
@@ -356,7 +348,7 @@ def test_what_cannot_be_is_refused(options: dict[str, Any], said: str) -> None:
         RobotPPO(Attention(width=16), **given)
 
 
-def test_shipped_robots_load_by_name_and_are_no_models_of_people(capsys: pytest.CaptureFixture[str]) -> None:
+def test_shipped_robots_load_by_name_and_are_no_models_of_people(capsys) -> None:
     names = robots()
     assert names and set(names) <= set(list_robot_policies()) and not set(names) & set(pedzoo.list_models())
     for name in names:

@@ -44,7 +44,7 @@ def tags_of(text: str) -> list[tuple[str, dict[str, str | None]]]:
     return tags
 
 
-def test_names_from_files_stay_text(tmp_path: Path) -> None:
+def test_names_from_files_stay_text(tmp_path) -> None:
     file = written(tmp_path, [row(NAUGHTY, success=0.5)], protocol={"scenario": NAUGHTY}, notes=[NAUGHTY])
     text = page(content_of([file]), NAUGHTY)
     assert [tag for tag, _ in tags_of(text)].count("script") == 2
@@ -56,7 +56,7 @@ def test_names_from_files_stay_text(tmp_path: Path) -> None:
     assert frame[0] == "iframe" and frame[1]["sandbox"] == "allow-scripts"
 
 
-def test_the_page_needs_nothing_and_runs_its_own_script(tmp_path: Path) -> None:
+def test_the_page_needs_nothing_and_runs_its_own_script(tmp_path) -> None:
     text = page(content_of([written(tmp_path, [row("orca", success=0.5)])]))
     assert not re.search(r"https?:|//[a-z]+\.|@import|url\(", text)
     tags = tags_of(text)
@@ -68,7 +68,7 @@ def test_the_page_needs_nothing_and_runs_its_own_script(tmp_path: Path) -> None:
     assert "unsafe" not in policy and "connect-src" not in policy
 
 
-def test_tables_have_the_mean_and_every_case(tmp_path: Path) -> None:
+def test_tables_have_the_mean_and_every_case(tmp_path) -> None:
     rows = [
         {**row(name, {"suite": "goals", "physics": "torch", "people": people}, success=value), "table": "g"}
         for name, people, value in (("orca", "2", 0.5), ("orca", "3", 0.7), ("real", "2", 1.0))
@@ -93,7 +93,7 @@ def test_which_way_is_better(direction: int, metrics: str) -> None:
     assert {better(metric) for metric in metrics.split()} == {direction}
 
 
-def test_trainings_are_curves(tmp_path: Path) -> None:
+def test_trainings_are_curves(tmp_path) -> None:
     run = tmp_path / "sgan" / "zara1-seed0"
     run.mkdir(parents=True)
     (run / "metrics.csv").write_text("epoch,step,train/loss,val/ade\n0,1,4,\n0,2,2,\n0,2,,0.5\n1,4,1,0.25\n")
@@ -117,7 +117,7 @@ def test_pages_stay_small() -> None:
     ]
 
 
-def test_what_is_no_result_is_refused(tmp_path: Path) -> None:
+def test_what_is_no_result_is_refused(tmp_path) -> None:
     (tmp_path / "text.json").write_text("{")
     (tmp_path / "list.json").write_text("[1]")
     (tmp_path / "empty").mkdir()
@@ -132,7 +132,7 @@ def test_what_is_no_result_is_refused(tmp_path: Path) -> None:
             content_of([tmp_path / name])
 
 
-def test_the_command_and_a_rollout_write_pages(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_and_a_rollout_write_pages(tmp_path, capsys) -> None:
     words = "rollout go_to_goal --physics compiled --episodes 2 --metrics success --keep_episodes 2"
     files = ["--html", str(tmp_path / "a.html"), "--json", str(tmp_path / "a.json")]
     assert main([*words.split(), *files]) == 0
@@ -142,7 +142,7 @@ def test_the_command_and_a_rollout_write_pages(tmp_path: Path, capsys: pytest.Ca
     assert mine["policies"] == other["policies"] and len(mine["policies"][0]["episodes"]) == 2
 
 
-def test_an_episode_shows_itself_in_a_notebook(tmp_path: Path) -> None:
+def test_an_episode_shows_itself_in_a_notebook(tmp_path) -> None:
     shown = pedzoo.rollout("go_to_goal", "door", "compiled", 1, seed=4)
     assert repr(shown) == "ShownRollout('go_to_goal': 1 episodes)"
     page_of_cell = shown._repr_html_()

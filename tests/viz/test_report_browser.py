@@ -45,7 +45,7 @@ def crowd(people: int, seed: int, touch: bool = False) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def file(tmp_path_factory) -> Path:
     cells = np.ones((420, 420), dtype=np.uint8)
     cells[10:-10, 10:-10] = 0
     rows = []
@@ -71,7 +71,7 @@ def browser() -> Iterator[Any]:
 
 
 @pytest.fixture
-def tab(browser: Any, file: Path, request: pytest.FixtureRequest) -> Iterator[Any]:
+def tab(browser: Any, file: Path, request) -> Iterator[Any]:
     given = getattr(request, "param", {})
     context = browser.new_context(**{"viewport": {"width": 1200, "height": 900}, **given})
     tab, said = context.new_page(), []

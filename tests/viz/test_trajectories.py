@@ -1,7 +1,6 @@
 """Pictures of rollouts: the moment they are about, what they show, and where they are written."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import matplotlib.image
 import numpy as np
@@ -123,7 +122,7 @@ def test_touches_are_marked_where_they_begin(walked: PolicyRollout) -> None:
     np.testing.assert_allclose(rings, walked.rollout.trace[0, 1, 7:8])
 
 
-def test_picture_is_written_whole(walked: PolicyRollout, tmp_path: Path) -> None:
+def test_picture_is_written_whole(walked: PolicyRollout, tmp_path) -> None:
     path = tmp_path / "new" / "door.png"
     plot_rollouts([walked, walked._replace(name="again")], path, 1)
     assert list(path.parent.iterdir()) == [path]
@@ -131,7 +130,7 @@ def test_picture_is_written_whole(walked: PolicyRollout, tmp_path: Path) -> None
     assert picture.shape[1] > picture.shape[0] > 300 and picture[..., :3].std() > 0.05
 
 
-def test_mistakes(walked: PolicyRollout, tmp_path: Path) -> None:
+def test_mistakes(walked: PolicyRollout, tmp_path) -> None:
     (tmp_path / "file").write_text("")
     for name, episode, message in (
         ("a.bmp", 0, r"\.png or \.pdf or \.svg"),

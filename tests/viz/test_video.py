@@ -51,7 +51,7 @@ def frames_of(path: Path) -> list[Image]:
 
 
 @pytest.mark.parametrize("suffix", [".mp4", ".WEBM"])
-def test_round_trip(tmp_path: Path, suffix: str, capfd: pytest.CaptureFixture[str]) -> None:
+def test_round_trip(tmp_path, suffix: str, capfd) -> None:
     path = tmp_path / "new" / f"colors{suffix}"
     write_video(path, colors(9), 10)
     assert read_video(path) == (9, SIZE)
@@ -62,7 +62,7 @@ def test_round_trip(tmp_path: Path, suffix: str, capfd: pytest.CaptureFixture[st
     assert capfd.readouterr().err == ""
 
 
-def test_interrupted_or_failed_writing_leaves_the_old_file(tmp_path: Path) -> None:
+def test_interrupted_or_failed_writing_leaves_the_old_file(tmp_path) -> None:
     path = tmp_path / "a.webm"
     write_video(path, colors(3), 10)
     before = path.read_bytes()
@@ -81,7 +81,7 @@ def test_interrupted_or_failed_writing_leaves_the_old_file(tmp_path: Path) -> No
     assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
 
 
-def test_what_cannot_be_written_is_refused(walked: PolicyRollout, tmp_path: Path) -> None:
+def test_what_cannot_be_written_is_refused(walked: PolicyRollout, tmp_path) -> None:
     (tmp_path / "file").write_text("")
     for path, message in (("a.avi", r"\.webm or \.mp4"), ("file/a.webm", "cannot write")):
         with pytest.raises(UserError, match=message):
@@ -90,7 +90,7 @@ def test_what_cannot_be_written_is_refused(walked: PolicyRollout, tmp_path: Path
         film([walked], tmp_path / "a.webm", 2)
 
 
-def test_film_shows_every_tenth_of_a_second_until_the_end(walked: PolicyRollout, tmp_path: Path) -> None:
+def test_film_shows_every_tenth_of_a_second_until_the_end(walked: PolicyRollout, tmp_path) -> None:
     present, seen = walked.rollout.present.clone(), []
     present[:, :, 10:] = False
     shorter = PolicyRollout("half", replace(walked.rollout, present=present), walked.env)
@@ -104,7 +104,7 @@ def test_film_shows_every_tenth_of_a_second_until_the_end(walked: PolicyRollout,
     assert np.abs(left[-1] - left[12]).mean() > 1
 
 
-def test_film_puts_people_where_they_are(walked: PolicyRollout, tmp_path: Path) -> None:
+def test_film_puts_people_where_they_are(walked: PolicyRollout, tmp_path) -> None:
     film([walked], tmp_path / "a.webm", 0, "top", (320, 240), seconds=1.0)
     frames = frames_of(tmp_path / "a.webm")
     assert len(frames) == 11
@@ -113,7 +113,7 @@ def test_film_puts_people_where_they_are(walked: PolicyRollout, tmp_path: Path) 
         assert near.any() and (np.nonzero(near)[1].mean() < 160) == to_the_left
 
 
-def test_command_films_the_bullet_world(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_command_films_the_bullet_world(tmp_path, capfd) -> None:
     pytest.importorskip("pybullet")
     video, plot = tmp_path / "door.mp4", tmp_path / "door.png"
     words = "rollout go_to_goal --scenario door:speed=3,speed_std=0 --episodes 1"
@@ -141,7 +141,7 @@ def test_films_of_robots_last_as_long_and_show_lidars(driven: tuple[RobotRollout
     assert np.any(seen[0] != seen[-1])
 
 
-def test_films_of_robots_are_whole(driven: tuple[RobotRollout, RobotEnv], tmp_path: Path) -> None:
+def test_films_of_robots_are_whole(driven: tuple[RobotRollout, RobotEnv], tmp_path) -> None:
     film_robots(*driven, tmp_path / "a.gif", "straight", size=SIZE, seconds=1.0)
     with Pillow.open(tmp_path / "a.gif") as picture:
         assert (getattr(picture, "n_frames", 1), picture.size) == (11, (SIZE[0], SIZE[1] + HEADER))
@@ -197,9 +197,7 @@ def test_the_page_and_what_happens_are_served() -> None:
     assert host == "127.0.0.1"
 
 
-def test_without_a_display_the_command_says_so(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_display_the_command_says_so(capsys, monkeypatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     given = ["--port", "0", "--episodes", "1", "--speed", "1000"]
     assert main(["view", "door", "go_to_goal", *given]) == 0
