@@ -2,11 +2,13 @@
 
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 import torch
+
+from pedzoo.cli.main import main
 
 torch.set_num_threads(1)
 # the same for processes that tests start: a resumed training is equal to the bit only with one thread
@@ -48,6 +50,20 @@ def alexnet(shared: Path, monkeypatch) -> Path:
     weights = shared / "weights" / "alexnet_imagenet_features_fp16.safetensors"
     monkeypatch.setenv("PEDZOO_ALEXNET", str(weights))
     return weights
+
+
+@pytest.fixture
+def refused(capsys) -> Callable[..., str]:
+    """Give a command line that is a mistake; returns the one line that is said about it."""
+
+    def line_of(*words: str) -> str:
+        capsys.readouterr()
+        assert main(list(words)) == 2
+        said = capsys.readouterr().err
+        assert said.startswith("pedzoo: ") and said.count("\n") == 1, said
+        return said
+
+    return line_of
 
 
 @pytest.fixture

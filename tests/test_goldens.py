@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 import torch
+from helpers.training import SHORT
 
 import pedzoo
 from pedzoo.cli.main import main
@@ -41,9 +42,7 @@ def walked(policy: str, scene: str) -> list[float]:
 def trained(config: str) -> dict[str, float]:
     """Return the training losses that a short training logs."""
     with tempfile.TemporaryDirectory() as runs:
-        words = [f"--runs={runs}", "--trainer.max_epochs=1", "--trainer.enable_progress_bar=false"]
-        words += ["--trainer.limit_train_batches=2", "--trainer.limit_val_batches=1"]
-        words += ["--trainer.check_val_every_n_epoch=1"]
+        words = [f"--runs={runs}", *SHORT]
         if config.startswith("robot/"):
             words += ["--model.envs=4", "--model.episodes=2", "--model.minibatches=2", "--model.steps=4"]
         else:

@@ -49,20 +49,12 @@ def test_the_demo_walks_tunes_and_compares(tmp_path, capsys, monkeypatch) -> Non
     assert anna > 0 > ben
 
 
-def test_a_step_that_fails_ends_the_demo_or_it_does_not_begin(tmp_path, capsys) -> None:
+def test_a_step_that_fails_ends_the_demo(tmp_path, capsys) -> None:
     (tmp_path / "out" / "door.png").mkdir(parents=True)
     assert main(["demo", "--out", str(tmp_path / "out")]) == 2
     said = capsys.readouterr()
     assert "door.png: is a folder, expected a file" in said.err
     assert "\n2/7" in said.out and "\n3/7" not in said.out
-    (tmp_path / "file").write_text("")
-    for options, message in (
-        (["--epochs", "0"], "--epochs 0: expected at least 1"),
-        (["--out", str(tmp_path / "file")], "is a file, expected a folder"),
-    ):
-        assert main(["demo", *options]) == 2
-        said = capsys.readouterr()
-        assert message in said.err and not said.out
 
 
 def test_rollout_prints_the_metrics_that_are_asked_for(capsys) -> None:
@@ -70,5 +62,3 @@ def test_rollout_prints_the_metrics_that_are_asked_for(capsys) -> None:
     assert main([*command, "time_ratio,success"]) == 0
     printed = capsys.readouterr().out
     assert printed.index("time_") < printed.index("success") and "deadlock" not in printed
-    assert main([*command, "success,sucess"]) == 2
-    assert "unknown metric 'sucess': did you mean 'success'?" in capsys.readouterr().err

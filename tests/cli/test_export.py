@@ -111,31 +111,6 @@ def test_licences_have_the_names_of_the_hub() -> None:
         assert "model-index" not in front
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["sgan_goal.zara1", "--zoo"], "expected RUN/checkpoints/best.ckpt, not 'sgan_goal.zara1'"),
-        (["best.ckpt", "--hub", "hub"], "no checkpoint at 'best.ckpt'"),
-        (["sgan_goal.zara9", "--hub", "hub"], "unknown model 'sgan_goal.zara9': did you mean"),
-        (["sgan_goal.zara1"], "one of the arguments --zoo --hub --onnx is required"),
-        (["sgan_goal.zara1", "--zoo", "--hub", "hub"], "not allowed with argument"),
-        (["sgan_goal.zara1", "--hub", "hub", "--to", "mine"], "--to goes with --zoo: leave it out"),
-        (["sgan_goal.zara1", "--onnx", "x.onnx", "--no-evaluation"], "--no-evaluation goes with --zoo"),
-        (["best.ckpt", "--zoo", "--plan", "apartment.7"], "--plan goes with --onnx"),
-        (["sgan_goal.zara1", "--onnx", "."], "is a folder, expected a file"),
-        (["sgan_goal.zara1", "--onnx", "x.onnx", "--plan", "apartmen.7"], "did you mean 'apartment.7'"),
-        (["sgan_goal.zara1", "--onnx", "x.onnx", "--plan", "flat"], "sees no floor plan: leave out 'flat'"),
-    ],
-)
-def test_mistakes_are_told_and_nothing_is_written(arguments, message, tmp_path, monkeypatch, capsys):
-    if "--plan" in arguments:
-        pytest.importorskip("onnxruntime", reason="needs pedzoo[onnx]")
-    monkeypatch.chdir(tmp_path)
-    assert main(["export", *arguments]) == 2
-    assert message in capsys.readouterr().err
-    assert not any(tmp_path.iterdir())
-
-
 def test_shipped_weights_have_the_licence_of_their_data(tmp_path) -> None:
     """MIT are only those that saw no recorded person; masks under CC BY-NC are passed on as what they are."""
     seen = set()

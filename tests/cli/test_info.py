@@ -25,11 +25,6 @@ def zoo(tmp_path, monkeypatch) -> Path:
     return tmp_path / "zoo"
 
 
-def refused(capsys: pytest.CaptureFixture[str], *argv: str) -> str:
-    assert main(list(argv)) == 2
-    return capsys.readouterr().err
-
-
 def rows(pattern: str) -> list[dict[str, Any]]:
     assert main(["models", pattern, "--json", "models.json"]) == 0
     return json.loads(Path("models.json").read_text())["weights"]
@@ -71,14 +66,14 @@ def test_text_of_a_card_gives_the_terminal_no_orders(zoo: Path, capsys) -> None:
     assert "[bold]MIT[/nothing]" in text and "[/red]" in text
 
 
-def test_names_that_have_no_card_are_told(capsys) -> None:
-    assert "did you mean 'sgan_goal.mall'" in refused(capsys, "info", "sgan_goal.mal")
-    assert "unknown model 'sgan_goal'" in refused(capsys, "info", "sgan_goal")
-    message = refused(capsys, "info", "sgan")
+def test_names_that_have_no_card_are_told(refused) -> None:
+    assert "did you mean 'sgan_goal.mall'" in refused("info", "sgan_goal.mal")
+    assert "unknown model 'sgan_goal'" in refused("info", "sgan_goal")
+    message = refused("info", "sgan")
     assert "'sgan' is an architecture" in message and "name its weights: sgan." in message
-    message = refused(capsys, "info", "runs/sgan/checkpoints/best.ckpt")
+    message = refused("info", "runs/sgan/checkpoints/best.ckpt")
     assert "cards are asked for by name" in message and "pedzoo export" in message
-    assert "is a folder" in refused(capsys, "info", "zoo", "--json", "zoo")
+    assert "is a folder" in refused("info", "zoo", "--json", "zoo")
 
 
 def test_models_has_a_row_for_every_card_with_its_headline(capsys) -> None:

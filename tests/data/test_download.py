@@ -44,13 +44,6 @@ def full(site, shared):
     return site
 
 
-def refused(capsys: pytest.CaptureFixture[str], *argv: str) -> str:
-    """Return the one line with which ``pedzoo download`` refuses."""
-    assert main(["download", *argv]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    return line
-
-
 # -- where things lie
 
 
@@ -140,7 +133,7 @@ def test_homography_is_the_same_at_every_scale():
 # -- pedzoo download eth_ucy
 
 
-def test_a_dataset_comes_whole_and_is_found_without_being_named(full, shared, tmp_path, capsys, monkeypatch):
+def test_a_dataset_comes_whole_and_is_found_unnamed(refused, full, shared, tmp_path, capsys, monkeypatch):
     with pytest.raises(UserError, match="`pedzoo download eth_ucy` gets those"):
         EthUcy("zara1", None)
     assert main(["download", "eth_ucy"]) == 0
@@ -172,15 +165,16 @@ def test_a_dataset_comes_whole_and_is_found_without_being_named(full, shared, tm
 
     monkeypatch.setenv("PEDZOO_OFFLINE", "1")
     assert main(["download", "eth_ucy"]) == 0, "all is there"
-    said = refused(capsys, "eth_ucy", "--to", str(tmp_path / "elsewhere"))
+    said = refused("download", "eth_ucy", "--to", str(tmp_path / "elsewhere"))
     assert "biwi_eth.txt is not there, and PEDZOO_OFFLINE forbids the network" in said
 
 
-def test_a_second_call_mends_what_is_missing_or_damaged(full, tmp_path, capsys):
+def test_a_second_call_mends_what_is_missing_or_damaged(refused, full, tmp_path, capsys):
     folder, last = tmp_path / "mine", files_of("eth_ucy")[-1]
     (first_place, second_place) = (dict(zip(PLACE, place, strict=True)) for place in last.places)
     missing = full.pages.pop(RAW.format(**first_place))
-    assert "cannot download hotel_ewap_obstacles.png: http" in refused(capsys, "eth_ucy", "--to", str(folder))
+    said = refused("download", "eth_ucy", "--to", str(folder))
+    assert "cannot download hotel_ewap_obstacles.png: http" in said
     assert not (folder / "splits.json").exists(), "half a dataset does not look like a whole one"
     with pytest.raises(UserError, match=r"expected splits\.json"):
         EthUcy("zara1", str(folder))
@@ -198,9 +192,9 @@ def test_a_second_call_mends_what_is_missing_or_damaged(full, tmp_path, capsys):
     assert len(EthUcy("zara1", str(folder)).recordings("val")) == 7
 
 
-def test_a_folder_that_cannot_be_is_refused(site, tmp_path, capsys):
+def test_a_folder_that_cannot_be_is_refused(site, tmp_path, refused):
     (tmp_path / "file").write_text("")
-    assert "is a file, expected a folder" in refused(capsys, "eth_ucy", "--to", str(tmp_path / "file"))
+    assert "is a file, expected a folder" in refused("download", "eth_ucy", "--to", str(tmp_path / "file"))
     assert not site.asked
 
 
@@ -262,7 +256,7 @@ def test_a_shipped_model_is_there_already(site, capsys):
     ("name", "near"),
     [("eth-ucy", "eth_ucy"), ("alexnett", "alexnet"), ("sgan_goal.zarra1", "sgan_goal.zara1")],
 )
-def test_misspelt_names_are_told(site, capsys, name, near):
-    said = refused(capsys, name)
+def test_misspelt_names_are_told(site, refused, name, near):
+    said = refused("download", name)
     assert f"unknown dataset or model {name!r}: did you mean {near!r}?" in said
-    assert refused(capsys, "alexnet", "--to", "x").startswith("pedzoo: --to x: only for datasets (eth_ucy)")
+    assert "pedzoo: --to x: only for datasets (eth_ucy)" in refused("download", "alexnet", "--to", "x")

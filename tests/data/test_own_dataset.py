@@ -5,6 +5,7 @@ from pathlib import Path
 from textwrap import dedent
 
 import pytest
+from helpers.training import SHORT
 
 import pedzoo
 from pedzoo.cli.main import main
@@ -119,9 +120,7 @@ def test_cards(malls, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(card_numbers, "WALKS", [])
     fit = ["fit", "--config", "sgan_goal", "--data.fold", f"{malls}:south", "--rollout.scenarios", "null"]
-    ones = ("max_epochs", "check_val_every_n_epoch", "limit_train_batches", "limit_val_batches")
-    short = [*(f"--trainer.{option}=1" for option in ones), "--trainer.enable_progress_bar=false"]
-    assert main([*fit, *short, "--model.samples=2"]) == 0
+    assert main([*fit, *SHORT, "--model.samples=2"]) == 0
     checkpoint = "runs/sgan_goal/south-seed0/checkpoints/best.ckpt"
     measured = card_numbers.measure(checkpoint, "sgan_goal.south")
     card = read_card(publish(checkpoint, "zoo", measured=measured))

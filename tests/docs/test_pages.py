@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from helpers.training import SHORT
 
 import pedzoo
 from pedzoo.cli.commands import demo
@@ -49,12 +50,11 @@ def snippets(page: str) -> list[str]:
     return [code for code in blocks(page, "python") if code not in files(page).values()]
 
 
-SHORT = [f"--trainer.{key}=1" for key in ("max_epochs", "limit_val_batches", "check_val_every_n_epoch")]
-SHORT += ["--trainer.limit_train_batches=2", "--trainer.enable_progress_bar=false", "--rollout.episodes=1"]
+FIT = [*SHORT, "--rollout.episodes=1"]
 LOOP = ["--model.steps=2", "--model.courses=[{scenario: hallway, scenes: 2}]", "--rollout.scenarios=[door]"]
 TUNED = "demo/runs/sgan_goal/embedded-seed0/checkpoints/best.ckpt"
 LESS = {
-    "fit": SHORT,
+    "fit": FIT,
     "forecast": ["--samples", "2"],
     "rollout": ["--episodes", "1", "--video_seconds", "0.5"],
     "evaluate": ["--suite", "door", "--episodes", "1", "--workers", "1"],
@@ -121,7 +121,7 @@ def test_commands(page: str, readers_folder: Path, shared: Path, monkeypatch) ->
         runpy.run_path("my_map.py")
     if page == "docs/zoo.md":  # its reader has trained before
         first = shlex.split("fit --config sgan_goal --data.fold embedded")
-        assert main([*first, *SHORT]) == 0
+        assert main([*first, *FIT]) == 0
     for one in (words for words in commands(page) if not elsewhere(words)):
         shorter = ["--no-evaluation"] if "--zoo" in one else LESS[one[0]]
         shorter = [*shorter, *LOOP] if "closed_loop/approach_net_goal_map" in one else shorter

@@ -141,6 +141,12 @@ def test_workers_end_when_a_part_cannot_be_kept(small: str, monkeypatch) -> None
     assert ended and caught.traceback  # though the caught error holds on to the iterator
 
 
+def test_what_is_no_list_of_policies_is_refused() -> None:
+    for policies in ([["orca", "go_to_goal"]], [None], 3):
+        with pytest.raises(UserError, match=r"policies.*\['orca', 'go_to_goal'\]"):
+            pedzoo.evaluate(policies, ["encounters"])  # pyright: ignore[reportArgumentType]
+
+
 def test_a_policy_without_numbers_fails_and_others_go_on(small: str, tmp_path) -> None:
     file = tmp_path / "broken.py"
     file.write_text(BROKEN)
@@ -150,34 +156,6 @@ def test_a_policy_without_numbers_fails_and_others_go_on(small: str, tmp_path) -
     assert (broken["metrics"]["failed"], broken["metrics"]["success"]) == (1.0, 0.0)
     assert (fine["metrics"]["failed"], fine["metrics"]["success"]) == (0.0, 1.0)
     assert "time_ratio" not in broken["metrics"]
-
-
-def test_misspelt_words_are_refused_before_anything_walks(small: str, capsys, monkeypatch) -> None:
-    monkeypatch.setattr(module, "finished", lambda *args: pytest.fail("something walked"))
-    for words, message in (
-        (["orca", "--suite", "dor"], "unknown suite 'dor': did you mean 'door'?"),
-        (["orcs", "--suite", "encounters"], "unknown policy 'orcs': did you mean 'orca'?"),
-        (["orca", "--suite", "goals", "--maps", "ofice.3"], "did you mean 'office.3'?"),
-        (["orca", "--suite", "replay", "--data.root", "nowhere"], "data root 'nowhere' is not a folder"),
-        (["orca", "--suite", "encounters", "--episodes", "0"], "episodes 0: expected at least 1"),
-        (["orca", "--suite", "encounters", "--seeds", "1,two"], "--seeds 1,two: expected whole numbers"),
-        (["orca", "--suite", ","], "no suites"),
-        (["orca", "--suite", "door", "--maps", "flat"], "in door; goals, loop_buildings, table2 would have"),
-        (
-            ["orca", "--suite", "replay", "--episodes", "9"],
-            "in replay; door, encounters, figure4, goals, indoor, loop_buildings, loop_doors, loop_noise, "
-            "queues, robots, table2",
-        ),
-        (["--maps", "flat", "orca", "--suite", "goals"], "no policies: name them before the options"),
-        (["orca", "--sute", "encounters"], "--suite"),
-        (["orca", "--suite", "encounters", "--plot", "a.png"], "which is not asked for"),
-    ):
-        assert main(["evaluate", *words]) == 2
-        error = capsys.readouterr().err
-        assert message in error and error.count("\n") == 1
-    for policies in ([["orca", "go_to_goal"]], [None], 3):
-        with pytest.raises(UserError, match=r"policies.*\['orca', 'go_to_goal'\]"):
-            pedzoo.evaluate(policies, ["encounters"])  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize(

@@ -392,4 +392,3 @@ def test_the_command_writes_one_json(tmp_path, capsys) -> None:
     assert [one["name"] for one in report["rows"]] == ["real", "real halves", mine]
     assert report["protocol"]["version"] == 3
     assert "mine.csv" in capsys.readouterr().out
-    assert main(["score", str(tmp_path / "absent.csv"), *against]) == 2

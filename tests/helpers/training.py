@@ -11,9 +11,12 @@ from torch.utils._pytree import tree_flatten
 
 from pedzoo.cli.main import main
 
-FIT = ["fit", "--config", "sgan_nopool", "--data.fold", "embedded", "--data.loading.batch_size", "8"]
-FIT += ["--trainer.limit_train_batches", "2", "--trainer.limit_val_batches", "1", "--trainer.max_epochs", "1"]
-FIT += ["--model.samples", "2", "--trainer.enable_progress_bar", "false"]
+SHORT = [f"--trainer.{key}=1" for key in ("max_epochs", "limit_val_batches", "check_val_every_n_epoch")]
+SHORT += ["--trainer.limit_train_batches=2", "--trainer.enable_progress_bar=false"]
+"""Options of one epoch of two updates, with a validation."""
+
+FIT = ["fit", "--config", "sgan_nopool", "--data.fold=embedded", "--data.loading.batch_size=8", *SHORT]
+FIT += ["--model.samples=2"]
 """A training of a second, and ..."""
 
 RUN = Path("runs/sgan/embedded-seed0")

@@ -396,8 +396,6 @@ def test_rollout_of_the_command_line(tmp_path, capsys) -> None:
     row = json.loads(report.read_text())["rows"][0]
     assert (row["name"], row["decision_dt_s"], row["n"]) == (crowd, 0.1, 3)
     assert crowd in capsys.readouterr().out
-    assert main(["rollout", "orca:share=0.5+sgan_goal_map.indor"]) == 2
-    assert "did you mean 'approach_net_goal_map.indoor'" in capsys.readouterr().err
 
 
 def test_weights_of_a_mixed_crowd_have_not_seen_the_fold() -> None:

@@ -8,7 +8,7 @@ import torch
 import yaml
 
 from pedzoo.cli.commands import delegated
-from pedzoo.cli.main import main, overview
+from pedzoo.cli.main import overview
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import EXTRAS
 from pedzoo.core.paths import CARD, config_names, shipped, weight_files
@@ -21,10 +21,9 @@ from tools.walks import plan_to_input, track_to_loss
 
 
 @pytest.mark.parametrize("words", [["bench", "loop"], ["bench", "--help"], ["reproduce", "table1"]])
-def test_a_wheel_says_how_to_get_a_checkout(words: list[str], tmp_path, monkeypatch, capsys) -> None:
+def test_a_wheel_says_how_to_get_a_checkout(words: list[str], tmp_path, monkeypatch, refused) -> None:
     monkeypatch.setattr(delegated, "folder_of", lambda name: tmp_path / "tools")
-    assert main(words) == 2
-    (line,) = capsys.readouterr().err.splitlines()
+    line = refused(*words)
     assert line.startswith(f"pedzoo: {words[0]}: needs a checkout") and "run tools/setup" in line
 
 

@@ -407,32 +407,6 @@ def test_what_was_interrupted_goes_on(small: list[str], capsys, monkeypatch) -> 
     assert "of a larger table" in stored.read_text()
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["table3"], "table3"),
-        (["table1", "--folds", "etth"], "unknown fold 'etth': did you mean 'eth'?"),
-        (["table1", "--seeds", "0,1"], "table1 has one seed"),
-        (["table1", "--maps", "flat"], "--map"),
-        (["table1", "--map", "flat"], "--map: no use for it in table1; table2, loop would have"),
-        (["table2", "--folds", "eth"], "--folds: no use for it in table2; table1, forecasting would have"),
-        (["table2", "--models", "orka"], "unknown policy 'orka': did you mean 'orca'?"),
-        (["table2", "--map", "apartmint.1"], "did you mean 'apartment.1'?"),
-        (["figure4", "--seeds", "one"], "--seeds one: expected whole numbers"),
-        (["figure4", "--workers", "0"], "workers 0: expected at least 1"),
-        (["crowdnav", "--seeds", "1"], "seeds of its cases"),
-        (["crowdnav", "--episodes", "0"], "expected 1 to 500"),
-        (["crowdnav", "--models", "samplin"], "did you mean 'sampling'"),
-        (["crowdnav", "--physics", "torch"], "no use for it in crowdnav"),
-    ],
-)
-def test_mistakes_are_told_before_anything_is_done(words: list[str], message: str, capsys) -> None:
-    assert main(["reproduce", *words]) == 2
-    error = capsys.readouterr().err
-    assert message in error and error.count("\n") == 1
-    assert not list(Path().iterdir())
-
-
 def test_page_has_command_notes_pictures_and_tables() -> None:
     table = ResultTable("numbers", ["name", "x"], [["one", "1\n[0, 2]"]], 1)
     made: Any = SimpleNamespace(title="A table", pages=lambda _: [table], legend=lambda: {"x": "how many"})

@@ -15,7 +15,7 @@ import lightning as L
 import pytest
 import torch
 from helpers.lightning_marks import LIGHTNING_MARKS
-from helpers.training import environment, last, quiet_trainer
+from helpers.training import SHORT, environment, last, quiet_trainer
 from lightning.pytorch.callbacks import Callback, LambdaCallback, ModelCheckpoint
 from torch import Tensor, nn
 
@@ -30,10 +30,8 @@ from pedzoo.train.run import rows_of
 from pedzoo.train.validation import METRICS, ClosedLoopScore, ClosedLoopValidation, share
 from pedzoo.viz.video import read_video
 
-FIT = ["fit", "--config", "sgan_goal", "--data.fold", "embedded", "--trainer.enable_progress_bar", "false"]
-QUICK = ["--trainer.limit_train_batches=2", "--trainer.limit_val_batches=1", "--trainer.max_epochs=1"]
-QUICK += ["--trainer.check_val_every_n_epoch=1", "--model.samples=2", "--model.generator.losses.best_k=2"]
-QUICK += ["--rollout.episodes=2"]
+FIT = ["fit", "--config", "sgan_goal", "--data.fold", "embedded", *SHORT]
+QUICK = ["--model.samples=2", "--model.generator.losses.best_k=2", "--rollout.episodes=2"]
 SUCCESS = "rollout/door/success"
 BEST = ["--monitor", SUCCESS, "--monitor_mode", "max"]
 
@@ -238,31 +236,6 @@ def test_environments_are_made_once_and_closed_whatever_happens():
     again = make_trainer(callback, End(), max_epochs=1, num_sanity_val_steps=0)  # it can be used again
     again.fit(make_module(), make_data())
     assert len(backends) == 2 and all(one._closed for one in backends) and not callback._envs
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--rollout.scenarios", "dor"], "unknown scenario 'dor': did you mean 'door'?"),
-        (["--rollout.scenarios", "door:wide=2"], "unknown setting of scenario door 'wide'"),
-        (["--rollout.scenarios", "door,door"], "'door' is given twice"),
-        (["--rollout.physics", "bulet"], "did you mean 'bullet'?"),
-        (["--rollout.every", "0"], "--rollout.every 0"),
-        (["--rollout.episodes", "0"], "--rollout.episodes 0"),
-        (["--rollout.evry", "2"], "did you mean --rollout.every?"),
-        (["--data.obs_len", "6"], "people walk by the last 8 steps, and --data.obs_len is 6"),
-        (["--monitor", "rollout/door/sucess"], "did you mean 'rollout/door/success'?"),
-        (["--monitor", "rollout/circle/success"], "rollout/circle/success"),
-        (["--monitor", SUCCESS], "its best value is the max: add --monitor_mode max"),
-        (["--monitor", "rollout/door/deadlock", "--monitor_mode=max"], "add --monitor_mode min"),
-        (["--monitor", SUCCESS, "--rollout.scenarios", "null"], "set --rollout.scenarios"),
-    ],
-)
-def test_what_cannot_be_is_told_before_the_training(options, message, capsys, elsewhere):
-    assert main([*FIT, *QUICK, "--wandb", "offline", *options]) == 2
-    error = capsys.readouterr().err
-    assert message in error and error.count("\n") == 1
-    assert not list(elsewhere.iterdir())
 
 
 def test_a_model_that_gives_no_numbers_is_refused_at_the_start():

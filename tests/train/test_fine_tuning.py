@@ -8,7 +8,7 @@ import pytest
 import torch
 import yaml
 from helpers.runs import make_run
-from helpers.training import fitted
+from helpers.training import SHORT, fitted
 from safetensors.torch import save_file
 
 import pedzoo
@@ -23,10 +23,7 @@ from pedzoo.train.run import rows_of
 from pedzoo.train.settings import resumable_settings
 
 NAME = "sgan_goal.zara1"
-QUICK = ["--data.loading.batch_size", "8", "--model.samples", "2", "--trainer.limit_train_batches", "2"]
-QUICK += ["--trainer.max_epochs", "1", "--trainer.check_val_every_n_epoch", "1"]
-QUICK += ["--trainer.limit_val_batches", "2", "--trainer.enable_progress_bar", "false"]
-QUICK += ["--rollout.scenarios", "null"]
+QUICK = [*SHORT, "--data.loading.batch_size=8", "--model.samples=2", "--rollout.scenarios=null"]
 STILL = ["--model.lr", "0"]
 """Nothing is learnt: what a training ends with is what it began with."""
 
@@ -47,13 +44,17 @@ def last(run: Path) -> str:
     return str(run / "checkpoints" / "last.ckpt")
 
 
-def refused(capsys: pytest.CaptureFixture[str], *argv: str) -> str:
-    """Return the one line that a mistake gives; nothing is left behind by it."""
-    capsys.readouterr()
-    before = set(Path().rglob("*"))
-    assert main(["fit", *argv, *QUICK]) == 2
-    assert set(Path().rglob("*")) == before
-    return capsys.readouterr().err
+@pytest.fixture
+def stopped(refused):
+    """Refuse what would begin a training; nothing is left behind by it."""
+
+    def stopped(*words: str) -> str:
+        before = set(Path().rglob("*"))
+        said = refused("fit", *words, *QUICK)
+        assert set(Path().rglob("*")) == before
+        return said
+
+    return stopped
 
 
 def test_zoo_weights_bring_their_config_and_options_win():
@@ -119,39 +120,39 @@ def test_losses_and_the_goal_protocol_may_be_others():
     assert_same_weights(last(run), NAME)
 
 
-def test_what_does_not_fit_is_refused_before_a_run_begins(capsys, elsewhere):
+def test_what_does_not_fit_is_refused_before_a_run_begins(stopped, elsewhere):
     fold = ["--data.fold", "embedded"]
-    error = refused(capsys, "--weights", NAME, "--config", "sgan_goal_map", *fold)
+    error = stopped("--weights", NAME, "--config", "sgan_goal_map", *fold)
     assert "another architecture (" in error and "map: None there, alexnet here" in error
     assert "leave out --config" in error
-    error = refused(capsys, "--weights", NAME, "--model.generator.architecture.encoder_dim", "48", *fold)
+    error = stopped("--weights", NAME, "--model.generator.architecture.encoder_dim", "48", *fold)
     assert "encoder_dim: 32 there, 48 here" in error
-    error = refused(capsys, "--weights", "sgan_goal.zara11", *fold)
+    error = stopped("--weights", "sgan_goal.zara11", *fold)
     assert "did you mean 'sgan_goal.zara1'?" in error
-    error = refused(capsys, "--weights", NAME, "--resume", "runs/x/y")
+    error = stopped("--weights", NAME, "--resume", "runs/x/y")
     assert "--weights begins a training and --resume goes on with one" in error
     for config in ([], ["--config", "closed_loop/approach_net_goal"]):
-        error = refused(capsys, "--weights", "constant_velocity", *config, *fold)
+        error = stopped("--weights", "constant_velocity", *config, *fold)
         assert "--weights constant_velocity: expected a trained model" in error
     save_weights(SGAN(), elsewhere / "mine.safetensors", training={"config": "my_own"})
-    error = refused(capsys, "--weights", "mine.safetensors", *fold)
+    error = stopped("--weights", "mine.safetensors", *fold)
     assert "they say my_own" in error and "add --config NAME" in error
     Path("own.py").write_text("raise SystemExit('this must not run')")
     config = {"architecture": "own.py:Mine", "init": {}, "training": {"config": "sgan"}}
     save_file({"x": torch.zeros(1)}, "trap.safetensors", {"config": json.dumps(config)})
-    assert "no other file ever makes code run" in refused(capsys, "--weights", "trap.safetensors", *fold)
-    assert "no weights at 'none.safetensors'" in refused(capsys, "--weights", "none.safetensors", *fold)
+    assert "no other file ever makes code run" in stopped("--weights", "trap.safetensors", *fold)
+    assert "no weights at 'none.safetensors'" in stopped("--weights", "none.safetensors", *fold)
 
 
 TRAP = "raise SystemExit('this must not run')"
 
 
-def test_weights_name_no_dataset_in_a_file_of_code(capsys):
+def test_weights_name_no_dataset_in_a_file_of_code(stopped):
     Path("own.py").write_text(TRAP)
     protocol = {"fold": "own.py:Mine", "goal": "none"}
     save_weights(SGAN(), Path("trap.safetensors"), training={"config": "sgan"}, protocol=protocol)
     for more in ([], ["--config", "closed_loop/approach_net_goal"]):
-        error = refused(capsys, "--weights", "trap.safetensors", *more)
+        error = stopped("--weights", "trap.safetensors", *more)
         assert "'--data.fold=own.py:Mine' is in a file of code" in error and "--data.fold file.py" in error
     run = fit("--weights", "trap.safetensors", "--data.fold", "embedded")
     assert yaml.safe_load((run / "config.yaml").read_text())["data"]["fold"] == "embedded"
@@ -167,7 +168,7 @@ def test_weights_name_no_dataset_in_a_file_of_code(capsys):
         (("data",), "trap.yaml"),
     ],
 )
-def test_the_config_beside_a_checkpoint_makes_no_code_run(place, value, elsewhere, capsys):
+def test_the_config_beside_a_checkpoint_makes_no_code_run(stopped, place, value, elsewhere, refused):
     best = make_run(elsewhere / "runs")
     config = elsewhere / "runs" / "sgan_goal" / "zara1-seed0" / "config.yaml"
     settings: Any = _whole_config()
@@ -181,10 +182,9 @@ def test_the_config_beside_a_checkpoint_makes_no_code_run(place, value, elsewher
     Path("trap.yaml").write_text("class_path: trap.Mine")
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(elsewhere)
-        error = refused(capsys, "--weights", str(best))
+        error = stopped("--weights", str(best))
         assert f"config '{config}': " in error and f"if it is yours, add --config {config}" in error
-        assert main(["validate", "--ckpt_path", str(best)]) == 2
-        assert f"config '{config}': " in capsys.readouterr().err
+        assert f"config '{config}': " in refused("validate", "--ckpt_path", str(best))
 
 
 def _whole_config() -> dict[str, Any]:

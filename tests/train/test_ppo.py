@@ -9,7 +9,7 @@ from typing import Any, cast
 import pytest
 import torch
 from helpers.lightning_marks import LIGHTNING_MARKS
-from helpers.training import assert_same_end, last, quiet_trainer
+from helpers.training import SHORT, assert_same_end, last, quiet_trainer
 from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.distributions import Normal
@@ -365,11 +365,11 @@ def test_recorded_scenes_are_learnt_beside_the_decisions() -> None:
     assert not torch.equal(*weights)
 
 
-FIT = """fit --data.fold embedded --trainer.enable_progress_bar false --data.loading.batch_size=8
---trainer.limit_train_batches=2 --trainer.limit_val_batches=1 --trainer.check_val_every_n_epoch=1
+FIT = """fit --data.fold embedded --data.loading.batch_size=8
 --model.collection.envs=2 --model.collection.steps=3 --model.samples=2 --model.final_lr=1
 --model.optimisation.passes=2 --model.optimisation.minibatches=2 --model.scenarios [hallway,circle:people=3]
 --monitor=val/ade --monitor_mode=min --rollout.scenarios hallway --rollout.episodes=2""".split()
+FIT += SHORT
 CONFIG = str(Path(__file__).parents[2] / "configs" / "ppo" / "sgan_goal.yaml")
 
 
