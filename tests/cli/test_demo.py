@@ -16,8 +16,7 @@ pytestmark = [
 ]
 
 
-def test_the_demo_walks_tunes_and_compares(tmp_path, capsys, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_the_demo_walks_tunes_and_compares(elsewhere, capsys, monkeypatch) -> None:
     monkeypatch.delenv("PEDZOO_DATA", raising=False)
     policies = f"{demo.CONTROLLER} orca:radius=0.3"
     less = {"FILM_SECONDS": 1, "EPISODES": 1, "POLICIES": policies, "METRICS": "success,time_ratio"}
@@ -25,7 +24,7 @@ def test_the_demo_walks_tunes_and_compares(tmp_path, capsys, monkeypatch) -> Non
         monkeypatch.setattr(demo, name, value)
     assert main(["demo", "--out", "my demo", "--epochs", "3"]) == 0
     printed = capsys.readouterr().out
-    out = tmp_path / "my demo"
+    out = elsewhere / "my demo"
     for picture in ("door.png", "apartment.png", "forecasts.png"):
         assert (out / picture).read_bytes().startswith(b"\x89PNG")
     assert read_video(out / "door.webm")[0] == 11
@@ -33,7 +32,7 @@ def test_the_demo_walks_tunes_and_compares(tmp_path, capsys, monkeypatch) -> Non
     for title, command in demo.steps(shlex.quote("my demo"), 3, physics):
         assert f" {title}\n$ pedzoo {command}\n" in printed
     tuned = out / "runs" / "sgan_goal" / "embedded-seed0" / "checkpoints" / "best.ckpt"
-    last = demo.last_steps(shlex.quote(str(tuned.relative_to(tmp_path))), shlex.quote("my demo"))
+    last = demo.last_steps(shlex.quote(str(tuned.relative_to(elsewhere))), shlex.quote("my demo"))
     assert tuned.is_file() and all(command in printed for _, command in last)
     report = json.loads((out / "door.json").read_text())
     assert [row["name"] for row in report["rows"]] == demo.POLICIES.split()

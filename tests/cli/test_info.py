@@ -16,13 +16,12 @@ from pedzoo.models.zoo.store import names
 
 
 @pytest.fixture(autouse=True)
-def zoo(tmp_path, monkeypatch) -> Path:
+def zoo(elsewhere, monkeypatch) -> Path:
     """A folder of the user's with one card, and an empty cache."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("PEDZOO_HOME", str(tmp_path / "home"))
-    monkeypatch.setenv("PEDZOO_ZOO", str(tmp_path / "zoo"))
-    write_card(make_card("sgan_goal.mall"), tmp_path / "zoo" / "sgan_goal.mall" / "card.yaml")
-    return tmp_path / "zoo"
+    monkeypatch.setenv("PEDZOO_HOME", str(elsewhere / "home"))
+    monkeypatch.setenv("PEDZOO_ZOO", str(elsewhere / "zoo"))
+    write_card(make_card("sgan_goal.mall"), elsewhere / "zoo" / "sgan_goal.mall" / "card.yaml")
+    return elsewhere / "zoo"
 
 
 def rows(pattern: str) -> list[dict[str, Any]]:

@@ -32,6 +32,8 @@ from pedzoo.policies.policy import Policy
 from pedzoo.policies.rule_based.orca import Orca
 from pedzoo.sim.scenario import Scenario
 
+pytestmark = pytest.mark.usefixtures("elsewhere")
+
 
 def test_parts() -> None:
     assert parse("door") == ("door", {})
@@ -163,12 +165,6 @@ def test_settings_of_groups_have_names_and_defaults_of_the_class() -> None:
 
 
 # Config files
-
-
-@pytest.fixture(autouse=True)
-def here(tmp_path, monkeypatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def write(name: str, **settings: Any) -> str:

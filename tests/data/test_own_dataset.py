@@ -116,8 +116,7 @@ def test_forecasts_and_replays(malls, tmp_path, capsys):
         pedzoo.evaluate("go_to_goal", "door", folds=["zara1"])
 
 
-def test_cards(malls, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_cards(malls, elsewhere, monkeypatch):
     monkeypatch.setattr(card_numbers, "WALKS", [])
     fit = ["fit", "--config", "sgan_goal", "--data.fold", f"{malls}:south", "--rollout.scenarios", "null"]
     assert main([*fit, *SHORT, "--model.samples=2"]) == 0

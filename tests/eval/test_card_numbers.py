@@ -24,11 +24,10 @@ DOOR = {"suites": ["door"], "episodes": 3, "physics": "compiled"}
 
 
 @pytest.fixture(autouse=True)
-def nothing_at_hand(tmp_path, monkeypatch) -> None:
+def nothing_at_hand(elsewhere, monkeypatch) -> None:
     """No recordings but the embedded ones, and few samples and walks."""
-    monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("PEDZOO_DATA", raising=False)
-    monkeypatch.setenv("PEDZOO_HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("PEDZOO_HOME", str(elsewhere / "home"))
     monkeypatch.setattr(card_numbers, "SAMPLES", 2)
     monkeypatch.setattr(card_numbers, "WALKS", [DOOR])
 

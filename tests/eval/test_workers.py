@@ -196,9 +196,8 @@ def test_every_job_is_handed_out_once_whoever_asks() -> None:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_two_workers_give_what_one_gives_and_leave_nothing(backend, tmp_path, monkeypatch, request) -> None:
+def test_two_workers_give_what_one_gives_and_leave_nothing(backend, elsewhere, monkeypatch, request) -> None:
     resource_tracker.ensure_running()  # the first processes would leave it open
-    monkeypatch.chdir(tmp_path)
     if backend == "ray":
         request.getfixturevalue("ray")
     else:
@@ -208,7 +207,7 @@ def test_two_workers_give_what_one_gives_and_leave_nothing(backend, tmp_path, mo
     torch.set_num_threads(2)
     gc.collect()  # what other tests left open is closed before it is counted
     opened = set(os.listdir("/proc/self/fd"))
-    jobs, together = [(seed, str(tmp_path)) for seed in range(9)], {}
+    jobs, together = [(seed, str(elsewhere)) for seed in range(9)], {}
     try:
         with pytest.warns(UserWarning, match="is odd") as caught:
             for number, result in finished(jobs, answer, 2, backend, group=lambda job: job[0] // 2):
@@ -216,16 +215,16 @@ def test_two_workers_give_what_one_gives_and_leave_nothing(backend, tmp_path, mo
                 together[number] = result
         if backend == "processes":
             assert set(os.listdir("/proc/self/fd")) == opened
-            assert not any(Path(file.read_text()).exists() for file in tmp_path.glob("lock*"))
+            assert not any(Path(file.read_text()).exists() for file in elsewhere.glob("lock*"))
         with pytest.warns(UserWarning, match="is odd"):
             alone = dict(finished(jobs, answer))
         assert torch.get_num_threads() == 2
     finally:
         torch.set_num_threads(1)
     assert together == alone
-    assert sorted(alone) == list(range(9)) and alone[0]["state"] == (1, str(tmp_path))
+    assert sorted(alone) == list(range(9)) and alone[0]["state"] == (1, str(elsewhere))
     assert {str(one.message) for one in caught} == {f"job {seed} is odd" for seed in range(9)}
-    done = Counter((tmp_path / "done").read_text().split())
+    done = Counter((elsewhere / "done").read_text().split())
     assert done == {str(seed): 2 for seed in range(9)}  # once alone, once together
 
 

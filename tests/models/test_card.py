@@ -93,8 +93,7 @@ def test_a_wrong_card_is_refused_with_the_reason(changed, message, tmp_path):
         ("\x00", "cannot be read"),
     ],
 )
-def test_what_is_no_card_is_refused_and_nothing_in_it_runs(text, message, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_what_is_no_card_is_refused_and_nothing_in_it_runs(text, message, elsewhere):
     Path("bad.yaml").write_text(text)
     with pytest.raises(UserError, match=message):
         read_card("bad.yaml")

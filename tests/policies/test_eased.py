@@ -269,8 +269,7 @@ def test_all_policies_set_out_from_a_static_start() -> None:
         now: Any = env.reset()
         begin, way = env.state.position, env.state.goal_point - env.state.position
         with torch.no_grad():
-            for _ in range(round(0.8 / policy.decision_dt)):
-                now = step_mdp(env.step(policy(now)))
+            env.rollout(round(0.8 / policy.decision_dt), policy, auto_reset=False, tensordict=now)
         moved = ((env.state.position - begin) * way / way.norm(dim=-1, keepdim=True)).sum(-1).min()
         model = getattr(policy, "model", None)
         if moved < (MOVED if model is None or "goal" in model.needs else MOVED / 4):

@@ -115,13 +115,12 @@ def test_a_plus_joins_policies_outside_paths_and_numbers(text: str, result: list
     assert is_crowd(text) == (len(result) > 1 or "share" in text)
 
 
-def test_a_plus_in_the_name_of_an_existing_file_is_part_of_it(tmp_path, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_a_plus_in_the_name_of_an_existing_file_is_part_of_it(elsewhere) -> None:
     for name in ("a+orca", "deep"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "my+file.py").write_text(Path(__file__).read_text())
-    (tmp_path / "best+last.ckpt").touch()
-    files = "best+last.ckpt", "a+orca/my+file.py:Told", "./deep/my+file.py:Told", str(tmp_path / "a+orca")
+        (elsewhere / name).mkdir()
+        (elsewhere / name / "my+file.py").write_text(Path(__file__).read_text())
+    (elsewhere / "best+last.ckpt").touch()
+    files = "best+last.ckpt", "a+orca/my+file.py:Told", "./deep/my+file.py:Told", str(elsewhere / "a+orca")
     for name in files:
         assert parts(f"{name}:share=0.5+orca+{name}") == [f"{name}:share=0.5", "orca", name]
     crowd: Any = load_policy("a+orca/my+file.py:Told:dt=0.1,share=0.5+orca")

@@ -328,9 +328,8 @@ def test_people_face_where_they_go_and_keep_it_while_they_stand() -> None:
     assert torch.allclose(heading[1], torch.tensor(0.0))
 
 
-def test_looking_for_a_gpu_runs_no_code_of_the_working_directory(tmp_path, monkeypatch) -> None:
+def test_looking_for_a_gpu_runs_no_code_of_the_working_directory(elsewhere, monkeypatch) -> None:
     pytest.importorskip("pybullet")
-    monkeypatch.chdir(tmp_path)
     Path("pybullet.py").write_text("open('it ran', 'w').close()")
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: SimpleNamespace(origin="no plugin"))
     monkeypatch.setattr(Path, "exists", lambda self: True)  # a device

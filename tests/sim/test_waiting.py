@@ -5,10 +5,9 @@ from typing import Any
 
 import pytest
 import torch
-from helpers.scenes import prepared
+from helpers.scenes import Watch, prepared
 from helpers.walks import as_desired, made
 from torch import Tensor
-from torchrl.envs import step_mdp
 
 from pedzoo.core.batch import companions_of
 from pedzoo.core.randomness import Draws
@@ -67,11 +66,8 @@ def test_waiting_takes_no_time_from_the_way() -> None:
 
 def test_to_set_out_is_no_progress_and_no_loss() -> None:
     env = make_env(prepared(TWO), num_envs=2)
-    now: Any = env.reset()
-    for _ in range(7):
-        now["agents", "action"] = torch.zeros_like(now["agents", "velocity"])
-        now = step_mdp(env.step(now), exclude_reward=False)
-        assert now["agents", "reward"][:, :2].abs().max() < 1e-4
+    walk: Any = env.rollout(7, Watch(factor=0.0))
+    assert walk["next", "agents", "reward"][:, :, :2].abs().max() < 1e-4
 
 
 def test_people_who_stay_are_not_waited_for_nor_scored() -> None:
@@ -158,14 +154,8 @@ def test_two_streams_have_the_density_that_is_asked_for() -> None:
 @pytest.mark.parametrize("scenario", ["queue", "waiting"])
 def test_scenes_end_even_if_no_person_moves(scenario: str) -> None:
     env = make_env(scenario, num_envs=2)
-    now: Any = env.reset()
-    steps = 0
-    while not now["done"].all():
-        steps += 1
-        now["agents", "action"] = torch.zeros_like(now["agents", "velocity"])
-        now = step_mdp(env.step(now))
-        assert steps < 260
-    assert now["truncated"].all() and steps > 40
+    walk: Any = env.rollout(260, Watch(factor=0.0), break_when_any_done=False)
+    assert walk["next", "truncated"].any(1).all() and not walk["next", "done"][:, :41].any()
 
 
 # Companions, in recordings and as policies see them

@@ -234,8 +234,7 @@ FILE = """
 """
 
 
-def test_fit_refuses_it_before_the_first_epoch(tmp_path, monkeypatch, refused):
-    monkeypatch.chdir(tmp_path)
+def test_fit_refuses_it_before_the_first_epoch(elsewhere, refused):
     Path("mine.py").write_text(dedent(FILE))
     plain = "model:\n  class_path: pedzoo.train.module.PlainModule\n"
     plain += indent("init_args: {samples: 1, generator: {class_path: mine.py:Mine}}", "  ")

@@ -373,9 +373,8 @@ FIT += SHORT
 CONFIG = str(Path(__file__).parents[2] / "configs" / "ppo" / "sgan_goal.yaml")
 
 
-def test_command_line_fine_tunes_and_resumes(tmp_path, monkeypatch) -> None:
+def test_command_line_fine_tunes_and_resumes(elsewhere) -> None:
     """A resumed run ends with the very weights of an uninterrupted one; both walk by their name."""
-    monkeypatch.chdir(tmp_path)
     start = [*FIT, "--config", CONFIG, "--weights", "sgan_goal.eth_ucy"]
     for runs, epochs in (("whole", 2), ("parts", 1)):
         assert main([*start, f"--trainer.max_epochs={epochs}", f"--runs={runs}"]) == 0
