@@ -1,8 +1,6 @@
 """Small files with huge demands: every reader refuses them before it takes memory, and says which limit."""
 
-import bz2
 import json
-import pickle
 import resource
 import struct
 import sys
@@ -30,7 +28,6 @@ from pedzoo.core.fetch import fetch
 from pedzoo.core.paths import shipped
 from pedzoo.core.registry import MODELS
 from pedzoo.data.own_files import OwnFiles
-from pedzoo.data.tracks import Tracks
 from pedzoo.maps.formats import read_igibson, read_image, read_ros
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.zoo.card import read_card
@@ -114,14 +111,11 @@ def test_frame_numbers_far_apart(tmp_path, text: str, dt: float, message: str) -
     assert len(OwnFiles([str(path)], 1e-9, "1,0,0").recordings("train")[0].tracks) == 9
 
 
-def test_homographies_are_small_and_archives_not_unpacked(tmp_path) -> None:
+def test_homographies_are_small(tmp_path) -> None:
     path = tmp_path / "H.txt"
     path.write_text("1 2 3\n" * 1_000_000)
     with at_most(300), pytest.raises(UserError, match="at most 2,000,000 are read: is it the right file"):
         OwnFiles(["people.txt"], 0.4, homography=str(path))
-    path.with_suffix(".bz2").write_bytes(bz2.compress(b"0 1 0 0\n" * 10))
-    with pytest.raises(UserError):
-        Tracks.read(path.with_suffix(".bz2"))
 
 
 @pytest.mark.parametrize("dt", [1e-9, 1e-300, float("nan")])
@@ -163,10 +157,6 @@ def test_checkpoints_are_not_unpacked(tmp_path) -> None:
             target.writestr(entry.filename, source.read(entry))
     with pytest.raises(UserError, match="is compressed, and torch does not compress"):
         load(str(packed))
-    for other in (b"", b"PK\x03\x04", pickle.dumps({"pedzoo": 1}), Path(plain).read_bytes()[:-30]):
-        packed.write_bytes(other)
-        with pytest.raises(UserError, match=r"cannot be read .*: is it cut off"):
-            load(str(packed))
 
 
 @pytest.mark.parametrize("says_length", [True, False])
