@@ -6,6 +6,7 @@ import lightning as L
 import torch
 from lightning.pytorch.callbacks import Callback
 
+from helpers.training import quiet_trainer
 from pedzoo.data.datamodule import ImitationWindows, Loading, TrajectoryDataModule
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.train.closed_loop.imitation import Imitation
@@ -36,19 +37,7 @@ def module(model: SGAN | None = None, walking: LoopLosses | None = None, **optio
 
 def train(trained: LoopModule, updates: int, *callbacks: Callback, scenes: int = 4) -> L.Trainer:
     """Train for some updates of one epoch, without validation."""
-    quiet: dict[str, Any] = {"enable_progress_bar": False, "enable_model_summary": False, "logger": False}
-    quiet |= {"limit_val_batches": 0, "num_sanity_val_steps": 0, "enable_checkpointing": False}
-    trainer = L.Trainer(
-        accelerator="cpu",
-        max_epochs=1,
-        limit_train_batches=updates,
-        callbacks=list(callbacks),
-        log_every_n_steps=1,
-        **quiet,
-    )
-    own = {
-        "loading": Loading(batch_size=scenes),
-        "imitated": ImitationWindows(steps=scenes, batch_size=scenes),
-    }
-    trainer.fit(trained, TrajectoryDataModule(goal="window_end", **own))
+    trainer = quiet_trainer(*callbacks, max_epochs=1, limit_train_batches=updates, limit_val_batches=0)
+    windows = ImitationWindows(steps=scenes, batch_size=scenes)
+    trainer.fit(trained, TrajectoryDataModule(goal="window_end", loading=Loading(scenes), imitated=windows))
     return trainer

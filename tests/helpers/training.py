@@ -36,10 +36,8 @@ def environment(**variables: str) -> dict[str, str]:
 def quiet_trainer(*callbacks: Callback, **options: Any) -> L.Trainer:
     """Return a trainer on the CPU that logs nowhere, and saves if a callback does."""
     quiet = {"enable_progress_bar": False, "enable_model_summary": False, "logger": False}
-    saving = any(isinstance(callback, ModelCheckpoint) for callback in callbacks)
-    own: dict[str, Any] = (
-        {"accelerator": "cpu", "log_every_n_steps": 1, "enable_checkpointing": saving} | quiet | options
-    )
+    quiet["enable_checkpointing"] = any(isinstance(one, ModelCheckpoint) for one in callbacks)
+    own: dict[str, Any] = {"accelerator": "cpu", "log_every_n_steps": 1} | quiet | options
     return L.Trainer(callbacks=list(callbacks), **own)
 
 
