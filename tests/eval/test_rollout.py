@@ -251,7 +251,6 @@ def test_touches_are_runs_of_points(walked: tuple[Rollout, MapBank]) -> None:
 
 def test_fifty_people_for_a_minute_take_less_than_100_kb() -> None:
     people, points = 50, 600
-    torch.manual_seed(0)
     turns = 0.1 * torch.randn(1, people, points + 1).cumsum(2)
     crowd = made((0.13 * torch.stack((turns.cos(), turns.sin()), -1)).cumsum(2))
     packed = packed_episode(crowd, 0)

@@ -119,7 +119,6 @@ def distances(near: Segments) -> Tensor:
 def test_nearest_segments_are_those_of_brute_force(dtype: torch.dtype) -> None:
     grids = [random_grid(0), random_grid(1, "other")]
     bank = MapBank(grids)
-    torch.manual_seed(0)
     count = 60
     which = torch.randint(2, (count,))
     pose = torch.stack(
@@ -183,7 +182,6 @@ def test_only_so_many_and_only_in_reach() -> None:
 
 def test_compiled_loops_find_what_torch_finds() -> None:
     grids = [random_grid(0), random_grid(1, "other")]
-    torch.manual_seed(0)
     place = torch.rand(2, 500) * torch.tensor([[16.0], [16.0]]) - 4
     row, reach = torch.randint(-1, 2, (500,)), 3 * torch.rand(500)
     for most in (3, 16, None):

@@ -137,7 +137,6 @@ def test_nothing_within_reach() -> None:
 
 def test_maps_of_a_bank_poses_and_shapes() -> None:
     """Two maps, one far away and turned, in turned, mirrored and moved scenes, agree with each alone."""
-    torch.manual_seed(0)
     grids = [
         OccupancyGrid(scattered(20, 30, 0.1, 1), 0.1, (-60.0, 40.0, 0.7), name="far"),
         OccupancyGrid(scattered(13, 9, 0.2, 2), 0.3, name="near"),
@@ -172,7 +171,6 @@ def test_maps_of_a_bank_poses_and_shapes() -> None:
 
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.2, 1.0])
 def test_rays_go_to_the_nearest_box(share: float) -> None:
-    torch.manual_seed(0)
     grids = [
         OccupancyGrid(scattered(40, 60, share, 1), 0.1, (-6.0, 4.0, 0.7), name="turned"),
         OccupancyGrid(scattered(13, 9, share, 2), 0.3, name="small"),

@@ -103,7 +103,6 @@ def test_rings_read_distances_turned_to_the_heading():
 
 @pytest.mark.parametrize("name", ["patch", "rings"])
 def test_encoders_train_and_carry_gradients_to_positions(name):
-    torch.manual_seed(0)
     grid, encoder = room(), ENCODERS[name](dim=32)
     at = people(MapBank([grid]), grid)
     at.position.requires_grad_()

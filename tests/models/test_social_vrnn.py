@@ -238,7 +238,6 @@ def test_others_and_map_are_seen_where_asked_for():
 
 def test_untrained_people_walk_on_nearly_as_they_did():
     batch = make_batch((4, 2), goal=False)
-    torch.manual_seed(0)
     model = SocialVRNN.of(map=None).eval()
     history = of_people(batch, "history")
     off = model.mode(batch, 8)[:, 0][agents_of(batch)["mask"]] - (history[:, -1:] - history[:, -2:-1])

@@ -79,7 +79,6 @@ NOISE = torch.randn(1, 5, SocialWalker.noise_dim, generator=torch.Generator().ma
 @torch.no_grad()
 def test_every_part_can_be_left_out(part):
     batch = make_batch((5,))
-    torch.manual_seed(0)
     whole = SocialWalker.of(walls=False)
     without = SocialWalker.of(walls=False, **{part: False})
     without.load_state_dict(whole.state_dict())
@@ -352,7 +351,6 @@ def test_people_in_narrow_places_turn_to_their_way_at_once():
 
 def test_people_evener_than_recorded_have_the_usual_style():
     """What stands says nothing of that; styles of a scene with one shaky walk stay to the bit."""
-    torch.manual_seed(0)
     line = 0.5 * torch.arange(8.0).view(8, 1) * torch.tensor([1.0, 0.0])
     shaky = line + 0.02 * torch.randn(8, 2)
     usual = torch.tensor(USUAL)

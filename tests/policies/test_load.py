@@ -48,7 +48,6 @@ def test_every_policy_and_model_steps_people_of_a_simulator(name, kind, seconds)
 
 
 def test_untrained_models_have_the_architecture_that_is_named():
-    torch.manual_seed(0)
     trained = pedzoo.load("sgan_goal_map.zara1")
     assert trained.name == trained.card.name == "sgan_goal_map.zara1"
     assert pedzoo.load("bent_line").card is None

@@ -313,7 +313,6 @@ walls are; not move at all."""
 @pytest.mark.parametrize("name", SCENARIOS.names())
 def test_gradients_are_finite_and_reach_all_people(name: str) -> None:
     """Of rewards and of ways, by every action, and by the gain of what people see of others."""
-    torch.manual_seed(0)
     env = make_env(prepared(name), num_envs=4)
     now: Any = env.reset()
     given = torch.zeros(STEPS, *now["agents", "mask"].shape, 2, requires_grad=True)

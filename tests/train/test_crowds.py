@@ -295,7 +295,6 @@ def test_the_loss_sees_one_large_acceleration(crowd: RecordedCrowd) -> None:
 
 def test_a_judge_learns_to_distinguish_and_judges_untrained() -> None:
     random = torch.Generator().manual_seed(0)
-    torch.manual_seed(0)
     judge = CrowdDiscriminator(hidden_dim=16)
     clips = [torch.randn(200, 8, 14, generator=random) for _ in range(2)]
     clips[1][..., :2] += 1.0
