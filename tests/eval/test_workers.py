@@ -6,7 +6,6 @@ A worker takes 2.5 s to start, so few tests have any.
 import gc
 import multiprocessing
 import os
-import random
 import signal
 import subprocess
 import sys
@@ -181,18 +180,6 @@ def test_a_worker_stays_with_its_group_and_then_helps() -> None:
     assert [queue.take(), queue.take(), queue.take("b")] == [(0, "a"), (1, "b"), (5, "b")]
     assert [queue.take("b"), queue.take("c")] == [(3, "c"), (2, "a")]  # nothing but a is left
     assert [queue.take("a"), queue.take("a"), queue.take("a")] == [(4, "a"), (6, "a"), None]
-
-
-def test_every_job_is_handed_out_once_whoever_asks() -> None:
-    draw = random.Random(0)
-    for _ in range(50):
-        keys = [draw.randrange(5) for _ in range(draw.randrange(1, 30))]
-        queue, last, taken = JobQueue(keys), dict.fromkeys(range(4)), []
-        while job := queue.take(last[worker := draw.randrange(4)]):
-            assert keys[job[0]] == job[1]
-            taken.append(job[0])
-            last[worker] = job[1]
-        assert sorted(taken) == list(range(len(keys)))
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
