@@ -29,7 +29,7 @@ def waits(rollout):
 
 NAMES = [
     ("rollout go_to_goal orcaa", "unknown policy 'orcaa': did you mean 'orca'?"),
-    ("rollout orca+sgan_goal_map.indor", "did you mean 'approach_net_goal_map.indoor'?"),
+    ("rollout orca+approach_net_goal_map.indor", "did you mean 'approach_net_goal_map.indoor'?"),
     ("rollout orca --scenario dor", "unknown scenario 'dor': did you mean 'door'?"),
     ("rollout orca --episode 3", "unknown option --episode: did you mean --episodes?"),
     ("plans office --cuont 3", "unknown option --cuont: did you mean --count?"),
@@ -108,6 +108,7 @@ VALUES = [
     ("evaluate orca --suite encounters --plot a.png", "which is not asked for"),
     ("fit --config based.yaml", "unknown config 'sgan_gaol': did you mean 'sgan_goal'?"),
     ("fit --config sgan_nopool --data.fold zara1", "PEDZOO_DATA"),
+    ("fit --config sgan_goal --data.fold embedded --data.goal none", "none"),
     ("fit --model.lr 1", "needs generator, too: start from --config NAME ("),
     ("test --config sgan_goal --data.fold embedded", "--ckpt_path"),
     ("demo --epochs 0", "--epochs 0: expected at least 1"),
@@ -148,10 +149,11 @@ VALUES = [
 
 FIT = "fit --config sgan_goal --data.fold embedded --rollout.episodes=1 --trainer.limit_val_batches=1"
 LOOP = "fit --config closed_loop/approach_net_goal_map --weights sgan_goal.zara1 --data.fold embedded"
-ROBOT = "fit --config robot/ppo --model.scenarios=[crowdnav:crowds=8] --model.envs=8 --model.episodes=4"
+LOOP += ' --rollout.scenarios [hallway] --model.steps=3 --model.courses [{"scenario":"hallway"}]'
+ROBOT = "fit --config robot/ppo --model.scenarios=[crowdnav:crowds=8] --trainer.max_epochs=1 --model.envs=8"
+ROBOT += " --model.episodes=4 --model.steps=4 --model.updates=2 --trainer.check_val_every_n_epoch=1"
 TRAININGS = {
     f"{FIT} --wandb offline": [
-        ("--data.goal none", "none"),
         ("--lr 1e-3", "did you mean --model.lr?"),
         ("--model.generator.noise_dm 4", "did you mean --model.generator.architecture.noise_dim?"),
         ("--model.discriminator.knd local", "did you mean --model.discriminator.kind?"),
@@ -182,7 +184,7 @@ TRAININGS = {
         ("--monitor rollout/door/deadlock --monitor_mode=max", "add --monitor_mode min"),
         ("--monitor rollout/door/success --rollout.scenarios null", "set --rollout.scenarios"),
     ],
-    f"{LOOP} --rollout.scenarios [hallway]": [
+    LOOP: [
         ("--model.walking.person_distanse 3", "person_distance"),
         ("--model.walking.person_distance -1", "person_distance -1.0: expected at least 0"),
         ("--model.walking.person_distance much", "walking"),
