@@ -19,7 +19,7 @@ FIT = ["fit", "--config", "sgan_nopool", "--data.fold=embedded", "--data.loading
 FIT += ["--model.samples=2"]
 """A training of a second, and ..."""
 
-RUN = Path("runs/sgan/embedded-seed0")
+RUN = Path("runs/sgan_nopool/embedded-seed0")
 """... its folder."""
 
 LAST = RUN / "checkpoints" / "last.ckpt"

@@ -100,7 +100,7 @@ def test_a_training_that_sigterm_ended_is_resumed(whole):
 def test_a_job_that_slurm_runs_again_goes_on(whole, monkeypatch):
     scontrol = Path("bin/scontrol")
     scontrol.parent.mkdir()
-    scontrol.write_text('#!/bin/sh\necho "$@" >> asked\nls -A runs/sgan/embedded-seed0 >> asked\n')
+    scontrol.write_text('#!/bin/sh\necho "$@" >> asked\nls -A runs/sgan_nopool/embedded-seed0 >> asked\n')
     scontrol.chmod(0o755)
     path = {"PATH": f"{scontrol.parent.absolute()}:{os.environ['PATH']}"}
     ended = stopped(signal.SIGUSR1, **SLURM, **path)
