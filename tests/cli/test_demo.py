@@ -4,16 +4,13 @@ import json
 import shlex
 from importlib.util import find_spec
 
-import pytest
+from helpers.training import LIGHTNING_MARKS
 
 from pedzoo.cli.commands import demo
 from pedzoo.cli.main import main
 from pedzoo.viz.video import read_video
 
-pytestmark = [
-    pytest.mark.filterwarnings("ignore:.*LeafSpec"),  # Lightning 2.6 beside torch 2.13
-    pytest.mark.filterwarnings("ignore:.*does not have many workers"),
-]
+pytestmark = LIGHTNING_MARKS
 
 
 def test_the_demo_walks_tunes_and_compares(elsewhere, capsys, monkeypatch) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import lightning as L
+import pytest
 import torch
 from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from torch.utils._pytree import tree_flatten
@@ -14,6 +15,18 @@ from pedzoo.cli.main import main
 SHORT = [f"--trainer.{key}=1" for key in ("max_epochs", "limit_val_batches", "check_val_every_n_epoch")]
 SHORT += ["--trainer.limit_train_batches=2", "--trainer.enable_progress_bar=false"]
 """Options of one epoch of two updates, with a validation."""
+
+LIGHTNING_MARKS = [
+    pytest.mark.filterwarnings(f"ignore:.*{said}")
+    for said in (
+        "does not have many workers",
+        "callbacks used to create the checkpoint",
+        "Checkpoint directory .* exists and is not empty",
+        "no pre-optimization state was saved",
+        "is smaller than the logging interval",
+    )
+]
+"""Warnings of Lightning's that say nothing about such short trainings."""
 
 FIT = ["fit", "--config", "sgan_nopool", "--data.fold=embedded", "--data.loading.batch_size=8", *SHORT]
 FIT += ["--model.samples=2"]

@@ -14,8 +14,7 @@ from typing import Any, cast
 import lightning as L
 import pytest
 import torch
-from helpers.lightning_marks import LIGHTNING_MARKS
-from helpers.training import SHORT, environment, last, quiet_trainer
+from helpers.training import LIGHTNING_MARKS, SHORT, environment, last, quiet_trainer
 from lightning.pytorch.callbacks import Callback, LambdaCallback, ModelCheckpoint
 from torch import Tensor, nn
 

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from helpers.lightning_marks import LIGHTNING_MARKS
 from helpers.loop_training import MEETING, module, small, train
-from helpers.training import SHORT, assert_same_end, fitted, last
+from helpers.training import LIGHTNING_MARKS, SHORT, assert_same_end, fitted, last
 from lightning.pytorch.callbacks import LambdaCallback
 from torch import Tensor, nn
 

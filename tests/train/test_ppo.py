@@ -8,8 +8,7 @@ from typing import Any, cast
 
 import pytest
 import torch
-from helpers.lightning_marks import LIGHTNING_MARKS
-from helpers.training import SHORT, assert_same_end, last, quiet_trainer
+from helpers.training import LIGHTNING_MARKS, SHORT, assert_same_end, last, quiet_trainer
 from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.distributions import Normal
@@ -31,10 +30,7 @@ from pedzoo.train.ppo.trainer import Gatherer, Objective, actor
 
 CPU = torch.device("cpu")
 
-pytestmark = [
-    *LIGHTNING_MARKS,
-    pytest.mark.filterwarnings("ignore:.*is smaller than the logging interval"),
-]
+pytestmark = LIGHTNING_MARKS
 
 
 def small(**more: Any) -> SGAN:

@@ -7,8 +7,7 @@ from typing import Any, cast
 
 import pytest
 import torch
-from helpers.lightning_marks import LIGHTNING_MARKS
-from helpers.training import last, quiet_trainer
+from helpers.training import LIGHTNING_MARKS, last, quiet_trainer
 from tensordict import TensorDict
 from torch import Tensor, nn
 from torchrl.envs.utils import check_env_specs
@@ -32,11 +31,7 @@ from pedzoo.train.ppo.teacher import taught, teacher_of
 from tools.kills import difference
 from tools.paper.crowdnav import run
 
-pytestmark = [
-    *LIGHTNING_MARKS,
-    pytest.mark.filterwarnings("ignore:.*is smaller than the logging interval"),
-    pytest.mark.filterwarnings("ignore:.*does not have many workers"),
-]
+pytestmark = LIGHTNING_MARKS
 
 BEAMS = 32
 

@@ -9,7 +9,7 @@ import lightning as L
 import pytest
 import torch
 from helpers.batches import changed, make_batch, random_weights
-from helpers.training import SHORT, assert_same_end, quiet_trainer
+from helpers.training import LIGHTNING_MARKS, SHORT, assert_same_end, quiet_trainer
 from lightning.pytorch.callbacks import Callback, LambdaCallback, ModelCheckpoint
 from torch import Tensor
 from torch.optim import Optimizer
@@ -26,14 +26,7 @@ from pedzoo.train.gan import GANModule
 from pedzoo.train.module import ForecastModule, PlainModule
 from pedzoo.train.run import rows_of
 
-pytestmark = [
-    pytest.mark.usefixtures("elsewhere"),
-    pytest.mark.filterwarnings("ignore:.*LeafSpec"),  # Lightning 2.6 beside torch 2.13
-    pytest.mark.filterwarnings("ignore:.*does not have many workers"),
-    pytest.mark.filterwarnings("ignore:.*no pre-optimization state was saved"),  # which is not wanted here
-    pytest.mark.filterwarnings("ignore:.*callbacks used to create the checkpoint"),
-    pytest.mark.filterwarnings("ignore:.*Checkpoint directory .* exists and is not empty"),
-]
+pytestmark = [pytest.mark.usefixtures("elsewhere"), *LIGHTNING_MARKS]
 
 QUICK = [*SHORT, "--data.fold=embedded", "--data.loading.batch_size=8", "--model.samples=2"]
 QUICK += ["--model.generator.losses.best_k=3", "--trainer.limit_train_batches=3"]
