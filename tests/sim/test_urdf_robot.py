@@ -201,9 +201,6 @@ def test_a_body_without_wheels_cannot_drive_by_them() -> None:
 # Cameras
 
 
-pytest.importorskip("pybullet")
-
-
 def test_depths_are_those_of_a_lidar() -> None:
     """Beams at -20, 0 and 20 degrees."""
     env = pedzoo.make_robot_env(
