@@ -16,8 +16,16 @@ from torch.utils.data import DataLoader, Dataset, DistributedSampler
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import OBS_LEN, GoalProtocol, TimeBase
-from pedzoo.data.own_files import OwnFiles
-from pedzoo.data.recordings import OWN_FILES, OpenFold, Recording, Scene, Split, find_fold, open_fold
+from pedzoo.data.recordings import (
+    OWN_FILES,
+    OpenFold,
+    OwnFiles,
+    Recording,
+    Scene,
+    Split,
+    find_fold,
+    open_fold,
+)
 from pedzoo.data.scenes import KeptPeople, SceneSet, WindowCounts, augmentation
 from pedzoo.data.tracks import Tracks
 from pedzoo.maps.bank import MapBank

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pedzoo.core.errors import UserError
-from pedzoo.data.own_files import OwnFiles
+from pedzoo.data.recordings import OwnFiles
 from pedzoo.data.text_format import is_recording
 from pedzoo.data.tracks import Tracks
 

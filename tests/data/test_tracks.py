@@ -10,7 +10,7 @@ import yaml
 from pedzoo.core.errors import UserError
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.data.datasets.eth_ucy import EthUcy
-from pedzoo.data.own_files import OwnFiles
+from pedzoo.data.recordings import OwnFiles
 from pedzoo.data.tracks import Tracks, doubts
 from pedzoo.eval.scoring.score import Reference, score
 from pedzoo.sim.scenarios.replay import Replay

@@ -33,7 +33,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.paths import shipped
 from pedzoo.core.registry import SCENARIOS
 from pedzoo.core.spec import build
-from pedzoo.data.own_files import OwnFiles
+from pedzoo.data.recordings import OwnFiles
 from pedzoo.data.tracks import Tracks
 from pedzoo.eval.work_units import Journal
 from pedzoo.maps.formats import read_igibson, read_image, read_ros

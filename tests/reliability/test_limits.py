@@ -27,7 +27,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.fetch import fetch
 from pedzoo.core.paths import shipped
 from pedzoo.core.registry import MODELS
-from pedzoo.data.own_files import OwnFiles
+from pedzoo.data.recordings import OwnFiles
 from pedzoo.maps.formats import read_igibson, read_image, read_ros
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.zoo.card import read_card

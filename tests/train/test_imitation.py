@@ -13,7 +13,7 @@ from torchrl.envs.utils import step_mdp
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
 from pedzoo.data.datamodule import ImitationWindows, Loading, TrajectoryDataModule
-from pedzoo.data.own_files import OwnFiles
+from pedzoo.data.recordings import OwnFiles
 from pedzoo.data.scenes import SceneSet
 from pedzoo.maps.bank import MapBank
 from pedzoo.metrics.realism import features as realism_features

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import OBS_LEN, STEP_SECONDS
-from pedzoo.data.own_files import OwnFiles
+from pedzoo.data.recordings import OwnFiles
 from pedzoo.data.tracks import WALKED, Tracks, brisk, check_walks, distance, rows_apart, say
 from pedzoo.metrics.realism.crowds import CrowdSums, added, crowd, main_axis, measured, together
 from pedzoo.metrics.realism.features import (

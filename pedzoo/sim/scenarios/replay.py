@@ -14,8 +14,7 @@ from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.geometry import passes_goal
 from pedzoo.core.randomness import Draws
 from pedzoo.core.types import GOAL_RADIUS, STEP_SECONDS
-from pedzoo.data.own_files import OwnFiles
-from pedzoo.data.recordings import OpenFold, Scene, find_fold, open_fold
+from pedzoo.data.recordings import OpenFold, OwnFiles, Scene, find_fold, open_fold
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.planning.astar import planner_class
