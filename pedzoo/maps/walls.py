@@ -20,7 +20,7 @@ from torch import Tensor
 from pedzoo.core.geometry import turn_matrix
 from pedzoo.core.machine import compiles
 from pedzoo.core.types import BODY_RADIUS
-from pedzoo.maps.constants import CANDIDATES, INTO, WALL
+from pedzoo.maps.constants import CANDIDATES
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.segments import Floats, Numbers, SegmentTable, borders, edges, outlines, without_hollows
 
@@ -253,15 +253,12 @@ class Walls:
         return self._made[key]
 
 
-_STEPS = 16  # of all rays, before it is asked whether one goes on: that waits for the device
-
-
 @dataclass(frozen=True, eq=False)
 class LocalWalls:
     """The walls as entries of any shape E see them, each on its map and in its scene's frame.
 
     Coordinates come first and entries last, (2, K, *E): on the CPU several times faster than pairs. Frames
-    of shape (B, 1) serve the agents of B scenes, (B, A). Only `cast` reads anything back to the host.
+    of shape (B, 1) serve the agents of B scenes, (B, A). Only `cast` is for the host alone.
 
     Attributes:
         walls: Those of all maps.
@@ -387,30 +384,11 @@ class LocalWalls:
         direction = (x_axis * direction[0] + y_axis * direction[1]).double()
         # Along an axis a ray never leaves its line of cells; dividing by almost nothing says just that.
         direction = torch.where(direction.abs() < 1e-12, 1e-12, direction)
+        from pedzoo.maps.walls_numba import cast
+
         length = torch.full_like(origin[0], reach)
-        if length.device.type == "cpu":
-            from pedzoo.maps.walls_numba import cast
-
-            given = (origin, direction, self.walls.least, self.place, self.frame[6].double())
-            cast(*(part.numpy() for part in given), reach, length.numpy())
-            return length
-        return self.traverse(origin, direction, reach)
-
-    def traverse(self, origin: Tensor, direction: Tensor, reach: float) -> Tensor:
-        """Do what `cast` does in torch; origins and directions (2, R, N) are in half cells."""
-        length, side = torch.full_like(origin[0], reach), self.frame[6].double()
-        ends = torch.stack((-origin, self.place[:2].unsqueeze(1) - origin)) / direction
-        t, end = ends.amin(0).amax(0).clamp_min(0), ends.amax(0).amin(0).clamp_max(reach)
-        while bool((t < end).any()):
-            for _ in range(_STEPS):
-                into = t + INTO * side
-                cell = (origin + direction * into).floor().clamp(*self._ends)
-                free = self.least_at(cell)
-                hit = (t < end) & (free < WALL * side)
-                entry = ((cell + (direction < 0) - origin) / direction).amax(0).clamp_min(0)
-                length = torch.where(hit, entry, length)
-                leaving = ((cell + (direction > 0) - origin) / direction).amin(0)
-                t = torch.where(hit, math.inf, torch.maximum(torch.maximum(leaving, into), t + free))
+        given = (origin, direction, self.walls.least, self.place, self.frame[6].double())
+        cast(*(part.numpy() for part in given), reach, length.numpy())
         return length
 
     @cached_property

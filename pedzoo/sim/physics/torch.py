@@ -39,8 +39,8 @@ class Torch(Physics):
         """See `Physics.rays`: a traversal of the grid, and discs by formula."""
         valid = (origin.isfinite() & direction.isfinite()).all(-1)
         origin, direction = (torch.where(valid.unsqueeze(-1), values, 0) for values in (origin, direction))
-        around = self.bank.walls_around(people.map_id[:, 0], people.pose)
-        walls = around.cast(origin.permute(2, 1, 0), direction.permute(2, 1, 0), reach).t().to(origin.dtype)
+        around = self.bank.to("cpu").walls_around(people.map_id[:, 0].cpu(), people.pose.cpu())
+        walls = around.cast(*(part.cpu().permute(2, 1, 0) for part in (origin, direction)), reach).t()
         chunk = max(1, _CHUNK // max(1, people.mask.numel()))
         bodies = [
             self._body_rays(people, some_origins, some_directions, reach)
@@ -48,7 +48,7 @@ class Torch(Physics):
                 origin.split(chunk, 1), direction.split(chunk, 1), strict=True
             )
         ]
-        return torch.where(valid, torch.minimum(walls, torch.cat(bodies, 1)), reach)
+        return torch.where(valid, torch.minimum(walls.to(origin), torch.cat(bodies, 1)), reach)
 
     def _body_rays(self, people: Bodies, origin: Tensor, direction: Tensor, reach: float) -> Tensor:
         """Return how far rays go before they meet a body (B, R), metres; else ``reach``."""
