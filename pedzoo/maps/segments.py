@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pedzoo.core.machine import compiles
 from pedzoo.core.types import BODY_RADIUS
-from pedzoo.maps.constants import BUCKET, HALF, ROUNDED
+from pedzoo.maps.constants import BUCKET, HALF
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 
 Floats = NDArray[np.float64]
@@ -139,8 +138,6 @@ class Segments(NamedTuple):
         return Segments(*(part[..., :most, :] for part in self))
 
 
-_NUMBER = (1 << 31) - 1  # the bits of a key that tell which segment it is of
-_FAR = 1e30  # squared metres, beyond any floor plan
 _NO_SEGMENT = np.array([[0.0, 0, 1, 0, 1, -1, 0, -1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1]])  # sums stay finite
 
 
@@ -176,22 +173,17 @@ class SegmentTable:
 
     Attributes:
         segments: Columns of `edges` in rows (18, S + 1). The last one stands for none.
-        candidates: Numbers of segments, bucket after bucket, those nearest to its middle first (C,) int32.
-        offset: Where each bucket's candidates begin (buckets + 2,) int32; the last bucket is empty.
-        corner: Smallest x and y of each map's buckets (2, R + 1), metres.
-        buckets: Number of each map's first bucket, and how many lie along x and y (3, R + 1) int32.
+        lookup: Arrays that compiled loops read: the segments in single precision; the numbers of candidates,
+            bucket after bucket, those nearest to its middle first (C,) int32; where each bucket's begin
+            (buckets + 1,) int32; smallest x and y of each map's buckets (2, R + 1) float32, metres; number of
+            each map's first bucket, and how many lie along x and y (3, R + 1) int32.
         reach: Metres up to which the candidates are complete.
-        width: Candidates of the bucket that has the most.
         most: How many segments a position gets at most.
     """
 
     segments: Tensor
-    candidates: Tensor
-    offset: Tensor
-    corner: Tensor
-    buckets: Tensor
+    lookup: tuple[NDArray[Any], ...]
     reach: float
-    width: int
     most: int
 
     @classmethod
@@ -212,22 +204,18 @@ class SegmentTable:
         count = np.concatenate(counts)
         width = int(count.max(initial=0))
         first = np.cumsum([0, *map(len, counts[1:])])
-        return cls(
-            segments=torch.as_tensor(segments),
-            candidates=torch.as_tensor(np.concatenate([*lists, np.full(width, before, np.int32)])),
-            offset=torch.as_tensor(np.cumsum(np.concatenate([[0], count, [0]]))).int(),
-            corner=torch.as_tensor(np.array([*lows, np.zeros(2)]).T.copy()),
-            buckets=torch.as_tensor(np.column_stack((first, [*sizes, np.zeros(2)])).T.copy()).int(),
-            reach=reach,
-            width=width,
-            most=width if most is None else min(most, width),
+        lookup = (
+            segments.astype(np.float32),
+            np.concatenate(lists),
+            np.cumsum(np.append(0, count)).astype(np.int32),
+            np.array([*lows, np.zeros(2)], dtype=np.float32).T.copy(),
+            np.column_stack((first, [*sizes, np.zeros(2)])).astype(np.int32).T.copy(),
         )
+        return cls(torch.from_numpy(segments), lookup, reach, width if most is None else min(most, width))
 
     def to(self, device: torch.device, dtype: torch.dtype) -> SegmentTable:
-        """Return the table for positions of a dtype on a device."""
-        moved = {name: getattr(self, name).to(device) for name in ("candidates", "offset", "buckets")}
-        measured = {name: getattr(self, name).to(device, dtype) for name in ("segments", "corner")}
-        return replace(self, **moved, **measured)
+        """Return the table for positions of a dtype on a device; the look-up stays on the host."""
+        return replace(self, segments=self.segments.to(device, dtype))
 
     def near(self, points: Tensor, row: Tensor, pose: Tensor, reach: Tensor) -> Segments:
         """Return the `nearest` segments of scene positions (N, 2) on maps ``row``, in poses (N, 4)."""
@@ -255,41 +243,17 @@ class SegmentTable:
         """Return the nearest segments (K, N) long that positions (2, N) are outside of and within reach.
 
         The nearest are first; others stand for none, and the second answer says which of the K there are (K,
-        N), 1 or 0. ``reach`` (N,) is at most the table's, metres. Nothing is read back to the host. On the
-        CPU single precision is looked up by compiled loops.
+        N), 1 or 0. ``reach`` (N,) is at most the table's, metres. They are looked up by compiled loops, on
+        the host and in single precision.
         """
-        if compiles(place):
-            from pedzoo.maps.walls_numba import nearest
+        from pedzoo.maps.walls_numba import nearest
 
-            number = torch.full((self.most, len(row)), self.segments.shape[1] - 1)
-            squared = torch.full((self.most, len(row)), math.inf)
-            tables = self.segments, self.candidates, self.offset, self.corner, self.buckets
-            arrays = [part.numpy() for part in (place.detach(), row, reach, *tables, number, squared)]
-            used = nearest(*arrays)
-            return number[:used], torch.lt(squared[:used], _FAR, out=torch.empty(0))
-        row = row % self.buckets.shape[1]
-        first, columns, rows = self.buckets.index_select(1, row)
-        cell = ((place - self.corner.index_select(1, row)) / BUCKET).floor()
-        inside = (cell[0] >= 0) & (cell[1] >= 0) & (cell[0] < columns) & (cell[1] < rows)
-        x, y = torch.where(inside, cell, 0).int()
-        bucket = torch.where(inside, first + y * columns + x, len(self.offset) - 2)
-        begin = self.offset.index_select(0, bucket)
-        column = torch.arange(self.width, device=row.device).unsqueeze(1)
-        segment = self.candidates.index_select(0, (begin + column).flatten())
-        start_x, start_y, dx, dy, length = (
-            self.segments[:5].index_select(1, segment).unflatten(1, column.shape[:1] + row.shape)
-        )
-        from_x, from_y = place[0] - start_x, place[1] - start_y
-        along, line_distance = from_x * dx + from_y * dy, from_x * dy - from_y * dx
-        beyond = along - along.minimum(length).clamp_min(0)
-        counts = (column < self.offset.index_select(0, bucket + 1) - begin) & (line_distance > 0)
-        distance2 = torch.where(counts, beyond * beyond + line_distance * line_distance, _FAR).float()
-        # The upper bits of a key are the squared distance, the lower ones tell the segment: floats that are
-        # not negative are ordered as their bits are.
-        bits = distance2.view(torch.int32).bitwise_and(ROUNDED).long().bitwise_left_shift(31)
-        key = (bits + segment.view(bits.shape)).sort(dim=0)[0][: self.most]
-        valid = (key >> 31).int().view(torch.float32) < (reach * reach).float()
-        return torch.where(valid, key & _NUMBER, self.segments.shape[1] - 1), valid.to(place.dtype)
+        number = torch.full((self.most, len(row)), self.segments.shape[1] - 1)
+        squared = torch.full((self.most, len(row)), math.inf)
+        asked = (part.cpu().numpy() for part in (place.detach().float(), row, reach.detach().float()))
+        used = nearest(*asked, *self.lookup, number.numpy(), squared.numpy())
+        there = torch.lt(squared[:used], math.inf, out=torch.empty(0))
+        return number[:used].to(place.device), there.to(place)
 
 
 def _bucket_lists(

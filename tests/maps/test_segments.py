@@ -180,20 +180,6 @@ def test_only_so_many_and_only_in_reach() -> None:
     assert torch.equal(near.along, far.along) and near.valid.sum() > 10
 
 
-def test_compiled_loops_find_what_torch_finds() -> None:
-    grids = [random_grid(0), random_grid(1, "other")]
-    place = torch.rand(2, 500) * torch.tensor([[16.0], [16.0]]) - 4
-    row, reach = torch.randint(-1, 2, (500,)), 3 * torch.rand(500)
-    for most in (3, 16, None):
-        table = MapBank(grids).walls.segments(3.0, most)
-        number, valid = table.nearest(place, row, reach)
-        exact = table.nearest(place.double(), row, reach.double())
-        wanted, there = (part[: len(number)] for part in exact)
-        assert torch.equal(valid.double(), there)
-        same = (number == wanted).float().mean()  # some are equally near in single precision
-        assert same > 0.995
-
-
 def test_outlines_are_shared_where_no_hollow_is_filled() -> None:
     solid = draw("........", ".######.", ".######.", "........")
     hollow = draw("........", ".######.", ".##.###.", ".######.")
