@@ -154,3 +154,21 @@ def cast(origin, direction, least, place, side, reach, length):
                     break
                 leaving = min((column + (dx > 0) - x) / dx, (row + (dy > 0) - y) / dy)
                 t = max(leaving, into, t + free)
+
+
+@jit
+def meet_bodies(position, radius, present, origin, direction, length):
+    """Shorten rays (B, R) to where they meet a body (B, A); those that begin inside of it do not see it."""
+    for b in range(length.shape[0]):
+        for a in range(radius.shape[1]):
+            if not present[b, a]:
+                continue
+            x, y, square = position[b, a, 0], position[b, a, 1], radius[b, a] * radius[b, a]
+            for i in range(length.shape[1]):
+                off_x, off_y = origin[b, i, 0] - x, origin[b, i, 1] - y
+                along = off_x * direction[b, i, 0] + off_y * direction[b, i, 1]
+                outside = off_x * off_x + off_y * off_y - square
+                # |origin + t direction - position| = radius; a root below zero lies behind the ray
+                root = along * along - outside
+                if along < 0 and outside > 0 and root > 0:
+                    length[b, i] = min(length[b, i], -along - np.sqrt(root))

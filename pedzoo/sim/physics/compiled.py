@@ -22,7 +22,6 @@ from pedzoo.core.types import GOAL_RADIUS, TRACE_SECONDS
 from pedzoo.maps.constants import NO_WALL
 from pedzoo.maps.walls_numba import quarter, wall_gap
 from pedzoo.sim.dynamics import CREEP, ROUNDING, SKIN, STRIDE
-from pedzoo.sim.physics._base import Bodies
 from pedzoo.sim.physics.torch import Torch
 from pedzoo.sim.scenario import Rules
 from pedzoo.sim.state import CLOCK_ROUNDING, PAST_LEN, Decision, Motion, MotionInput, State
@@ -101,14 +100,6 @@ class Compiled(Torch):
     def _loop_walls(self, state: State) -> _Walls:
         lies = (state.wall_frame, state.wall_place) if self.bank.grids else _NO_WALLS
         return _Walls(*_arrays(*lies), *self.bank.walls.arrays)
-
-    def _body_rays(self, people: Bodies, origin: Tensor, direction: Tensor, reach: float) -> Tensor:
-        if not compiles(origin, direction, people.position):
-            return super()._body_rays(people, origin, direction, reach)
-        length = torch.full(origin.shape[:2], reach)
-        given = people.position, self._radius(people).to(people.position), self._present(people)
-        _rays_loop(*_arrays(*given, origin, direction, length))
-        return length
 
 
 def _compiles(*given: Tensor | None) -> bool:
@@ -327,21 +318,3 @@ def _decide_loop(before, after, walls, steps, goals, leave, keep_goal, events):
             after.velocity[b, a, 0], after.velocity[b, a, 1] = x, y
             turns = x * x + y * y > _TURNS * _TURNS
             after.heading[b, a] = math.atan2(y, x) if turns else before.heading[b, a]
-
-
-@jit
-def _rays_loop(position, radius, present, origin, direction, length):
-    """Shorten rays (B, R) to where they meet a body (B, A); those that begin inside of it do not see it."""
-    for b in range(length.shape[0]):
-        for a in range(radius.shape[1]):
-            if not present[b, a]:
-                continue
-            x, y, square = position[b, a, 0], position[b, a, 1], radius[b, a] * radius[b, a]
-            for i in range(length.shape[1]):
-                off_x, off_y = origin[b, i, 0] - x, origin[b, i, 1] - y
-                along = off_x * direction[b, i, 0] + off_y * direction[b, i, 1]
-                outside = off_x * off_x + off_y * off_y - square
-                # |origin + t direction - position| = radius; a root below zero lies behind the ray
-                root = along * along - outside
-                if along < 0 and outside > 0 and root > 0:
-                    length[b, i] = min(length[b, i], -along - np.sqrt(root))

@@ -15,9 +15,6 @@ from pedzoo.sim.drawing import Camera, Canvas, draw_floor, person_color
 from pedzoo.sim.physics._base import REACH, Bodies, Physics
 from pedzoo.sim.state import Contacts, MotionInput, State
 
-_CHUNK = 4_000_000
-"""Ray-body pairs that are compared at once."""
-
 
 class Torch(Physics):
     """The walls as they are, for all scenes at once and on the people's device."""
@@ -36,33 +33,17 @@ class Torch(Physics):
 
     @torch.no_grad()
     def rays(self, people: Bodies, origin: Tensor, direction: Tensor, reach: float = REACH) -> Tensor:
-        """See `Physics.rays`: a traversal of the grid, and discs by formula."""
+        """See `Physics.rays`: a traversal of the grid, and discs by formula; both are loops on the host."""
+        from pedzoo.maps.walls_numba import meet_bodies
+
         valid = (origin.isfinite() & direction.isfinite()).all(-1)
         origin, direction = (torch.where(valid.unsqueeze(-1), values, 0) for values in (origin, direction))
         around = self.bank.to("cpu").walls_around(people.map_id[:, 0].cpu(), people.pose.cpu())
         walls = around.cast(*(part.cpu().permute(2, 1, 0) for part in (origin, direction)), reach).t()
-        chunk = max(1, _CHUNK // max(1, people.mask.numel()))
-        bodies = [
-            self._body_rays(people, some_origins, some_directions, reach)
-            for some_origins, some_directions in zip(
-                origin.split(chunk, 1), direction.split(chunk, 1), strict=True
-            )
-        ]
-        return torch.where(valid, torch.minimum(walls.to(origin), torch.cat(bodies, 1)), reach)
-
-    def _body_rays(self, people: Bodies, origin: Tensor, direction: Tensor, reach: float) -> Tensor:
-        """Return how far rays go before they meet a body (B, R), metres; else ``reach``."""
-        present = self._present(people)
-        if not people.mask.shape[1]:
-            return origin.new_full(origin.shape[:2], reach)
-        # |origin + t direction - position| = radius, the smaller t; a root below zero lies behind the ray
-        offset = origin.unsqueeze(2) - people.position.unsqueeze(1)
-        along = (offset * direction.unsqueeze(2)).sum(-1)
-        outside = offset.square().sum(-1) - self._radius(people).unsqueeze(1) ** 2
-        root = along.square() - outside
-        entry = -along - root.clamp_min(0).sqrt()
-        seen = (root > 0) & (entry >= 0) & (outside > 0) & present.unsqueeze(1)
-        return torch.where(seen, entry, reach).amin(-1).clamp_max(reach)
+        length = torch.full(origin.shape[:2], reach, dtype=origin.dtype)
+        given = people.position, self._radius(people), self._present(people), origin, direction
+        meet_bodies(*(part.detach().cpu().contiguous().numpy() for part in given), length.numpy())
+        return torch.where(valid, length.minimum(walls.to(length)).to(origin), reach)
 
     def image(
         self, people: Bodies, scene: int, size: tuple[int, int] = (640, 480), camera: Camera | None = None
