@@ -16,7 +16,7 @@ from pedzoo.eval.parallel import Backend, finished
 from pedzoo.eval.results import SuiteColumns, summary
 from pedzoo.eval.suite import EvaluationCase, EvaluationOptions, Suite, WorkUnit
 from pedzoo.eval.work_units import Journal, Progress, ProgressReport, Rows, digest, work
-from pedzoo.maps.planning.astar import planner_class
+from pedzoo.maps.planning.planner import planner_class
 from pedzoo.metrics.closed_loop import NAMES, named
 from pedzoo.sim.make import physics_class
 from pedzoo.sim.scenario import check_deadline

@@ -11,8 +11,7 @@ from pedzoo.core.size_limits import load_yaml, read_mapping
 from pedzoo.core.spec import Spec, SpecText, build, parse, unquoted
 from pedzoo.core.types import BODY_RADIUS
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.planning.astar import planner_class
-from pedzoo.maps.planning.planner import Planner
+from pedzoo.maps.planning.planner import Planner, planner_class
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.physics._base import Physics
 from pedzoo.sim.scenario import PreparedScenario, Scenario

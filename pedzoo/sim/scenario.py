@@ -19,9 +19,8 @@ from pedzoo.core.size_limits import MOST_PEOPLE
 from pedzoo.core.types import AHEAD_SECONDS, GOAL_RADIUS, STEP_SECONDS, TOP_SPEED_RATIO
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
-from pedzoo.maps.planning.astar import planner_class
 from pedzoo.maps.planning.guidance import Guidance
-from pedzoo.maps.planning.planner import Planner
+from pedzoo.maps.planning.planner import Planner, planner_class
 from pedzoo.sim.script import Script
 from pedzoo.sim.state import SLOWEST, State
 
@@ -208,7 +207,7 @@ class Scenario(ABC):
     def prepare(self, clearance: float, planner: str = Planner.name) -> PreparedScenario:
         """Return the scenario with floor plans, and with ways to all goals, ``clearance`` m from walls.
 
-        ``planner`` finds them: one of `pedzoo.maps.planning.astar.PLANNERS`.
+        ``planner`` finds them: one of `pedzoo.maps.planning.planner.PLANNERS`.
         """
         ways = planner_class(planner)(MapBank(self.plans(), self.unknown), clearance)
         return PreparedScenario(scenario=self, planner=ways)

@@ -11,9 +11,8 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
-from pedzoo.maps.planning.astar import AStarPlanner
 from pedzoo.maps.planning.guidance import Guidance
-from pedzoo.maps.planning.planner import Planner
+from pedzoo.maps.planning.planner import AStarPlanner, Planner
 from pedzoo.maps.plans import load_plan
 from pedzoo.metrics.closed_loop import measure
 from pedzoo.policies.controller.controller import Controller

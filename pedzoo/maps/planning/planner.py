@@ -15,10 +15,10 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from pedzoo.core.errors import UserError, installed
+from pedzoo.core.errors import UserError, installed, unknown
 from pedzoo.core.geometry import move_to_map
 from pedzoo.maps.bank import MapBank
-from pedzoo.maps.planning.graph import CornerGraph, OpenGraph, as_points, format_point
+from pedzoo.maps.planning.graph import CellGraph, CornerGraph, OpenGraph, as_points, format_point
 from pedzoo.maps.planning.guidance import Guidance, Waypoints, differentiable, guidance_along
 
 _AT_ONCE = 1_000_000
@@ -504,3 +504,38 @@ class Planner:
             chain.append(graph.xy[ways.corner[corner] - opens])
             corner = int(ways.onward[ways.goal[2, 1] + corner])
         return np.array([*chain, moved[1]])
+
+
+class AStarPlanner(Planner):
+    """Paths along the grid, as in the paper: up to 8.24 % longer than the shortest ones of `Planner`.
+
+    Each goal costs a search of all cells, and each agent a look-up. Memory grows with goals times cells.
+    """
+
+    name = "astar"
+    searched: ClassVar[type] = CellGraph
+
+    def prepare(self) -> Ways:
+        """See `Planner.prepare`: where paths bend first is known of all cells."""
+        before, ways = self._ways, super().prepare()
+        if ways is not before:
+            first = np.where(ways.onward >= 0, ways.onward, np.where(np.isinf(ways.far), NO_PATH, STRAIGHT))
+            _, _, opens, _, begin, _ = ways.begin[:, ways.goal[0]]
+            goal = np.concatenate((ways.goal[:3], (ways.goal[2] + begin - opens)[None]))
+            ways = self._ways = ways._replace(first=first.astype(np.int32), goal=goal)
+        return ways
+
+    def _first(self, cells: NDArray[np.int64], goals: NDArray[np.int64]) -> NDArray[np.int64]:
+        ways = self.prepare()
+        return ways.first[ways.goal[3, goals + 1] + cells].astype(np.int64)
+
+
+PLANNERS = {one.name: one for one in (Planner, AStarPlanner)}
+"""Planners by name."""
+
+
+def planner_class(name: str) -> type[Planner]:
+    """Return a planner by name. Raises UserError: there is no such one."""
+    if name not in PLANNERS:
+        raise unknown("planner", name, PLANNERS)
+    return PLANNERS[name]

@@ -21,8 +21,8 @@ from pedzoo.core.randomness import Draws
 from pedzoo.core.types import AHEAD_SECONDS, OBS_LEN, STEP_SECONDS, TOP_SPEED_RATIO, TRACE_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
-from pedzoo.maps.planning.astar import planner_class
 from pedzoo.maps.planning.guidance import Guidance
+from pedzoo.maps.planning.planner import planner_class
 from pedzoo.maps.plans import load_plan
 from pedzoo.policies.controller.arguments import (
     PREF_SPEED,

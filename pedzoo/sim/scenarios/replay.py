@@ -17,9 +17,8 @@ from pedzoo.core.types import GOAL_RADIUS, STEP_SECONDS
 from pedzoo.data.recordings import OpenFold, OwnFiles, Scene, find_fold, open_fold
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
-from pedzoo.maps.planning.astar import planner_class
 from pedzoo.maps.planning.guidance import Guidance
-from pedzoo.maps.planning.planner import Planner
+from pedzoo.maps.planning.planner import Planner, planner_class
 from pedzoo.maps.plans import load_plan
 from pedzoo.sim import kernel
 from pedzoo.sim.dynamics import substeps
