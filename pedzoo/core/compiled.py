@@ -8,17 +8,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from pedzoo.core.errors import installed
-
 
 def compiled(signature: str | None = None) -> Callable[[Any], Any]:
     """Return a decorator that compiles a function: at once for a signature, else when it is first called.
 
-    Machine code is kept in the package, or in numba's own folder where that cannot be written. Without
-    numba functions stay as they are: torch answers where it can (`pedzoo.core.machine.compiles`).
+    Machine code is kept in the package, or in numba's own folder where that cannot be written.
     """
-    if not installed("numba"):
-        return lambda function: function
     import numba
 
     njit: Any = numba.njit

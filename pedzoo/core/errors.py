@@ -11,7 +11,6 @@ from typing import Any, TypeVar, cast
 
 EXTRAS = {
     "train": ("lightning",),
-    "fast": ("numba",),
     "score": ("sklearn",),
     "bullet": ("pybullet",),
     "video": ("matplotlib",),

@@ -9,12 +9,10 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 
 from pedzoo.core import errors
 from pedzoo.core.errors import UserError
-from pedzoo.maps.planning.graph import Sight
 
 BARE = """
 import json, sys
@@ -124,14 +122,3 @@ def test_messages_name_an_install_that_works(
     written = SimpleNamespace(read_text=lambda name: origin and json.dumps(origin))
     monkeypatch.setattr("importlib.metadata.distribution", lambda name: written)
     assert errors.install_command("onnx") == f"pip install {command}"
-
-
-def test_lines_of_sight_without_numba_are_those_with_it(monkeypatch) -> None:
-    rng = np.random.default_rng(3)
-    sight = Sight(is_open := rng.random((40, 60)) < 0.9)
-    cells = np.argwhere(is_open)[:, ::-1].astype(np.int32)
-    origin, target = cells[rng.integers(0, len(cells), (2, 3000))]
-    compiled = sight.clear(origin, target)
-    monkeypatch.setattr("pedzoo.maps.planning.graph.installed", lambda module: False)
-    assert (sight.clear(origin, target) == compiled).all()
-    assert 0.02 < compiled.mean() < 0.9

@@ -13,9 +13,8 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
 
-from pedzoo.core.errors import UserError, installed
+from pedzoo.core.errors import UserError
 from pedzoo.core.paths import cache_home, write_atomically
-from pedzoo.maps.constants import ON_LINE
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 
 _AT_ONCE = 250_000
@@ -64,41 +63,12 @@ class Sight:
 
     def clear(self, origin: NDArray[np.int32], target: NDArray[np.int32]) -> NDArray[np.bool_]:
         """Return which lines (M,) are clear, from and to columns and rows of open cells (M, 2)."""
-        if not installed("numba"):
-            return self._clear_in_numpy(origin.astype(np.int64), target.astype(np.int64))
         from pedzoo.maps.planning.planner_numba import clear_lines
 
         seen = np.empty(len(origin), dtype=bool)
         ends = (np.ascontiguousarray(end, dtype=np.int32) for end in (origin, target))
         clear_lines(self.leap, self._width, self._cells, *ends, seen)
         return seen
-
-    def _clear_in_numpy(self, origin: NDArray[np.int64], target: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """See `clear_lines`: all lines at once, a leap of each after the other."""
-        swapped = (target[:, :1] < origin[:, :1]) | (
-            (target[:, :1] == origin[:, :1]) & (target[:, 1:] < origin[:, 1:])
-        )
-        origin, target = np.where(swapped, target, origin), np.where(swapped, origin, target)
-        right, up = np.abs(target - origin).T
-        falls = target[:, 1] < origin[:, 1]
-        vertical = np.where(falls, -self._width, self._width)
-        steps, across = np.maximum(right, up), np.minimum(right, up)
-        forward, sideways = np.where(up > right, (vertical, 1 + 0 * up), (1 + 0 * up, vertical))
-        base = origin[:, 1] * self._width + origin[:, 0]
-        base += np.where(across == 0, 2 * self._cells, np.where(falls, self._cells - self._width, 0))
-        slope = across / np.maximum(steps, 1)
-        column = np.zeros_like(steps)
-        left = steps.nonzero()[0]
-        while len(left):
-            begin = slope[left] * column[left]
-            low = np.floor(begin + ON_LINE).astype(np.int64)
-            high = np.maximum(np.floor(begin + slope[left] - ON_LINE).astype(np.int64), low)
-            at, side = base[left] + column[left] * forward[left], sideways[left]
-            room = self.leap[at + low * side].astype(np.int64)
-            room += (room == 1) & (self.leap[at + high * side] > 0)
-            column[left] += room - 1
-            left = left[(room > 1) & (column[left] < steps[left])]
-        return column >= np.maximum(steps, 0)
 
 
 def _largest_squares(free: NDArray[np.bool_]) -> NDArray[np.int16]:
@@ -341,31 +311,6 @@ class CornerGraph:
         )
         far, before = dijkstra(joined, indices=count, return_predecessors=True)
         return far[:-1], np.where(before == count, -1, before)[:-1].astype(np.int32)
-
-    def first(self, place: NDArray[np.int32], far: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Return the corner (P,) where shortest paths from open cells bend first, -1 where none leads on.
-
-        Args:
-            place: Columns and rows of the cells (P, 2).
-            far: Metres from all corners to the goal of each (P, K).
-        """
-        away = (place[:, None] - self.place).astype(np.float64)
-        total = np.sqrt((away**2).sum(2)) * self.graph.grid.resolution + far
-        total[~self._turns(place, self.bends) | ~away.any(2)] = np.inf
-        found, left = np.full(len(place), -1), np.arange(len(place))
-        # the best corner in sight is nearly always among the few that are least far
-        for tried in (4, 32, total.shape[1]):
-            if not len(left) or not (tried := min(tried, total.shape[1])):
-                break
-            some = np.sort(np.argpartition(total[left], tried - 1)[:, :tried])
-            metres = np.take_along_axis(total[left], some, 1)
-            seen = self.graph.sight.clear(place[left].repeat(tried, 0), self.place[some.ravel()])
-            metres[~seen.reshape(metres.shape)] = np.inf
-            best = metres.argmin(1)[:, None]
-            hit = np.isfinite(np.take_along_axis(metres, best, 1)[:, 0])
-            found[left[hit]] = np.take_along_axis(some, best, 1)[hit, 0]
-            left = left[~hit]
-        return found
 
 
 _STEPS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1), (1, 0), (0, 1), (-1, 0), (0, -1)])

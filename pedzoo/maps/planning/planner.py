@@ -15,14 +15,11 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from pedzoo.core.errors import UserError, installed, unknown
+from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import move_to_map
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planning.graph import CellGraph, CornerGraph, OpenGraph, as_points, format_point
 from pedzoo.maps.planning.guidance import Guidance, Waypoints, differentiable, guidance_along
-
-_AT_ONCE = 1_000_000
-"""Distances between agents and corners that are compared together: bounds the memory that it takes."""
 
 _MANY = 50
 """Goals from which on a bar shows how far their searches are."""
@@ -331,24 +328,10 @@ class Planner:
 
     def _first(self, cells: NDArray[np.int64], goals: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the corners where paths from open cells (P,) to goals (P,) on their maps bend first."""
-        ways, found = self.prepare(), np.full(len(cells), NO_PATH)
-        if self.compiled and installed("numba"):
-            from pedzoo.maps.planning.planner_numba import first_corners
+        from pedzoo.maps.planning.planner_numba import first_corners
 
-            first_corners(ways, self._memory, cells, goals, found)
-            return found
-        number, end, offset, _ = ways.goal[:, goals + 1]
-        for row in sorted(self._rows):
-            corners, (opens, start) = self.corners(row), ways.begin[[2, 4], row + 1]
-            mine = np.flatnonzero(number == row + 1)
-            place = corners.graph.place
-            seen = corners.graph.sight.clear(place[cells[mine] - opens], place[end[mine] - opens])
-            found[mine[seen]] = STRAIGHT
-            own = start + np.arange(len(corners.cells))
-            per = max(1, _AT_ONCE // max(len(own), 1))
-            for some in np.split(mine[~seen], range(per, int(np.sum(~seen)), per)):
-                first = corners.first(place[cells[some] - opens], ways.far[offset[some, None] + own])
-                found[some] = np.where(first < 0, NO_PATH, first + start)
+        ways, found = self.prepare(), np.full(len(cells), NO_PATH)
+        first_corners(ways, self._memory, cells, goals, found)
         return found
 
     def _on(self, device: torch.device) -> Ways:
@@ -453,7 +436,7 @@ class Planner:
             look_ahead_seconds: How far ahead goals are.
             fastest: No ``pref_speed`` is above it, m/s.
         """
-        if not (self.compiled and points.device.type == "cpu" and installed("numba")):
+        if not (self.compiled and points.device.type == "cpu"):
             paths = self._paths(points, goal_id, row, pose)
             walls = self.bank.to(row.device).walls_on_map(row).per_scene() if self.bank.grids else None
             return guidance_along(points, paths, pose, pref_speed, look_ahead_seconds, walls, fastest)
@@ -524,18 +507,3 @@ class AStarPlanner(Planner):
             goal = np.concatenate((ways.goal[:3], (ways.goal[2] + begin - opens)[None]))
             ways = self._ways = ways._replace(first=first.astype(np.int32), goal=goal)
         return ways
-
-    def _first(self, cells: NDArray[np.int64], goals: NDArray[np.int64]) -> NDArray[np.int64]:
-        ways = self.prepare()
-        return ways.first[ways.goal[3, goals + 1] + cells].astype(np.int64)
-
-
-PLANNERS = {one.name: one for one in (Planner, AStarPlanner)}
-"""Planners by name."""
-
-
-def planner_class(name: str) -> type[Planner]:
-    """Return a planner by name. Raises UserError: there is no such one."""
-    if name not in PLANNERS:
-        raise unknown("planner", name, PLANNERS)
-    return PLANNERS[name]
