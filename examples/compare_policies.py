@@ -1,6 +1,6 @@
 """Compare policies at a door, and draw where their people walk.
 
-pip install '.[fast,video]'; python examples/compare_policies.py
+pip install '.[video]'; python examples/compare_policies.py
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Learned people around a Husky that drives by its wheels, in a pybullet scene of one's own.
 
-pip install '.[fast,bullet]'; python examples/husky_pybullet.py
+pip install '.[bullet]'; python examples/husky_pybullet.py
 """
 
 from __future__ import annotations

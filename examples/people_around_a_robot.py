@@ -1,6 +1,6 @@
 """Learned people around a robot of your own simulator, which here is two lines of Python.
 
-pip install '.[fast]'; python examples/people_around_a_robot.py
+pip install .; python examples/people_around_a_robot.py
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A robot among people in Gymnasium: a rule in one scene, then 64 scenes at once.
 
-pip install '.[fast,gym]'; python examples/robot_gym.py
+pip install '.[gym]'; python examples/robot_gym.py
 
 With Stable-Baselines3: ``PPO("MultiInputPolicy", gymnasium.make("pedzoo/Goals-v0")).learn(100_000)``
 """

@@ -1,6 +1,6 @@
 """A robot with a lidar among learned people in TorchRL: 16 scenes at once, a rule and a network.
 
-pip install '.[fast]'; python examples/robot_torchrl.py
+pip install .; python examples/robot_torchrl.py
 """
 
 from __future__ import annotations
