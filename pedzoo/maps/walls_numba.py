@@ -1,7 +1,4 @@
-"""Loops over walls, compiled by numba: distances, rays, and the nearest segments.
-
-Every look-up has its equal in torch, and tests compare them.
-"""
+"""Loops over walls and people, compiled by numba: distances, rays, the nearest segments and others."""
 
 import math
 from typing import Any, NamedTuple
@@ -172,3 +169,51 @@ def meet_bodies(position, radius, present, origin, direction, length):
                 root = along * along - outside
                 if along < 0 and outside > 0 and root > 0:
                     length[b, i] = min(length[b, i], -along - np.sqrt(root))
+
+
+@jit
+def nearest_others(position, mask, asked, reach, limit, order, squared, other):
+    """Write the nearest others (N, K) of people and their squared distances, nearest first.
+
+    Returns how many there are within ``reach``, whose square in their precision is ``limit``, of each (N,).
+    Agents (B, A) are looked at in the ``order`` of their x, written with their ranks (2, B, A) where K is 0.
+    """
+    agents, most = mask.shape[1], other.shape[1]
+    count, along, (order, rank) = np.zeros(len(asked), np.int64), np.empty(agents), order
+    for b in range(0 if most else len(mask)):
+        for a in range(agents):
+            x = position[b, a, 0]
+            along[a] = x if mask[b, a] and x == x else np.inf
+        order[b] = np.argsort(along)
+        for k in range(agents):
+            rank[b, order[b, k]] = k
+    for n in range(len(asked)):
+        b, a = asked[n] // agents, asked[n] % agents
+        if not mask[b, a]:
+            continue
+        x, y, kept = position[b, a, 0], position[b, a, 1], 0
+        for step in (-1, 1):
+            k = rank[b, a] + step
+            while 0 <= k < agents and abs(position[b, order[b, k], 0] - x) <= reach * (1 + 1e-6):
+                o = order[b, k]
+                k += step
+                if not mask[b, o]:
+                    break
+                dx, dy = position[b, o, 0] - x, position[b, o, 1] - y
+                exact = dx * dx + dy * dy
+                if not exact < limit:
+                    continue
+                count[n] += 1
+                near, at = np.float32(exact), kept
+                while at > 0 and (
+                    squared[n, at - 1] > near
+                    or (squared[n, at - 1] == near and other[n, at - 1] > b * agents + o)
+                ):
+                    at -= 1
+                if at == most:
+                    continue
+                kept = min(kept + 1, most)
+                for i in range(kept - 1, at, -1):
+                    squared[n, i], other[n, i] = squared[n, i - 1], other[n, i - 1]
+                squared[n, at], other[n, at] = near, b * agents + o
+    return count

@@ -7,8 +7,6 @@ from typing import cast
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
-from scipy.spatial import KDTree
 from tensordict import TensorDictBase
 from torch import Tensor
 from torch.nn.functional import normalize
@@ -17,7 +15,7 @@ from pedzoo.core.batch import agents_of, ids_of
 from pedzoo.core.geometry import direction_of, rotate
 
 ALL_PAIRS = 128
-"""People per scene up to which all pairs are compared; in larger scenes trees find them."""
+"""People per scene up to which all pairs are compared to see whether any share a spot."""
 
 SPOT, ROOM = 0.02, 0.02
 """Metres: agents who are nearer to each other share a spot, and the room that they get between bodies."""
@@ -36,61 +34,22 @@ def nearest(
     Positions (B, A, 2) are in metres, anything for those absent by the ``mask`` (B, A). Others count whose
     centres are nearer than ``reach``, at most so many. ``rows`` (N,) long are the B * A people asked for.
     """
+    from pedzoo.maps.walls_numba import nearest_others
+
     agents = mask.shape[1]
     most = agents - 1 if most is None else min(agents - 1, most)
     place = torch.arange(mask.numel(), device=mask.device) if rows is None else rows
     if most < 1 or not len(place):
         return place.new_zeros(0, len(place)), None
-    search = _of_all_pairs if agents <= ALL_PAIRS else _of_trees
-    squared, other = search(torch.where(mask.unsqueeze(-1), position, torch.nan), reach, place)
-    squared, other = squared[:, :most], other[:, :most]
-    near = squared < torch.inf
-    least, count = (int(bound) for bound in near.sum(1).aminmax())
-    index = torch.where(near, other, place.unsqueeze(1))[:, :count].T.contiguous()
-    return index, None if least == count else near[:, :count].T.contiguous()
-
-
-def _of_all_pairs(position: Tensor, reach: float, place: Tensor) -> tuple[Tensor, Tensor]:
-    """Return squared distances (N, A), ascending and infinite from ``reach`` on, and whose they are."""
-    scenes, agents = position.shape[:2]
-    x, y = position.unbind(-1)
-    squared = (x.unsqueeze(1) - x.unsqueeze(2)).square_()
-    squared += (y.unsqueeze(1) - y.unsqueeze(2)).square_()
-    squared.diagonal(dim1=1, dim2=2).fill_(torch.inf)
-    squared = torch.where(squared < reach * reach, squared, torch.inf).float().flatten(0, 1)
-    if len(place) < scenes * agents:
-        squared = squared.index_select(0, place)
-    squared, slot = squared.sort(dim=1, stable=True)
-    return squared, slot + (place - place % agents).unsqueeze(1)
-
-
-def _of_trees(position: Tensor, reach: float, place: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the same (N, C) of as many others as anybody has."""
-    scenes, agents = position.shape[:2]
-    points: NDArray[np.float32 | np.float64] = position.detach().cpu().numpy()
-    found = []
-    for scene, places in enumerate(points.astype(np.float64)):
-        here = np.isfinite(places).all(-1).nonzero()[0]
-        found.append(scene * agents + here[pairs_within(KDTree(places[here]), reach)])
-    own, other = np.concatenate(found, axis=1)
-    apart = points.reshape(-1, 2)[other] - points.reshape(-1, 2)[own]
-    squared = apart[:, 0] * apart[:, 0] + apart[:, 1] * apart[:, 1]
-    order = np.lexsort((other, squared.astype(np.float32), own))
-    order = order[squared[order] < reach * reach]
-    own, other, squared = own[order], other[order], squared[order]
-    count = np.bincount(own, minlength=scenes * agents)
-    rank = np.arange(len(own)) - (count.cumsum() - count)[own]
-    table = np.full((scenes * agents, max(1, count.max())), np.inf, dtype=np.float32)
-    whose = np.zeros(table.shape, dtype=np.int64)
-    table[own, rank], whose[own, rank] = squared, other
-    few, them = (torch.from_numpy(part).to(place.device)[place] for part in (table, whose))
-    return few, them
-
-
-def pairs_within(points: KDTree, reach: float) -> NDArray[np.int64]:
-    """Return the pairs (2, P) of points that are nearer than about ``reach``, in both directions."""
-    pairs = points.query_pairs(reach * (1 + 1e-6), output_type="ndarray")
-    return np.concatenate((pairs, pairs[:, ::-1])).T
+    host = [part.detach().cpu().contiguous().numpy() for part in (position, mask, place)]
+    limit = float(torch.tensor(reach * reach, dtype=position.dtype))
+    order, nothing = np.empty((2, *mask.shape), np.int64), np.empty((len(place), 0), np.int64)
+    count = nearest_others(*host, reach, limit, order, nothing.astype(np.float32), nothing)
+    most = min(most, int(count.max()))
+    squared, other = np.full((len(place), most), np.inf, np.float32), host[2][:, None].repeat(most, 1)
+    nearest_others(*host, reach, limit, order, squared, other)
+    index, near = (torch.from_numpy(part.T.copy()).to(place.device) for part in (other, squared < np.inf))
+    return index, None if int(count.min()) >= most else near
 
 
 @torch.no_grad()

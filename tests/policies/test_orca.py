@@ -14,7 +14,6 @@ from pedzoo.core.geometry import identity_pose
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
 from pedzoo.maps.segments import Segments
-from pedzoo.policies import neighbours
 from pedzoo.policies.neighbours import nearest
 from pedzoo.policies.rule_based.orca import (
     OrcaSettings,
@@ -321,16 +320,6 @@ def test_few_people_and_few_walls(shape: tuple[int, int], obstacles: int) -> Non
 # Neighbours: a plain double loop is the oracle, for both ways of searching
 
 
-WAYS = pytest.mark.parametrize("all_pairs", [10_000, 0], ids=["all pairs", "trees"])
-
-
-@pytest.fixture(autouse=True)
-def way(request, monkeypatch) -> None:
-    """Search in the way of the parameter."""
-    if "all_pairs" in request.fixturenames:
-        monkeypatch.setattr(neighbours, "ALL_PAIRS", request.getfixturevalue("all_pairs"))
-
-
 def scene(kind: str, scenes: int = 3, agents: int = 24) -> tuple[Tensor, Tensor]:
     """Return positions (B, A, 2) and who is there."""
     random = torch.Generator().manual_seed(0)
@@ -368,10 +357,9 @@ def oracle(position: Tensor, mask: Tensor, reach: float, most: int | None) -> li
     return result
 
 
-@WAYS
 @KINDS
 @pytest.mark.parametrize(("reach", "most"), [(3.0, None), (3.0, 4), (1.0, 1), (40.0, None), (1e-3, 5)])
-def test_the_nearest_are_the_oracles(all_pairs: int, kind: str, reach: float, most: int | None) -> None:
+def test_the_nearest_are_the_oracles(kind: str, reach: float, most: int | None) -> None:
     position, mask = scene(kind)
     expected = oracle(position, mask, reach, most)
     for rows in (None, torch.tensor([70, 3, 3, 30]), torch.tensor([], dtype=torch.long)):
@@ -383,16 +371,14 @@ def test_the_nearest_are_the_oracles(all_pairs: int, kind: str, reach: float, mo
         assert len(index) == max((len(expected[i]) for i in asked), default=0)
 
 
-@WAYS
 @pytest.mark.parametrize(("shape", "most"), [((0, 3), None), ((3, 0), None), ((2, 1), None), ((2, 3), 0)])
-def test_no_people_have_no_neighbours(all_pairs: int, shape: tuple[int, int], most: int | None) -> None:
+def test_no_people_have_no_neighbours(shape: tuple[int, int], most: int | None) -> None:
     index, near = nearest(torch.rand(*shape, 2), torch.ones(shape, dtype=torch.bool), 5.0, most)
     assert index.shape == (0, shape[0] * shape[1])
     assert near is None
 
 
-@WAYS
-def test_double_precision(all_pairs: int) -> None:
+def test_double_precision() -> None:
     position, mask = scene("random")
     single, double = (nearest(part, mask, 3.0, 6)[0] for part in (position, position.double()))
     assert torch.equal(single, double)

@@ -13,7 +13,6 @@ from pedzoo.core.geometry import identity_pose
 from pedzoo.core.types import GOAL_RADIUS, STEP_SECONDS, TOP_SPEED_RATIO
 from pedzoo.maps.bank import MapBank
 from pedzoo.policies.controller.arguments import Array, CallerClock
-from pedzoo.policies.neighbours import pairs_within
 
 BRAKES, HARDEST = 2.0, 2.4
 """m/s^2: how people come to rest at a goal, and the most by which they start and stop."""
@@ -80,7 +79,8 @@ def eased(state: Array, wish: Array, past: Array, clock: CallerClock, bank: MapB
         radius = state["radius"].astype(np.float64)
         fastest = min(_FASTEST, max(_length(each).max(initial=0.0) for each in (asked, result, seen[other])))
         reach = 2 * (radius.max() + max(STEP_SECONDS, dt) * fastest) + _GAP
-        room_of = partial(_room, here, radius, pairs_within(KDTree(here), reach), bank, dt)
+        pairs = KDTree(here).query_pairs(reach, output_type="ndarray")
+        room_of = partial(_room, here, radius, np.concatenate((pairs, pairs[:, ::-1])).T, bank, dt)
         # first those whom a policy moves, who go on as it says; then those may stop who are to stop anyway
         looks = (walks & ~undecided, asked, STEP_SECONDS), (stands | undecided, 0.0 * asked, dt)
         for which, instead, seconds in looks:
