@@ -20,7 +20,7 @@ from pedzoo.core.geometry import TURNS_FROM
 from pedzoo.core.machine import compiles
 from pedzoo.core.types import GOAL_RADIUS, TRACE_SECONDS
 from pedzoo.maps.constants import NO_WALL
-from pedzoo.maps.walls_numba import quarter, wall_gap
+from pedzoo.maps.walls_numba import WallArrays, quarter, wall_gap
 from pedzoo.sim.dynamics import CREEP, ROUNDING, SKIN, STRIDE
 from pedzoo.sim.physics.torch import Torch
 from pedzoo.sim.scenario import Rules
@@ -31,9 +31,6 @@ _TINY, _MOST = np.float32(1e-12), np.float32(1e6)
 _SECOND, _LATE, _TURNS = np.float32(TRACE_SECONDS), np.float32(CLOCK_ROUNDING), np.float32(TURNS_FROM)
 _NO_WALLS, _NOT_PLAYED = (torch.zeros(0, 7), torch.zeros(0, 3).int()), torch.zeros(0, 0, 0, 0, 2)
 
-
-_Walls = namedtuple("_Walls", "frames places choice option least limit")
-"""How walls lie in scenes, `State.wall_frame` and `wall_place` (none without walls); their tables."""
 
 _Moves = namedtuple("_Moves", "past mask radius goal_point velocity moving wanted played")
 """What moves agents: fields of `State`, and as in `MotionInput`. Velocities are (2, S, B, A)."""
@@ -97,9 +94,9 @@ class Compiled(Torch):
         motion = Motion(moved["past"][:, :, -ticks:], *events.unbind())
         return Decision(state._replace(**moved), motion, moving, motion.reached, sets_out)
 
-    def _loop_walls(self, state: State) -> _Walls:
+    def _loop_walls(self, state: State) -> WallArrays:
         lies = (state.wall_frame, state.wall_place) if self.bank.grids else _NO_WALLS
-        return _Walls(*_arrays(*lies), *self.bank.walls.arrays)
+        return WallArrays(*_arrays(*lies), *self.bank.walls.arrays)
 
 
 def _compiles(*given: Tensor | None) -> bool:
