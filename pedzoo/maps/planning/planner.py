@@ -15,7 +15,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.geometry import move_to_map
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planning.graph import CellGraph, CornerGraph, OpenGraph, as_points, format_point
@@ -507,3 +507,14 @@ class AStarPlanner(Planner):
             goal = np.concatenate((ways.goal[:3], (ways.goal[2] + begin - opens)[None]))
             ways = self._ways = ways._replace(first=first.astype(np.int32), goal=goal)
         return ways
+
+
+PLANNERS = {one.name: one for one in (Planner, AStarPlanner)}
+"""Planners by name."""
+
+
+def planner_class(name: str) -> type[Planner]:
+    """Return a planner by name. Raises UserError: there is no such one."""
+    if name not in PLANNERS:
+        raise unknown("planner", name, PLANNERS)
+    return PLANNERS[name]
