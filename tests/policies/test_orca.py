@@ -317,7 +317,7 @@ def test_few_people_and_few_walls(shape: tuple[int, int], obstacles: int) -> Non
         assert mask.any() or not result.any()
 
 
-# Neighbours: a plain double loop is the oracle, for both ways of searching
+# Neighbours: a plain double loop is the oracle
 
 
 def scene(kind: str, scenes: int = 3, agents: int = 24) -> tuple[Tensor, Tensor]:
