@@ -71,13 +71,10 @@ def write_text(file: str | Path, text: str) -> None:
         sys.stdout.write(text)
         return
     path = Path(file)
-    try:
-        if path.exists() and not path.is_file():  # a pipe such as /dev/fd/63 cannot be replaced
-            path.write_text(text)
-        else:
-            write_atomically(path.resolve(), text.encode())
-    except OSError as error:
-        raise UserError(f"cannot write {str(file)!r}: {error.strerror}") from error
+    if path.exists() and not path.is_file():  # a pipe such as /dev/fd/63 cannot be replaced
+        path.write_text(text)
+    else:
+        write_atomically(path.resolve(), text.encode())
 
 
 def write_and_print(report: dict[str, Any], file: str | None, show: Callable[[], None]) -> None:

@@ -99,21 +99,21 @@ def atomic_write(path: Path) -> Iterator[Path]:
     """Yield a temporary file's path, and rename that file to ``path`` at the end of the block.
 
     An error, a full disk, a killed process or a power cut leaves the old file or the new one, never a part
-    of one. A missing folder is made.
+    of one. A missing folder is made. Raises UserError: it cannot be written.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.stem}.{os.urandom(4).hex()}.part{path.suffix}")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         part.touch(exist_ok=False)  # no link of others, who cannot know its name beforehand
         yield part
         with part.open("r+b") as file:
             os.fsync(file.fileno())
         os.replace(part, path)
-    except OSError as error:  # a full disk does not say of which file
-        error.filename = str(path) if error.filename in (None, str(part), part) else error.filename
-        raise
+    except OSError as error:
+        raise UserError(f"cannot write {str(path)!r}: {error.strerror}") from error
     finally:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):  # the folder is none
+            part.unlink(missing_ok=True)
     if os.name != "nt":  # the names in the folder; some network disks cannot, and do it by themselves
         handle = os.open(path.parent, os.O_RDONLY)
         try:

@@ -41,10 +41,7 @@ class Replay:
     def save(self, path: str | Path) -> None:
         """Write the page, whole or not at all; `UserError` of another ending, or where it cannot be."""
         check_ending(f"page {str(path)!r}", path, PAGES)
-        try:
-            write_atomically(Path(path).resolve(), page(self._content(), self.name).encode())
-        except OSError as error:
-            raise UserError(f"cannot write {str(path)!r}: {error.strerror}") from error
+        write_atomically(Path(path).resolve(), page(self._content(), self.name).encode())
 
     def _content(self) -> dict[str, Any]:
         rows, plans = [], {}

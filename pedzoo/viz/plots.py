@@ -52,10 +52,7 @@ def write_figure(figure: Figure, path: str | Path, dpi: int = 130) -> None:
     check_plot_path(path)
     data = BytesIO()
     figure.savefig(data, format=Path(path).suffix[1:].lower(), dpi=dpi)
-    try:
-        write_atomically(Path(path), data.getvalue())
-    except OSError as error:
-        raise UserError(f"cannot write {str(path)!r}: {error.strerror}") from error
+    write_atomically(Path(path), data.getvalue())
 
 
 @torch.no_grad()

@@ -96,24 +96,21 @@ def write_video(path: str | Path, frames: Iterable[Image], rate: float) -> None:
     path = Path(path)
     codec = cv2.VideoWriter.fourcc(*CODECS[path.suffix.lower()])
     writer, size, count = None, (0, 0), 0
-    try:
-        with atomic_write(path) as part:
-            for frame in frames:
-                if writer is None:
-                    size = (frame.shape[1], frame.shape[0])
-                    with quiet(2):
-                        writer = cv2.VideoWriter(str(part), codec, rate, size)
-                    if not writer.isOpened():
-                        raise UserError(f"cannot write {str(path)!r}: is its folder writable, the disk full?")
-                writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
-                count += 1
+    with atomic_write(path) as part:
+        for frame in frames:
             if writer is None:
-                raise UserError(f"{str(path)!r}: a video needs at least one frame")
-            writer.release()
-            if (result := read_video(part)) != (count, size):
-                raise UserError(f"{str(path)!r}: {count} frames of {size} were written, {result} can be read")
-    except OSError as error:
-        raise UserError(f"cannot write {str(path)!r}: {error.strerror}") from error
+                size = (frame.shape[1], frame.shape[0])
+                with quiet(2):
+                    writer = cv2.VideoWriter(str(part), codec, rate, size)
+                if not writer.isOpened():
+                    raise UserError(f"cannot write {str(path)!r}: is its folder writable, the disk full?")
+            writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
+            count += 1
+        if writer is None:
+            raise UserError(f"{str(path)!r}: a video needs at least one frame")
+        writer.release()
+        if (result := read_video(part)) != (count, size):
+            raise UserError(f"{str(path)!r}: {count} frames of {size} were written, {result} can be read")
 
 
 def read_video(path: str | Path) -> tuple[int, tuple[int, int]]:

@@ -44,7 +44,7 @@ def test_a_write_that_fails_leaves_the_old_checkpoint(tmp_path, monkeypatch):
 
     with monkeypatch.context() as patched:
         patched.setattr(Path, "write_bytes", full)
-        with pytest.raises(OSError, match=r"No space left on device: '.*/last\.ckpt'"):
+        with pytest.raises(UserError, match=r"cannot write '.*/last\.ckpt': No space left on device"):
             saver.save_checkpoint({"epoch": 2}, path)
     assert contents(tmp_path) == before
     saver.save_checkpoint({"epoch": 3}, path)

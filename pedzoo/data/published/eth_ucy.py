@@ -59,16 +59,13 @@ def download(folder: Path) -> list[PublishedFile]:
     used = dict.fromkeys(file.places[0][:2] for file in files)
     sources = "\n".join(f"- https://github.com/{repository} at {commit}" for repository, commit in used)
     page = Template(Path(__file__).with_suffix(".md").read_text(encoding="utf-8"))
-    try:
-        for scene in FRAMES:
-            write_ros(floor_plan(scene, folder), folder / "maps" / f"{scene}.yaml")
-        sums = "".join(f"{file.sha256}  {file.path}\n" for file in files)
-        write_atomically(folder / "SHA256SUMS", sums.encode())
-        readme = page.substitute(terms=TERMS, citation=CITATION, sources=sources)
-        write_atomically(folder / "README.md", readme.encode())
-        write_atomically(folder / "splits.json", (json.dumps(splits(), indent=1) + "\n").encode())
-    except OSError as error:
-        raise UserError(f"cannot write into {str(folder)!r}: {error.strerror}") from error
+    for scene in FRAMES:
+        write_ros(floor_plan(scene, folder), folder / "maps" / f"{scene}.yaml")
+    sums = "".join(f"{file.sha256}  {file.path}\n" for file in files)
+    write_atomically(folder / "SHA256SUMS", sums.encode())
+    readme = page.substitute(terms=TERMS, citation=CITATION, sources=sources)
+    write_atomically(folder / "README.md", readme.encode())
+    write_atomically(folder / "splits.json", (json.dumps(splits(), indent=1) + "\n").encode())
     return files
 
 

@@ -264,7 +264,7 @@ class CornerGraph:
                 return edges
         edges, encoded = self.seen_from(self.cells, only_edges=True), io.BytesIO()
         np.save(encoded, edges, allow_pickle=False)
-        with contextlib.suppress(OSError):  # a folder that cannot be written, or a full disk
+        with contextlib.suppress(UserError):  # a folder that cannot be written, or a full disk
             write_atomically(file, encoded.getvalue())
         return edges
 
