@@ -7,9 +7,10 @@ import os
 import sys
 import sysconfig
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
-from importlib.util import find_spec
+from modulefinder import ModuleFinder
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,7 +29,7 @@ Rows = list[dict[str, Any]]
 _CODE_FILES = (".py", ".csv", ".yaml", ".png")
 _INSTALLED = (Path(sysconfig.get_path(kind)) for kind in ("stdlib", "purelib", "platlib"))
 _OF_OTHERS = tuple(path.resolve() for path in (ROOT / "pedzoo", *_INSTALLED))
-"""Folders of pedzoo and of installed packages. Their files are not hashed as user code."""
+"""Folders of pedzoo and of installed packages, in which no user code is looked for."""
 
 _IGNORED_PACKAGES = ("cli", "train", "viz", "configs")
 """Packages whose code cannot change a result, so the cache key leaves it out."""
@@ -85,14 +86,14 @@ def _file_sum(what: str | Spec) -> str:
     path = Path(name.rpartition(":")[0] if names_code(name) else name)
     if not path.is_file() or path.suffix != ".py":
         return sha256_of(path) if path.is_file() else ""
-    known: dict[Path, str] = {}
-    waiting = [path.resolve()]
-    while waiting:
-        if (file := waiting.pop()) not in known:
-            content = file.read_bytes()
-            known[file] = code_sum(content)
-            waiting += _imported(file, content)
-    return _sum_of(sorted((file.name, digest) for file, digest in known.items()))
+    others = (Path(one).resolve() for one in sys.path)
+    own = [str(one) for one in others if not any(one.is_relative_to(folder) for folder in _OF_OTHERS)]
+    finder = ModuleFinder([str(path.parent), *own], excludes=["pedzoo"])
+    with suppress(SyntaxError, ValueError):  # no Python
+        finder.run_script(str(path))
+    imported = (Path(one.__file__) for one in finder.modules.values() if getattr(one, "__file__", None))
+    files = {file.resolve() for file in (path, *imported)}
+    return _sum_of(sorted((file.name, code_sum(file.read_bytes())) for file in files))
 
 
 def code_sum(content: bytes) -> str:
@@ -106,47 +107,6 @@ def code_sum(content: bytes) -> str:
             texts = [one for one in body if isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant)]
             body[:] = [one for one in body if one not in texts]
     return hashlib.sha256(ast.dump(tree).encode()).hexdigest()
-
-
-def _imported(file: Path, content: bytes) -> Iterator[Path]:
-    """Yield the files of the user's modules that a file imports, anywhere in it."""
-    try:
-        nodes = [*ast.walk(ast.parse(content))]
-    except (SyntaxError, ValueError):
-        return
-    for node in nodes:
-        names: list[tuple[str, int]] = []
-        match node:
-            case ast.Import():
-                names = [(one.name, 0) for one in node.names]
-            case ast.ImportFrom(module=module, level=level):
-                names = [(".".join(filter(None, (module, one.name))), level) for one in node.names]
-            case ast.Call() if ast.unparse(node.func).endswith(("import_module", "__import__")):
-                texts = [one.value for one in node.args if isinstance(one, ast.Constant)]
-                given = [text for text in texts if isinstance(text, str)]
-                names = [(text.lstrip("."), len(text) - len(text.lstrip("."))) for text in given]
-        for name, level in names:
-            yield from _files_of(name, file, level)
-
-
-def _files_of(name: str, importer: Path, level: int) -> Iterator[Path]:
-    """Yield the files of a module and of the packages around it, if it is a user's."""
-    names = name.split(".") if name else []
-    places = [importer.parents[max(0, min(level, len(importer.parents)) - 1)]]
-    if names and not level and names[0] not in sys.stdlib_module_names:
-        try:
-            spec = find_spec(names[0])
-        except (ImportError, ValueError, AttributeError):
-            spec = None
-        if spec:
-            found = spec.submodule_search_locations or filter(None, [spec.origin])
-            places += [Path(one).parent for one in found]
-    for place in places:
-        for depth in range(len(names) + 1):
-            stem = place.joinpath(*names[:depth])
-            for file in (stem / "__init__.py", *([stem.with_suffix(".py")] if depth else [])):
-                if file.is_file() and not any(file.resolve().is_relative_to(one) for one in _OF_OTHERS):
-                    yield file.resolve()
 
 
 @cache
@@ -194,10 +154,7 @@ class Journal:
         if torn := len(lines) - len(whole):
             parts = f"{torn} finished part{'s' * (torn > 1)}"
             print(f"pedzoo: {path} was cut off in a write: {parts} will be done once more", file=sys.stderr)
-            try:
-                write_atomically(path, b"".join(whole))
-            except OSError as error:
-                raise UserError(f"cannot write {str(path)!r}: {error.strerror}") from error
+            write_atomically(path, b"".join(whole))
 
     def _take(self, line: bytes) -> bool:
         """Keep the unit of a line, if it was written whole."""
