@@ -12,8 +12,8 @@ from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError, at_least_zero
 from pedzoo.models.architectures.sgan import SGAN, Encoded
 from pedzoo.models.base import true_displacements
-from pedzoo.models.blocks.discriminator import Discriminator
 from pedzoo.models.blocks.people.crowd import Crowd
+from pedzoo.models.blocks.variety import Discriminator
 from pedzoo.train.module import ForecastModule
 
 

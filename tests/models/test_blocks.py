@@ -14,13 +14,13 @@ from torch.nn import functional
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OCCUPIED, OccupancyGrid
 from pedzoo.models.architectures.sgan import SGAN, ContextNoise
-from pedzoo.models.blocks.discriminator import Discriminator
 from pedzoo.models.blocks.mlp import init_like_sgan, mlp
 from pedzoo.models.blocks.people import ego_frame, pooling
 from pedzoo.models.blocks.people.approach import ApproachPooling
 from pedzoo.models.blocks.people.crowd import Crowd, share_seen
 from pedzoo.models.blocks.people.pooling import SocialPooling
 from pedzoo.models.blocks.recurrent import DisplacementDecoder, DisplacementEncoder
+from pedzoo.models.blocks.variety import Discriminator
 
 
 def crowd_of(sizes: Sequence[int]) -> Crowd:
@@ -385,3 +385,10 @@ def test_new_parts_say_nothing_before_training():
     assert model.trait is not None
     last = cast("nn.Linear", model.trait.net[-1])
     assert last.weight.grad is not None and bool(last.weight.grad.any())
+
+
+@pytest.mark.parametrize("signed", [False, True])
+def test_scores_may_be_negative_if_they_are_to(signed: bool) -> None:
+    judge, way = Discriminator(hidden_dim=8, mlp_dim=8, signed=signed), torch.randn(200, 10, 2)
+    scores = judge(way, way[:, 0], Crowd.of(torch.ones(1, 200, dtype=torch.bool)))
+    assert bool((scores < 0).any()) == signed

@@ -20,8 +20,6 @@ from pedzoo.metrics.realism import features as realism_features
 from pedzoo.models.architectures.constant_velocity import ConstantVelocity
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.base import true_displacements
-from pedzoo.models.blocks.discriminator import Discriminator
-from pedzoo.models.blocks.people.crowd import Crowd
 from pedzoo.policies.walker import Walker
 from pedzoo.sim.make import make_env
 from pedzoo.sim.scenarios.replay import Replay
@@ -31,7 +29,6 @@ from pedzoo.train.closed_loop.imitation import (
     Unrolled,
     features,
     recorded,
-    repeated,
     tail,
     unroll,
 )
@@ -385,58 +382,6 @@ def test_tails_by_hand():
     assert result.item() == pytest.approx((2 - 0.945) / 2, rel=1e-5)
     result.backward()
     assert made.grad is not None and (made.grad[90:100] < 0).all() and not made.grad[:90].any()
-
-
-# -- discriminator
-
-
-def adversary() -> Imitation:
-    torch.manual_seed(0)
-    judge = Discriminator(hidden_dim=16, mlp_dim=16, signed=True)
-    return Imitation(adversarial=1.0, discriminator=judge, samples=2, tail=0.5)
-
-
-def test_discriminator_and_generator_learn_from_each_other(batch):
-    """People who stand are told from real ones; then the way out is to walk, for the generator alone."""
-    imitation, model = adversary(), plain_sgan()
-    judge = cast("Discriminator", imitation.discriminator)
-    walker, random = Walker(model, "episode"), torch.Generator()
-    optimizer, losses = torch.optim.Adam(judge.parameters(), 1e-2), []
-    still = unroll(lambda seen: 0 * toward(seen), repeated(batch, 2), 12)
-    for _ in range(40):
-        loss = imitation.terms(still, batch)["discriminator"]
-        optimizer.zero_grad()
-        loss.backward()
-        optimizer.step()
-        losses.append(loss.item())
-    assert losses[0] > 1 > 0.5 > losses[-1]
-    walked = imitation.walk(walker, batch, random)
-    terms = imitation.terms(walked, batch)
-    learns, ours = {}, (list(model.parameters()), list(imitation.parameters()))
-    for name in ("adversarial", "discriminator", "tail"):
-        result = (
-            torch.autograd.grad(terms[name], side, retain_graph=True, allow_unused=True) for side in ours
-        )
-        learns[name] = [any(g is not None and bool(g.any()) for g in gradients) for gradients in result]
-    assert learns == {"adversarial": [True, False], "discriminator": [False, True], "tail": [True, False]}
-
-
-@pytest.mark.parametrize("signed", [False, True])
-def test_scores_may_be_negative_if_they_are_to(signed):
-    judge, way = Discriminator(hidden_dim=8, mlp_dim=8, signed=signed), torch.randn(200, 10, 2)
-    scores = judge(way, way[:, 0], Crowd.of(torch.ones(1, 200, dtype=torch.bool)))
-    assert bool((scores < 0).any()) == signed
-
-
-def test_only_who_walks_in_all_judged_steps_is_judged(batch):
-    imitation = adversary()
-    walked = recorded(batch, 12)
-    agents = agents_of(batch)
-    both = Unrolled(*(torch.cat((value, value)) for value in walked))
-    made, true = imitation._scores(cast("Any", imitation.discriminator), both, walked, batch)
-    expected = agents["valid"].all(2) & walked.walked.all(2)
-    assert len(made) == len(true) == 2 * int(expected.sum()) > 0
-    torch.testing.assert_close(made, true)
 
 
 # -- with Lightning

@@ -20,7 +20,6 @@ from pedzoo.core.spec import grouped
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.policies.walker import Walker
 from pedzoo.sim.make import make_env
-from pedzoo.train.closed_loop.imitation import Imitation
 from pedzoo.train.closed_loop.in_the_loop import LoopModule
 from pedzoo.train.closed_loop.loop_losses import LoopLosses
 from pedzoo.train.closed_loop.segments import Course, Segment, unrolled
@@ -75,7 +74,7 @@ class Broken(LoopLosses):
 
 
 def test_an_update_without_a_finite_gradient_is_skipped():
-    trained = module(walking=Broken(), imitation=Imitation(adversarial=0.1), steps=3)
+    trained = module(walking=Broken(), steps=3)
     weights: list[Tensor] = []
 
     def note(*_: Any) -> None:
@@ -87,16 +86,6 @@ def test_an_update_without_a_finite_gradient_is_skipped():
     assert bool(torch.stack(weights).isfinite().all())
     assert int(trained.skipped) == 1 and trainer.callback_metrics["train/skipped"] > 0
     assert int(trained.iteration) == 3
-
-
-def test_a_discriminator_of_walks_is_trained_beside_the_model():
-    imitation = Imitation(displacement=0.0, distribution=0.0, adversarial=1.0)
-    judge = imitation.discriminator
-    assert judge is not None
-    before = [parameter.clone() for parameter in judge.parameters()]
-    trainer = train(module(imitation=imitation, steps=2), 2)
-    assert not any(torch.equal(a, b) for a, b in zip(before, judge.parameters(), strict=True))
-    assert {"train/imitation/adversarial", "train/imitation/discriminator"} <= set(trainer.callback_metrics)
 
 
 def test_every_tensor_is_registered_once():
@@ -128,8 +117,8 @@ def test_a_run_saves_the_dropout_that_it_ran_with(named, monkeypatch):
 
 
 def test_fit_twice_one_epoch_is_fit_two():
-    """Environments, noise, optimizer and discriminator too: bit-equal weights and optimizer states."""
-    options = ["--model.final_lr", "1", "--model.imitation.adversarial", "0.1", *STILL]
+    """Environments, noise and optimizer too: bit-equal weights and optimizer states."""
+    options = ["--model.final_lr", "1", *STILL]
     whole = fit("sgan_goal.zara1", *options, epochs=2)
     halves = fit("sgan_goal.zara1", *options, epochs=1)
     assert main(["fit", "--resume", str(halves), "--trainer.max_epochs", "2"]) == 0

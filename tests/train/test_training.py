@@ -21,7 +21,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.base import Forecaster
-from pedzoo.models.blocks.discriminator import Discriminator
+from pedzoo.models.blocks.variety import Discriminator
 from pedzoo.train.gan import GANModule
 from pedzoo.train.module import ForecastModule, PlainModule
 from pedzoo.train.run import rows_of

@@ -12,18 +12,15 @@ from typing import NamedTuple, cast
 import torch
 from tensordict import TensorDict
 from torch import Tensor, nn
-from torch.nn import functional
 
 from pedzoo.core.batch import agents_of, goals_of, maps_of
-from pedzoo.core.errors import UserError, unknown
+from pedzoo.core.errors import UserError, at_least_one, unknown
 from pedzoo.core.geometry import passes_goal
 from pedzoo.core.types import AHEAD_SECONDS, GOAL_RADIUS, STEP_SECONDS
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.metrics.realism.distances import wasserstein
 from pedzoo.metrics.realism.features import others_of, step_features
-from pedzoo.models.blocks.discriminator import Discriminator
-from pedzoo.models.blocks.people.crowd import Crowd
 from pedzoo.sim import kernel
 from pedzoo.sim.dynamics import STRIDE
 from pedzoo.sim.observation import observed, state_of
@@ -181,13 +178,7 @@ def tail(first: Tensor, second: Tensor) -> Tensor:
     if not len(first) or not len(second):
         return first.sum() * 0 + second.sum() * 0
     ranks = torch.linspace(0.9, 0.99, 10, dtype=first.dtype, device=first.device)
-    quantiles = []  # torch's own function refuses more than 16 million values
-    for values in (first, second):
-        place, values = ranks * (len(values) - 1), values.sort().values
-        below = place.floor().long()
-        above = values[(below + 1).clamp_max(len(values) - 1)]
-        quantiles.append(torch.lerp(values[below], above, place - below))
-    made, true = quantiles
+    made, true = torch.quantile(first, ranks), torch.quantile(second, ranks)
     return ((made - true).abs() / true.clamp_min(1e-3)).mean()
 
 
@@ -206,9 +197,6 @@ class Imitation(nn.Module):
         tail: float = 0.0,
         samples: int = 1,
         spread: float = 0.5,
-        adversarial: float = 0.0,
-        discriminator: Discriminator | None = None,
-        judged_steps: int = 12,
     ) -> None:
         """Weigh the terms.
 
@@ -223,11 +211,6 @@ class Imitation(nn.Module):
             spread: Share of the distance between two walks of a person that is taken off the displacement,
                 with 2 or more samples. At 0.5 it is the energy score, least for the true distribution
                 (Gneiting and Raftery, JASA 2007, eq. 21); without it the loss punishes all noise.
-            adversarial: Weight of a discriminator's loss; 0 leaves it out. The discriminator learns from the
-                same ``loss``: an optimizer must get its parameters, all that this module has, too.
-            discriminator: Judges walks, ``signed``; a `Discriminator` of its own defaults if not given.
-            judged_steps: Most steps that it judges after the observed ones, of people who walk in all of
-                them.
 
         Raises:
             UserError: There is no such feature, or a setting is out of range.
@@ -239,12 +222,9 @@ class Imitation(nn.Module):
         self.features = dict.fromkeys(SPREADS, 1.0) | dict(features or {})
         if min(self.features.values()) < 0 or not any(self.features.values()):
             raise UserError(f"features {features}: expected weights of at least 0, and one above it")
-        if min(samples, judged_steps) < 1:
-            raise UserError(f"samples {samples}, judged_steps {judged_steps}: expected at least 1")
+        at_least_one("samples", samples)
         self.displacement, self.distribution = displacement, distribution
         self.tail, self.samples, self.spread = tail, samples, spread
-        self.adversarial, self.judged_steps = adversarial, judged_steps
-        self.discriminator = (discriminator or Discriminator(signed=True)) if adversarial else None
 
     def walk(self, policy: Policy, batch: TensorDict, random: torch.Generator) -> Unrolled:
         """Return K walks of each of B windows (K x B, A, N, ...), all first walks first.
@@ -268,7 +248,7 @@ class Imitation(nn.Module):
         """Return ``loss`` and its terms before their weights, scalars; terms of weight 0 may be missing.
 
         ``displacement`` (metres), ``distribution`` and each feature's distance (no unit), ``tail`` (a share),
-        ``adversarial`` and ``discriminator`` (nats), of the result of `walk` for ``batch``.
+        of the result of `walk` for ``batch``.
         """
         real = recorded(batch, walk.xy.shape[2])
         result = {"displacement": self._displacement(walk, real)}
@@ -285,35 +265,7 @@ class Imitation(nn.Module):
             if self.tail:
                 result["tail"] = tail(made["acceleration"], true["acceleration"])
                 loss = loss + self.tail * result["tail"]
-        if (judge := self.discriminator) is not None:
-            # each side has gradients of its own loss alone, so one step of one optimizer trains both
-            judge.requires_grad_(False)
-            made, _ = self._scores(judge, walk, real, batch)
-            judge.requires_grad_(True)
-            result["adversarial"] = functional.softplus(-made).sum() / max(1, len(made))
-            made, true = self._scores(judge, walk._replace(xy=walk.xy.detach()), real, batch)
-            telling = functional.softplus(made).sum() + functional.softplus(-true).sum()
-            result["discriminator"] = telling / max(1, len(made))
-            loss = loss + self.adversarial * result["adversarial"] + result["discriminator"]
         return {"loss": loss, **result}
-
-    def _scores(
-        self, judge: Discriminator, walk: Unrolled, real: Unrolled, batch: TensorDict
-    ) -> tuple[Tensor, Tensor]:
-        """Return scores of walks and of the real ones (M,), of people who walk in all steps of both."""
-        steps = min(self.judged_steps, walk.xy.shape[2])
-        agents = agents_of(repeated(batch, self.samples))
-        both = Crowd.of(torch.cat((agents["mask"], agents["mask"])))
-        crowd, history = Crowd.of(agents["mask"]), agents["history"]
-        true = real.xy.repeat(self.samples, 1, 1, 1)
-        paths = [torch.cat((history[:, :, -1:], xy[:, :, :steps]), 2).diff(dim=2) for xy in (walk.xy, true)]
-        futures = torch.stack([crowd.pack(way) for way in paths])
-        observed = crowd.pack(history)
-        scores = judge.of_futures(observed.diff(dim=1), futures, observed[:, 0], both)
-        walks = walk.walked[..., :steps] & real.walked[..., :steps].repeat(self.samples, 1, 1)
-        judged = crowd.pack(agents["valid"].all(2) & walks.all(2))
-        made, true = scores.chunk(2)
-        return made[judged], true[judged]
 
     def _displacement(self, walk: Unrolled, real: Unrolled) -> Tensor:
         """Return the mean distance to real positions in steps in which both walk, less that of samples."""

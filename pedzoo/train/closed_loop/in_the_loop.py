@@ -8,10 +8,10 @@ from typing import Any, cast
 
 import torch
 from tensordict import TensorDict
-from torch import Tensor, nn
+from torch import Tensor
 
 from pedzoo.core.batch import agents_of
-from pedzoo.core.errors import UserError
+from pedzoo.core.errors import UserError, at_least_one
 from pedzoo.core.registry import function_in_file
 from pedzoo.models.base import Forecaster
 from pedzoo.policies.walker import Walker
@@ -39,7 +39,6 @@ class LoopModule(PlainModule):
         steps: int = 25,
         max_segments: int = 3,
         forecast_weight: float = 1.0,
-        collision_ramp: float = 0.0,
         losses: dict[str, float] | None = None,
         **options: Any,
     ) -> None:
@@ -53,8 +52,6 @@ class LoopModule(PlainModule):
             steps: Of 0.4 s in a segment.
             max_segments: Segments after which an episode is given up.
             forecast_weight: Weight of the generator's own loss on recordings, per person.
-            collision_ramp: Share of the training in which the weights of people and walls rise to their full
-                values, from a quarter. A model that has the full weights from the start learns to creep.
             losses: Terms of one's own and their weights, as ``{"path/to/file.py:crowding": 2.0}``. They are
                 functions of a `Segment` and the floor plans (a `MapBank`), and return costs of decisions
                 (T, B, A). Means over the people that the policy moves are logged as ``train/crowding``.
@@ -64,14 +61,11 @@ class LoopModule(PlainModule):
             UserError: A number is out of range.
         """
         super().__init__(generator, **options)
-        if min(steps, max_segments) < 1 or not 0 <= collision_ramp <= 1:
-            raise UserError(
-                f"steps {steps}, max_segments {max_segments}, collision_ramp {collision_ramp}: "
-                "expected at least 1, 1, and 0 to 1"
-            )
+        at_least_one("steps", steps)
+        at_least_one("max_segments", max_segments)
         self.walking, self.imitation = walking, imitation
         self.steps, self.max_segments = steps, max_segments
-        self.forecast_weight, self.collision_ramp = forecast_weight, collision_ramp
+        self.forecast_weight = forecast_weight
         self.losses = {name: (function_in_file(name), weight) for name, weight in (losses or {}).items()}
         self._walker = (Walker(generator),)  # in a tuple: its parameters are registered already
         self.courses = CourseSampler(courses, self.seed)
@@ -81,11 +75,6 @@ class LoopModule(PlainModule):
     def walker(self) -> Walker:
         """The generator as a policy."""
         return self._walker[0]
-
-    @property
-    def networks(self) -> list[nn.Module]:
-        """The generator and, if there is one, a discriminator."""
-        return [self.generator, self.imitation]
 
     def setup(self, stage: str) -> None:
         """Check the data. Raises UserError: as `ForecastModule.setup`, or there are no windows to imitate."""
@@ -116,7 +105,7 @@ class LoopModule(PlainModule):
         segment, noise = active.walk(self.walker, self.steps, self.max_segments)
         for name in ("agent_contact", "wall_contact"):
             self.log_means({name: getattr(segment, name).any(0).any(1).float().mean()})
-        terms = self.walking(segment, active.env.bank, noise, self.firmness())
+        terms = self.walking(segment, active.env.bank, noise)
         for name, (function, weight) in self.losses.items():
             cost = function(segment, active.env.bank)
             if cost.shape != segment.moved.shape:
@@ -127,15 +116,10 @@ class LoopModule(PlainModule):
             terms[function.__name__] = weight * mean_cost(cost, segment.moved)
         return terms
 
-    def firmness(self) -> float:
-        """Return the present share of the weights of people and walls: see ``collision_ramp``."""
-        done = int(self.iteration) / self.iterations()
-        return 1.0 if done >= self.collision_ramp else 0.25 + 0.75 * done / self.collision_ramp
-
     def on_after_backward(self) -> None:
         """Count the iteration, and skip gradients that are not finite."""
         super().on_after_backward()
-        trained = [p for network in self.networks for p in network.parameters() if p.grad is not None]
+        trained = [p for p in self.generator.parameters() if p.grad is not None]
         if not all(bool(cast("Tensor", p.grad).isfinite().all()) for p in trained):
             self.skipped += 1
             for parameter in trained:

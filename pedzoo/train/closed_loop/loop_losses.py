@@ -76,13 +76,11 @@ class LoopLosses:
         self.overspeed, self.overspeed_from = overspeed, overspeed_from
         self.assertiveness = assertiveness
 
-    def __call__(
-        self, segment: Segment, bank: MapBank, noise: Tensor | None = None, firmness: float = 1.0
-    ) -> dict[str, Tensor]:
+    def __call__(self, segment: Segment, bank: MapBank, noise: Tensor | None = None) -> dict[str, Tensor]:
         """Return the weighted terms of a walk on floor plans, scalars.
 
         ``noise`` is that of each person when the segment begins (B, A, Z): how assertive they are, and on
-        which side they like to pass. ``firmness`` is the share of their weights that people and walls have.
+        which side they like to pass.
         """
         mean = partial(mean_cost, moved=segment.moved)
 
@@ -91,7 +89,7 @@ class LoopLosses:
         weight = None if noise is None else torch.exp(self.assertiveness * noise[..., 0].clamp(-2, 2))
         terms = {
             "progress": self.progress * lost_seconds(segment, weight) / _SOON,
-            "person_distance": firmness * self.person_distance * mean(_hinge(short)),
+            "person_distance": self.person_distance * mean(_hinge(short)),
             "overspeed": self.overspeed * mean(_hinge(speed - self.overspeed_from * segment.pref_speed)),
             "effort": self.effort * mean((segment.action - segment.velocity).square().sum(-1)),
         }
@@ -100,7 +98,7 @@ class LoopLosses:
             terms["safety_correction"] = self.safety_correction * mean(change)
         if bank.grids:
             near = segment.radius.unsqueeze(-1) + self.wall_margin - wall_distances(segment, bank)
-            terms["walls"] = firmness * self.walls * mean(_hinge(near).mean(-1))
+            terms["walls"] = self.walls * mean(_hinge(near).mean(-1))
         if self.passing_side and noise is not None and noise.shape[-1] > 1:
             terms["passing_side"] = self.passing_side * mean(wrong_side(segment, noise[..., 1]))
         return terms
