@@ -8,7 +8,6 @@ import hashlib
 import io
 import os
 import sys
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
@@ -18,12 +17,6 @@ from pedzoo import __version__
 from pedzoo.core.adapters import pieces_as_they_come
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import cache_home
-
-PATIENCE, SLOWEST = 180.0, 1000.0
-"""Seconds of grace; a download slower than so many bytes per second is given up after that."""
-
-_RESTARTS = 3
-"""How often a download may restart from zero, if the server cannot resume it."""
 
 
 class _RefusedError(Exception):
@@ -174,8 +167,6 @@ def _transfer(url: str, part: Path, size: int | None, limit: int | None, token: 
             reason = " ".join(str(error).split()) or type(error).__name__
             if answer is not None:
                 reason = f"{answer.status_code} {answer.reason_phrase}"
-            elif isinstance(error, RecursionError):  # the client goes on after each byte by calling itself
-                reason = "breaks off again and again"
             elif reason.startswith("Consistency check failed"):
                 reason = f"has {file.tell()} bytes, expected {size}"
             # an answer to its end that is too short, or a part that is longer than the file
@@ -184,23 +175,14 @@ def _transfer(url: str, part: Path, size: int | None, limit: int | None, token: 
 
 
 class _LimitedFile(io.FileIO):
-    """A file to append to: no link of others, of a greatest length, and filled fast enough."""
+    """A file to append to: no link of others, and of a greatest length."""
 
     def __init__(self, path: Path, limit: int | None) -> None:
         no_link = getattr(os, "O_NOFOLLOW", 0)
         super().__init__(path, "a", opener=lambda name, flags: os.open(name, flags | no_link, 0o666))
-        self.limit, self.restarts, self.got, self.began = limit, 0, 0, time.monotonic()
-
-    def truncate(self, size: int | None = None) -> int:
-        self.restarts += 1
-        if self.restarts > _RESTARTS:
-            raise _RefusedError("breaks off again and again, and cannot go on where it was")
-        return super().truncate(size)
+        self.limit = limit
 
     def write(self, data: Any) -> int:
         if self.limit is not None and self.tell() + len(data) > self.limit:
             raise _WrongFileError(f"has more than {self.limit} bytes")
-        self.got += len(data)
-        if (seconds := time.monotonic() - self.began) > PATIENCE + self.got / SLOWEST:
-            raise _RefusedError(f"gave {self.got} bytes in {seconds:.0f} s: too slow, try again later")
         return super().write(data)

@@ -128,9 +128,6 @@ def test_a_silent_server_is_given_up_and_a_slow_one_waited_for(site: Site) -> No
     assert fetch(slow, SUM, "slow.bin").read_bytes() == CONTENT
     silent = site.put("silent.bin", Page(CONTENT, wait=0.5))
     assert fetch(silent, SUM, "again.bin").read_bytes() == CONTENT, "the second try is answered"
-    stuck = site.put("stuck.bin", Page(CONTENT, drops=2, drip=0.5, ranges=False))
-    with pytest.raises(UserError, match="breaks off again and again"):
-        fetch(stuck, SUM, "stuck.bin")
 
 
 def test_redirections_lead_to_the_web_only(site: Site, tmp_path) -> None:

@@ -17,14 +17,12 @@ import numpy as np
 import pytest
 import torch
 from helpers.batches import make_batch
-from helpers.server import Page, serving, without_patience
+from helpers.server import Page, serving
 from msgspec.structs import replace
 from safetensors.torch import save_file
 
 import pedzoo
-from pedzoo.core import fetch as fetching
 from pedzoo.core.errors import UserError
-from pedzoo.core.fetch import fetch
 from pedzoo.core.paths import shipped
 from pedzoo.core.registry import MODELS
 from pedzoo.data.recordings import OwnFiles
@@ -167,20 +165,6 @@ def test_cards_from_servers_have_a_largest_size(tmp_path, monkeypatch, says_leng
         with pytest.raises(UserError, match="has more than 2000000 bytes"):
             download([site.put("card.yaml", page)], "models/card.yaml")
     assert sum(file.stat().st_size for file in tmp_path.rglob("*") if file.is_file()) < 3_000_000
-
-
-def test_servers_have_an_end_to_their_time(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(fetching, "PATIENCE", 0.5)
-    without_patience(monkeypatch)
-    with serving() as site:
-        dripping = site.put("drips.bin", Page(bytes(100), drops=100, drip=0.1))
-        began = time.monotonic()
-        with pytest.raises(UserError, match=r"gave \d+ bytes in .* s: too slow"):
-            fetch(dripping, None, "drips.bin", folder=tmp_path)
-        breaking = site.put("breaks.bin", Page(bytes(100_000), cuts=[1] * 100_000))
-        with pytest.raises(UserError, match=r"too slow|breaks off again and again"):
-            fetch(breaking, "0" * 64, "breaks.bin", folder=tmp_path, size=100_000)
-        assert time.monotonic() - began < 5
 
 
 def test_cards_name_no_endless_weights() -> None:
