@@ -12,19 +12,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from PIL import Image as Pillow
 
 import pedzoo
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.eval.comparison import PolicyRollout
-from pedzoo.eval.robots import robot_rollout
 from pedzoo.eval.rollout import rollout
 from pedzoo.sim.drawing import person_color
-from pedzoo.sim.robots.env import RobotEnv
-from pedzoo.sim.rollout import RobotRollout
 from pedzoo.viz.live import HOST, Live
-from pedzoo.viz.robots import film_robots, robot_frames
 from pedzoo.viz.video import GAP, HEADER, Image, film, read_video, write_video
 
 SIZE = (160, 120)
@@ -125,33 +120,6 @@ def test_command_films_the_bullet_world(tmp_path, capfd) -> None:
     count, size = read_video(video)
     assert 15 < count < 30 and size == (640 + GAP, 480 + HEADER)
     assert plot.read_bytes().startswith(b"\x89PNG")
-
-
-@pytest.fixture(scope="module")
-def driven() -> tuple[RobotRollout, RobotEnv]:
-    return robot_rollout("straight", "goals:map=flat,people=2,goals=1,pool=8", people="orca", episodes=2)
-
-
-def test_films_of_robots_last_as_long_and_show_lidars(driven: tuple[RobotRollout, RobotEnv]) -> None:
-    seen, blind = (list(robot_frames(*driven, episode=1, size=SIZE, beams=beams)) for beams in (180, 0))
-    assert len(seen) == len(blind) == int(driven[0].walked.length[1]) + 1
-    assert all(frame.shape == (SIZE[1] + HEADER, SIZE[0], 3) for frame in seen)
-    differ = [(one != other).any(-1).mean() for one, other in zip(seen, blind, strict=True)]
-    assert min(differ) > 0.01, "the robot sees something in every frame"
-    assert np.any(seen[0] != seen[-1])
-
-
-def test_films_of_robots_are_whole(driven: tuple[RobotRollout, RobotEnv], tmp_path) -> None:
-    film_robots(*driven, tmp_path / "a.gif", "straight", size=SIZE, seconds=1.0)
-    with Pillow.open(tmp_path / "a.gif") as picture:
-        assert (getattr(picture, "n_frames", 1), picture.size) == (11, (SIZE[0], SIZE[1] + HEADER))
-        assert picture.info["duration"] == 100
-    film_robots(*driven, tmp_path / "a.webm", size=SIZE, seconds=0.5)
-    assert read_video(tmp_path / "a.webm") == (6, (SIZE[0], SIZE[1] + HEADER))
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["a.gif", "a.webm"]
-    for name, episode, message in (("a.gif", 2, "episode 2: there are 2, 0 to 1"), ("a.png", 0, "ends in")):
-        with pytest.raises(UserError, match=message):
-            film_robots(*driven, tmp_path / name, episode=episode)
 
 
 # Watching people who walk now
