@@ -17,8 +17,8 @@ from pedzoo.cli.parsing import PARSER_SETTINGS
 from pedzoo.cli.signals import reinstall_handlers
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
-from pedzoo.core.forms import refuse_code
 from pedzoo.core.registry import absolute_name, import_path, names_code
+from pedzoo.core.untrusted import refuse_code
 from pedzoo.models.zoo.loading import read_checkpoint
 from pedzoo.train.run import RunFolder
 from pedzoo.train.settings import (

@@ -6,8 +6,8 @@ from typing import Any
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import find_config
-from pedzoo.core.size_limits import check_yaml, read_mapping
 from pedzoo.core.spec import with_settings
+from pedzoo.core.untrusted import check_yaml, read_mapping
 
 _OF_COURSE = ("scenes", "share")
 """A course's own keys beside ``scenario``; its other keys are settings of that."""

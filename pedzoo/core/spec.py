@@ -122,7 +122,7 @@ def build(registry: Registry, what: str | Spec | SpecText, base: type, **given: 
 
 def make(cls: type, kind: str, spec: Spec | SpecText, **given: Any) -> Any:
     """Return ``cls`` built from the settings of ``spec`` and from ``given`` values; errors as in `build`."""
-    from pedzoo.core.size_limits import check_yaml  # imports YAML
+    from pedzoo.core.untrusted import check_yaml  # imports YAML
 
     name, settings = spec
     if any("*" in (text := str(value)) or len(text) > _SHORT for value in settings.values()):

@@ -12,9 +12,9 @@ import numpy as np
 
 from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.registry import DATASETS, datasets_of_folds, names_code
-from pedzoo.core.size_limits import LARGEST_CARD, read_text
 from pedzoo.core.spec import name_of
 from pedzoo.core.types import STEP_SECONDS, TimeBase
+from pedzoo.core.untrusted import LARGEST_CARD, read_text
 from pedzoo.data.text_format import check_dt
 from pedzoo.data.tracks import Tracks, check_walks, doubts, rows_apart, say
 from pedzoo.maps.grid import OccupancyGrid, home_of

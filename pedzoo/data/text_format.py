@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TextIO
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.size_limits import LARGEST_TABLE, check_limit
+from pedzoo.core.untrusted import LARGEST_TABLE, check_limit
 
 if TYPE_CHECKING:
     import numpy as np

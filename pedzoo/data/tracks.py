@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.size_limits import LARGEST_TABLE, LONGEST_RECORDING, MOST_POSITIONS, check_limit
 from pedzoo.core.types import STEP_SECONDS
+from pedzoo.core.untrusted import LARGEST_TABLE, LONGEST_RECORDING, MOST_POSITIONS, check_limit
 from pedzoo.data.text_format import COLUMNS, CUT, PLAIN, Source, TextFormat, is_sqlite
 
 FASTEST = 4.0  # m/s: people of whom half of all steps are faster are no pedestrians

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple, get_args
 from msgspec import defstruct
 
 from pedzoo.core.errors import UserError, unknown
-from pedzoo.core.forms import check, refuse_code
 from pedzoo.core.machine import versions
 from pedzoo.core.registry import ROBOT_POLICIES
 from pedzoo.core.types import OBS_LEN, GoalProtocol, TimeBase
+from pedzoo.core.untrusted import check, refuse_code
 from pedzoo.data.datamodule import PROTOCOL, STAGES, TrajectoryDataModule
 from pedzoo.data.recordings import find_fold
 from pedzoo.eval.evaluate import Evaluation

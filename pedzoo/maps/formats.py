@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import write_atomically
-from pedzoo.core.size_limits import LARGEST_PICTURE, check_limit, load_yaml, read_text
+from pedzoo.core.untrusted import LARGEST_PICTURE, check_limit, load_yaml, read_text
 from pedzoo.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 
 FORMATS = ("PNG", "PPM", "JPEG", "BMP", "TIFF")

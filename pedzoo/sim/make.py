@@ -7,9 +7,9 @@ from pedzoo.core.errors import UserError, known_arguments, unknown
 from pedzoo.core.machine import usual_physics
 from pedzoo.core.paths import expanded
 from pedzoo.core.registry import PHYSICS, SCENARIOS
-from pedzoo.core.size_limits import load_yaml, read_mapping
 from pedzoo.core.spec import Spec, SpecText, build, parse, unquoted
 from pedzoo.core.types import BODY_RADIUS
+from pedzoo.core.untrusted import load_yaml, read_mapping
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.planning.planner import Planner, planner_class
 from pedzoo.sim.env import PedestrianEnv

@@ -15,8 +15,8 @@ from torch import Tensor
 from pedzoo.core.errors import UserError, as_integer
 from pedzoo.core.randomness import Draws
 from pedzoo.core.registry import name_of_class
-from pedzoo.core.size_limits import MOST_PEOPLE
 from pedzoo.core.types import AHEAD_SECONDS, GOAL_RADIUS, STEP_SECONDS, TOP_SPEED_RATIO
+from pedzoo.core.untrusted import MOST_PEOPLE
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.planning.guidance import Guidance

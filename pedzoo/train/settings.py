@@ -17,10 +17,10 @@ from lightning.pytorch.utilities import rank_zero_only
 
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
-from pedzoo.core.forms import refuse_code
 from pedzoo.core.paths import config_names
 from pedzoo.core.registry import ROBOT_POLICIES, absolute_name, import_path, names_code
 from pedzoo.core.spec import grouped, setting_groups
+from pedzoo.core.untrusted import refuse_code
 from pedzoo.data.datamodule import PROTOCOL, TrajectoryDataModule
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.loading import build, config_of, load, saved_config

@@ -12,7 +12,6 @@ from pedzoo.core.configs import load_config, merged
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import config_names
 from pedzoo.core.registry import POLICIES, SCENARIOS
-from pedzoo.core.size_limits import load_yaml, read_mapping
 from pedzoo.core.spec import (
     Spec,
     SpecText,
@@ -26,6 +25,7 @@ from pedzoo.core.spec import (
     split,
     with_settings,
 )
+from pedzoo.core.untrusted import load_yaml, read_mapping
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.policy import Policy

@@ -14,9 +14,17 @@ from safetensors import SafetensorError, safe_open
 from typing_extensions import TypedDict
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.forms import check, check_plain, said
 from pedzoo.core.paths import CARD, WEIGHTS, write_atomically
-from pedzoo.core.size_limits import LARGEST_CARD, LARGEST_WEIGHTS, check_limit, load_yaml, read_text
+from pedzoo.core.untrusted import (
+    LARGEST_CARD,
+    LARGEST_WEIGHTS,
+    check,
+    check_limit,
+    check_plain,
+    load_yaml,
+    read_text,
+    said,
+)
 
 _FORMS = {
     "name": (r"[A-Za-z0-9_]+\.[A-Za-z0-9_-]+", "ARCHITECTURE.TAG of letters, digits, _ and -"),

@@ -19,11 +19,11 @@ from torch import Tensor, nn
 
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError, unknown
-from pedzoo.core.forms import check, check_plain, refuse_code
 from pedzoo.core.paths import config_names, write_atomically
 from pedzoo.core.registry import MODELS, ROBOT_POLICIES, names_code
 from pedzoo.core.spec import Spec, grouped, make, parse, plain, setting_groups, setting_types, unquoted
 from pedzoo.core.types import GoalProtocol
+from pedzoo.core.untrusted import check, check_plain, refuse_code
 from pedzoo.models.base import Forecaster, has_parameters
 from pedzoo.models.zoo import store
 from pedzoo.models.zoo.card import Config, ModelCard, read_file

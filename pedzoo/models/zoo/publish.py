@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import CARD, WEIGHTS
 from pedzoo.core.registry import names_code
-from pedzoo.core.size_limits import read_mapping
 from pedzoo.core.types import PRED_LEN
+from pedzoo.core.untrusted import read_mapping
 from pedzoo.data.recordings import find_fold, licence, provenance, together
 from pedzoo.models.zoo.card import ModelCard, check_name, read_card, read_config, write_card
 from pedzoo.models.zoo.loading import load, read_checkpoint, save_weights

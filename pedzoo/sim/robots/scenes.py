@@ -16,9 +16,9 @@ from pedzoo.core.errors import UserError, as_integer
 from pedzoo.core.geometry import direction_of, identity_pose, rotate, unrotate
 from pedzoo.core.randomness import Draws
 from pedzoo.core.registry import SCENARIOS
-from pedzoo.core.size_limits import load_yaml
 from pedzoo.core.spec import Spec, build, groups_by_setting, setting_groups, setting_types
 from pedzoo.core.types import BODY_RADIUS, TOP_SPEED_RATIO
+from pedzoo.core.untrusted import load_yaml
 from pedzoo.maps.grid import OccupancyGrid
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.maps.planning.planner import Planner
