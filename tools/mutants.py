@@ -71,7 +71,7 @@ EQUIVALENT = {
     "metrics/robots.py": ("clamp_min( 0), there.any",),
     "metrics/arrival.py": ("number.numel() else 1",),
     "metrics/realism/walks.py": ("scatter_reduce( -1",),
-    "metrics/statistics.py": ("(at,))[:, -1]",),
+    "metrics/ratios.py": ("(at,))[:, -1]",),
     "train/ppo/people.py": ('["pref_speed"][..., -1]',),
     "models/blocks/variety.py": ("zeros_like(z[", "self.best_k >= 1", "self.best_k > 0"),
     "maps/planning/graph.py": ("< _KEPT",),

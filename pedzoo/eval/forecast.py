@@ -14,7 +14,7 @@ from pedzoo.data.recordings import Split
 from pedzoo.data.scenes import SceneSet
 from pedzoo.metrics.forecast import ForecastScore
 from pedzoo.metrics.inputs import input_use
-from pedzoo.metrics.statistics import Interval, ratio_interval
+from pedzoo.metrics.ratios import Interval, ratio_interval
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.loading import load
 

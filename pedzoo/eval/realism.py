@@ -17,7 +17,7 @@ from pedzoo.core.types import STEP_SECONDS
 from pedzoo.eval.scoring.rows import halves_row, split_in_halves, values_row, weights_of
 from pedzoo.metrics.closed_loop import own_metrics
 from pedzoo.metrics.contacts import intervention_m, intervention_share
-from pedzoo.metrics.ratios import of_parts, summarised
+from pedzoo.metrics.ratios import drawn_people, of_parts, summarised, wilson
 from pedzoo.metrics.realism.crowds import (
     CrowdSums,
     compared,
@@ -30,7 +30,6 @@ from pedzoo.metrics.realism.crowds import (
 )
 from pedzoo.metrics.realism.features import FEATURES, SampledRollout, every_step, surroundings
 from pedzoo.metrics.realism.walks import RecordedWalks, by_person, of_people, tracks_of, walks_of
-from pedzoo.metrics.statistics import drawn_people, wilson
 from pedzoo.sim.recorded_people import RecordedPeople
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.scenarios.replay import PreparedReplay

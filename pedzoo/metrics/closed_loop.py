@@ -11,8 +11,7 @@ from torch import Tensor
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import METRICS
 from pedzoo.metrics.arrival import time_ratios
-from pedzoo.metrics.ratios import Ratio, summarised
-from pedzoo.metrics.statistics import Interval, bootstrap_quantile, quantiles
+from pedzoo.metrics.ratios import Interval, Ratio, bootstrap_quantile, quantiles, summarised
 from pedzoo.sim.rollout import Rollout
 
 _SHIPPED = {name: METRICS.get(name) for name in METRICS.names()}

@@ -14,7 +14,7 @@ from pedzoo.core.errors import UserError
 from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.eval.forecast import BlockSums, blocks, forecast, forecast_row
 from pedzoo.metrics.forecast import ForecastScore, displacement_error, negative_log_likelihood
-from pedzoo.metrics.statistics import ratio_interval
+from pedzoo.metrics.ratios import ratio_interval
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.base import known_displacements, true_displacements
 from pedzoo.models.zoo.loading import load, save_weights

@@ -11,8 +11,7 @@ from torch import Tensor
 from pedzoo.eval.comparison import row
 from pedzoo.metrics.arrival import time_ratios
 from pedzoo.metrics.closed_loop import NAMES, closed_loop
-from pedzoo.metrics.ratios import summarised
-from pedzoo.metrics.statistics import wilson
+from pedzoo.metrics.ratios import summarised, wilson
 from pedzoo.sim.rollout import OVER_TIME, Rollout, joined
 from pedzoo.train.validation import ClosedLoopScore
 

@@ -15,6 +15,7 @@ from pedzoo.core.geometry import rotate
 from pedzoo.eval.realism import reference_rows, replay_row
 from pedzoo.eval.rollout import prepare, walk
 from pedzoo.metrics.contacts import time_to_collision
+from pedzoo.metrics.ratios import drawn_people
 from pedzoo.metrics.realism import crowds
 from pedzoo.metrics.realism.crowds import (
     CrowdSums,
@@ -42,7 +43,6 @@ from pedzoo.metrics.realism.distances import (
 from pedzoo.metrics.realism.features import SampledRollout, every_step, features, surroundings
 from pedzoo.metrics.realism.walks import by_person, of_people, tracks_of, walks_of
 from pedzoo.metrics.realism.wosac import step_values
-from pedzoo.metrics.statistics import drawn_people
 from pedzoo.policies.rule_based.go_to_goal import GoToGoal
 from pedzoo.sim.rollout import Rollout, joined
 from pedzoo.sim.scenarios.replay import PreparedReplay, Replay

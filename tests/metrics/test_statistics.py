@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 import torch
 
-from pedzoo.metrics.ratios import Ratio, summarised
-from pedzoo.metrics.statistics import bootstrap_quantile, drawn_people, quantiles, ratio_interval, wilson
+from pedzoo.metrics.ratios import (
+    Ratio,
+    bootstrap_quantile,
+    drawn_people,
+    quantiles,
+    ratio_interval,
+    summarised,
+    wilson,
+)
 
 AT = (0.05, 0.5, 0.95, 1.0)
 
@@ -22,7 +29,7 @@ def test_quantiles_by_hand() -> None:
 
 
 def test_quantiles_of_resamples_are_those_of_the_repeated_values(monkeypatch) -> None:
-    monkeypatch.setattr("pedzoo.metrics.statistics._AT_ONCE", 700)  # several parts
+    monkeypatch.setattr("pedzoo.metrics.ratios._AT_ONCE", 700)  # several parts
     generator = torch.Generator().manual_seed(0)
     value = torch.randn(300, generator=generator, dtype=torch.float64)
     group = torch.randint(20, (300,), generator=generator)

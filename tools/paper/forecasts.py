@@ -30,7 +30,7 @@ from pedzoo.eval.results import ResultTable, mean_interval
 from pedzoo.eval.suites.replay import digest_of
 from pedzoo.eval.work_units import fingerprint
 from pedzoo.metrics.forecast import negative_log_likelihood
-from pedzoo.metrics.statistics import FEWEST, Interval
+from pedzoo.metrics.ratios import FEWEST, Interval
 from pedzoo.models.base import known_displacements, true_displacements
 from pedzoo.models.zoo.loading import load
 from pedzoo.models.zoo.store import find

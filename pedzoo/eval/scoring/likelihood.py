@@ -18,6 +18,7 @@ from torch import Tensor
 from pedzoo.core.types import GOAL_RADIUS, OBS_LEN
 from pedzoo.data.tracks import Tracks
 from pedzoo.eval.rollout import Progress, walked
+from pedzoo.metrics.ratios import drawn_people
 from pedzoo.metrics.realism.distances import displacement
 from pedzoo.metrics.realism.features import every_step
 from pedzoo.metrics.realism.wosac import (
@@ -30,7 +31,6 @@ from pedzoo.metrics.realism.wosac import (
     measured_likelihood,
     step_values,
 )
-from pedzoo.metrics.statistics import drawn_people
 from pedzoo.policies.load import load_policy
 from pedzoo.policies.walker import has_noise
 from pedzoo.sim.recorded_people import CONTROLLED, SHORT, STAYED, RecordedPeople, without_goals

@@ -13,12 +13,12 @@ import torch
 from torch import Tensor
 
 from pedzoo.eval.scoring.crowds import CrowdView, ScoredCrowd, blocks_of
+from pedzoo.metrics.ratios import Interval, drawn_people, percentile_interval, ratio_interval
 from pedzoo.metrics.realism.crowds import compared, contact_intervals, only, ratios
 from pedzoo.metrics.realism.distances import closed_loop_error, halves, padded, sums
 from pedzoo.metrics.realism.features import Clips
 from pedzoo.metrics.realism.two_sample import FOLDS, Verdict, auc, nearest_parts, two_sample
 from pedzoo.metrics.realism.walks import columns, companions, meetings, person_errors
-from pedzoo.metrics.statistics import Interval, drawn_people, percentile_interval, ratio_interval
 
 HALVES = "real halves"
 """The row of one half of the recorded people against the other: what a perfect crowd would score."""

@@ -14,10 +14,10 @@ from torch import Tensor
 
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.metrics.contacts import begins
+from pedzoo.metrics.ratios import Interval, quantiles, ratio_interval
 from pedzoo.metrics.realism.distances import Samples, counted, grid, resampled, sums, wasserstein
 from pedzoo.metrics.realism.features import CLOSE, FEATURES, SampledRollout, Surroundings, features
 from pedzoo.metrics.smoothness import STANDS
-from pedzoo.metrics.statistics import Interval, quantiles, ratio_interval
 from pedzoo.sim.recorded_people import DRIFT, NEAR, TOGETHER
 from pedzoo.sim.rollout import Rollout
 

@@ -14,9 +14,9 @@ from torch import Tensor
 from pedzoo.core.types import STEP_SECONDS, TRACE_SECONDS
 from pedzoo.metrics.arrival import stuck
 from pedzoo.metrics.door import flow, passing_seconds
+from pedzoo.metrics.ratios import quantiles
 from pedzoo.metrics.realism.distances import closed_loop_error, dtw, padded, sums, wasserstein
 from pedzoo.metrics.realism.features import SampledRollout, every_step
-from pedzoo.metrics.statistics import quantiles
 from pedzoo.sim.recorded_people import NEAR, TOGETHER
 from pedzoo.sim.rollout import Rollout
 
