@@ -9,12 +9,11 @@ from typing import Any, Literal, NamedTuple
 
 import yaml
 from jsonargparse import Namespace
-from lightning.pytorch.callbacks import Callback, RichProgressBar
+from lightning.pytorch.callbacks import RichProgressBar
 from lightning.pytorch.cli import LightningArgumentParser
 
 from pedzoo.cli.check import given, split_names
 from pedzoo.cli.parsing import PARSER_SETTINGS
-from pedzoo.cli.signals import reinstall_handlers
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import absolute_name, import_path, names_code
@@ -173,15 +172,3 @@ class ProgressBar(RichProgressBar):
     def get_metrics(self, *args: Any) -> dict[str, Any]:
         """Return what is shown beside the bar."""
         return {key: value for key, value in super().get_metrics(*args).items() if key != "v_num"}
-
-
-class Signals(Callback):
-    """Reinstalls our signal handlers: Lightning's talks to other processes in the midst of a step."""
-
-    def on_train_start(self, *_: Any) -> None:
-        """Do so before the first step."""
-        reinstall_handlers()
-
-    def on_sanity_check_start(self, *_: Any) -> None:
-        """Do so before the first validation."""
-        reinstall_handlers()

@@ -18,16 +18,16 @@ import yaml
 from jsonargparse import Namespace
 from lightning import LightningDataModule, Trainer, __version__, seed_everything
 from lightning.fabric.utilities.exceptions import MisconfigurationException
-from lightning.pytorch.callbacks import Callback
+from lightning.pytorch.callbacks import Callback, LambdaCallback
 
 from pedzoo.cli.check import ROBOT_MODULES, trained_class
 from pedzoo.cli.output import check_outputs, duration, write_json
 from pedzoo.cli.parsing import parse
+from pedzoo.cli.signals import reinstall_handlers
 from pedzoo.cli.starting import (
     Command,
     ConfigParser,
     ProgressBar,
-    Signals,
     expand,
     how_to_go_on,
     with_classes,
@@ -189,7 +189,9 @@ class Training:
         callbacks: list[Any] = [*own] if isinstance(own, list) else [own]
         if options.get("enable_progress_bar") is not False:
             callbacks.append(ProgressBar())
-        callbacks.append(Signals())
+        # Lightning's own handlers talk to other processes in the midst of a step
+        hooks = dict.fromkeys(("on_train_start", "on_sanity_check_start"), lambda *_: reinstall_handlers())
+        callbacks.append(LambdaCallback(**hooks))
         known = getattr(self.model, "precisions", ["32-true"])
         given = str(options.get("precision") or known[0])
         usual = {"16": "16-mixed", "bf16": "bf16-mixed", "32": "32-true", "64": "64-true"}

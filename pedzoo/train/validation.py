@@ -15,7 +15,6 @@ from lightning.pytorch.callbacks import Callback
 from lightning.pytorch.loggers import WandbLogger
 from lightning.pytorch.utilities import rank_zero_only
 from torch import Tensor
-from torchmetrics import Metric
 
 from pedzoo.core.adapters import logged_step
 from pedzoo.core.errors import UserError, unknown
@@ -45,37 +44,6 @@ USUAL = "door", "compiled"
 
 FILM = (480, 360)  # width and height of videos, pixels
 FILM_SECONDS = 20.0  # of an episode, at most
-
-
-class ClosedLoopScore(Metric):
-    """All closed-loop metrics over any number of rollouts; sums in float64, added over processes."""
-
-    full_state_update = False
-    above: Tensor
-    below: Tensor
-
-    def __init__(self) -> None:
-        """Nothing to set."""
-        super().__init__()
-        from pedzoo.metrics.closed_loop import NAMES
-
-        self.names = NAMES
-        for state in ("above", "below"):
-            self.add_state(state, torch.zeros(len(NAMES), dtype=torch.float64), dist_reduce_fx="sum")
-
-    def update(self, rollout: Any) -> None:
-        """Add the episodes of a `pedzoo.sim.rollout.Rollout`."""
-        from pedzoo.metrics.closed_loop import closed_loop
-
-        for name, (above, below, *_) in closed_loop(rollout).items():
-            self.above[self.names.index(name)] += above.sum()
-            self.below[self.names.index(name)] += below.sum()
-
-    def compute(self) -> dict[str, Tensor]:
-        """Return every metric about which an episode said something, in the order of tables."""
-        values = (self.above / self.below).unbind()
-        known = (self.below > 0).tolist()
-        return {name: one for name, one, is_known in zip(self.names, values, known, strict=True) if is_known}
 
 
 class ClosedLoopValidation(Callback):
@@ -223,10 +191,11 @@ class ClosedLoopValidation(Callback):
         """Return the metrics of a scenario over the episodes of all processes."""
         from pedzoo.eval.comparison import PolicyRollout
         from pedzoo.eval.rollout import walk
+        from pedzoo.metrics.closed_loop import NAMES, closed_loop
         from pedzoo.sim.make import make_env, physics_class
         from pedzoo.sim.rollout import joined
 
-        score = ClosedLoopScore()
+        sums = dict.fromkeys(NAMES, torch.zeros(2, dtype=torch.float64))
         episodes = trainer.world_size if cast("Any", trainer).fast_dev_run else self.episodes
         first, episodes = share(episodes, trainer.global_rank, trainer.world_size)
         if episodes:  # there may be more processes than episodes
@@ -239,13 +208,14 @@ class ClosedLoopValidation(Callback):
             env = self._envs[name]
             env.set_seed(self.seed)
             rollout = joined(list(walk(self._walker, env, episodes, self.deterministic)))
-            score.update(rollout)
+            sums |= {name: torch.stack(one[:2]).sum(1) for name, one in closed_loop(rollout).items()}
             if self.picture or self.video:
                 walked = PolicyRollout(type(self._walker.model).__name__, rollout, env)
                 _log_media(trainer, name, walked, self.picture, self.video)
+        together = torch.stack([*sums.values()])
         if trainer.world_size > 1:
-            score.to(device)  # where processes talk to each other
-        return score.compute()
+            together = cast("Tensor", trainer.strategy.reduce(together.to(device), reduce_op="sum"))
+        return {name: one[0] / one[1] for name, one in zip(NAMES, together, strict=True) if one[1] > 0}
 
     def close(self, *_: Any, **__: Any) -> None:
         """Let go of model and environments."""

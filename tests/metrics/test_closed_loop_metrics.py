@@ -13,7 +13,6 @@ from pedzoo.metrics.arrival import time_ratios
 from pedzoo.metrics.closed_loop import NAMES, closed_loop
 from pedzoo.metrics.ratios import summarised, wilson
 from pedzoo.sim.rollout import OVER_TIME, Rollout, joined
-from pedzoo.train.validation import ClosedLoopScore
 
 
 def bits(*rows: str) -> torch.Tensor:
@@ -283,28 +282,8 @@ def test_a_replay_scores_people_and_not_slots() -> None:
     assert not {"time_ratio", "goals_per_person", "symmetry_index", "personal_space_igibson"} & set(result)
 
 
-def test_scores_add_up_over_rollouts_and_processes() -> None:
-    walked = busy()
-    parts = walked.episodes(slice(2)), walked.episodes(slice(2, 5))
-    together, one, other = (ClosedLoopScore() for _ in range(3))
-    for part in parts:
-        together.update(part)
-    one.update(parts[0])
-    other.update(parts[1])
-    expected = {key: pytest.approx(value) for key, value in metrics(walked).items()}
-    assert {key: float(value) for key, value in together.compute().items()} == expected
-    one.merge_state(other)  # what processes do at the end
-    assert {key: float(value) for key, value in one.compute().items()} == expected
-    assert tuple(together.compute()) == NAMES
-    together.reset()
-    together.update(parts[0])
-    assert float(together.compute()["success"]) == pytest.approx(metrics(parts[0])["success"])
-
-
 def test_score_has_only_what_some_episode_says_something_about() -> None:
-    score = ClosedLoopScore()
-    score.update(made(straight()[None, None]))
-    result = score.compute()
+    result = metrics(made(straight()[None, None]))
     assert result["success"] == 0.0 and result["speed_m_per_s"] == pytest.approx(1.3)
     assert not {"time_s", "least_distance_m", "time_to_collision_s", "symmetry_index"} & set(result)
     # an episode may be shorter than a window

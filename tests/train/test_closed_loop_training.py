@@ -23,10 +23,11 @@ from pedzoo.core.errors import UserError
 from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.eval.comparison import row
 from pedzoo.eval.rollout import rollout
+from pedzoo.metrics import closed_loop
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.train.module import PlainModule
 from pedzoo.train.run import rows_of
-from pedzoo.train.validation import METRICS, ClosedLoopScore, ClosedLoopValidation, share
+from pedzoo.train.validation import METRICS, ClosedLoopValidation, share
 from pedzoo.viz.video import read_video
 
 FIT = ["fit", "--config", "sgan_goal", "--data.fold", "embedded", *SHORT]
@@ -206,13 +207,13 @@ def test_the_best_checkpoint_is_of_an_epoch_that_was_measured(check, tmp_path):
 
 def test_fast_dev_run_walks_one_episode(monkeypatch):
     walked: list[int] = []
-    update = ClosedLoopScore.update
+    sums = closed_loop.closed_loop
 
-    def counted(self: ClosedLoopScore, rollout: Any) -> None:
+    def counted(rollout: Any) -> Any:
         walked.append(len(rollout.failed))
-        update(self, rollout)
+        return sums(rollout)
 
-    monkeypatch.setattr(ClosedLoopScore, "update", counted)
+    monkeypatch.setattr(closed_loop, "closed_loop", counted)
     assert main([*FIT, "--trainer.fast_dev_run", "true"]) == 0
     assert walked == [1] and not Path("runs").exists()
 
