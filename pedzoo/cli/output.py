@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pedzoo.eval.results import ResultTable, SuiteColumns
     from pedzoo.eval.work_units import ProgressReport
 
-_ENDINGS = {"json": REPORTS, "html": PAGES, "plot": PLOTS, "video": tuple(CODECS)}
+_ENDINGS = {"json": REPORTS, "html": PAGES, "plot": PLOTS, "sheet": PLOTS, "video": tuple(CODECS)}
 
 _NARROW = 120
 """Characters: on a terminal with fewer, intervals are below their numbers."""

@@ -1,4 +1,4 @@
-"""Plots as files: forecasts on floor plans, and density and speed of crowds beside the real ones."""
+"""Plots as files: forecasts, floor plans, and density and speed of crowds beside the real ones."""
 
 from __future__ import annotations
 
@@ -12,11 +12,15 @@ import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from matplotlib.transforms import Affine2D
+from numpy.typing import NDArray
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import PLOTS, check_ending, write_atomically
 from pedzoo.maps.grid import FREE, OCCUPIED, OccupancyGrid
+from pedzoo.maps.procedural import FloorPlan
+from pedzoo.maps.shapes import UNIT, Rect
 from pedzoo.metrics.forecast import positions
 from pedzoo.models.base import Forecaster
 from pedzoo.viz.report import RARE, REAL
@@ -36,6 +40,24 @@ PANEL, LEAST = (2.2, 1.5), (3.4, 2.9)
 LOOK: dict[str, Any] = {"color": "tab:red", "marker": ".", "lw": 1.4}
 REAL_LOOK: dict[str, Any] = {"color": "black", "lw": 2.2}
 """Lines of the policy and of the real crowd."""
+
+TINTS = {
+    "hall": (245, 236, 224),
+    "living": (216, 240, 214),
+    "kitchen": (251, 221, 200),
+    "bedroom": (214, 225, 246),
+    "bathroom": (200, 239, 240),
+    "study": (240, 215, 235),
+    "storage": (221, 221, 221),
+    "corridor": (245, 236, 224),
+    "office": (221, 234, 247),
+    "meeting": (236, 235, 210),
+    "open_plan": (222, 245, 216),
+    "toilets": (200, 239, 240),
+}
+"""Red, green and blue of a room's floor."""
+
+WALLS, FURNITURE, DOORS = (56, 56, 56), (122, 132, 152), (255, 164, 120)
 
 
 def check_plot_path(path: str | Path) -> None:
@@ -172,3 +194,42 @@ def plot_density_speed(rows: Sequence[Mapping[str, Any]], path: str | Path, simu
     figure.supxlabel("people per m² within 2 m; bars: how often", fontsize=8)
     figure.supylabel("mean speed, m/s; black: the real crowd", fontsize=8)
     write_figure(figure, path)
+
+
+def save_sheet(plans: Sequence[FloorPlan], path: str | Path) -> None:
+    """Draw floor plans with their names and sizes, and what the colours of rooms say.
+
+    Raises:
+        UserError: Another ending than `pedzoo.core.paths.PLOTS`, or the file cannot be written.
+    """
+    columns = min(4, len(plans))
+    rows = -(-len(plans) // columns)
+    figure = Figure(figsize=(16, rows * 12 / columns + 0.6), layout="constrained")
+    panels = [*figure.subplots(rows, columns, squeeze=False).flat]
+    for axes in panels:
+        axes.set_axis_off()
+    for axes, plan in zip(panels, plans, strict=False):
+        axes.imshow(draw(plan))
+        axes.set_title(f"{plan.grid.name}, {plan.size[0]:.1f} x {plan.size[1]:.1f} m", fontsize=9)
+    used = [use for use in TINTS if any(room.use == use for plan in plans for room in plan.rooms)]
+    handles = [Patch(color=np.array(TINTS[use]) / 255, label=use.replace("_", " ")) for use in used]
+    figure.legend(handles=handles, loc="outside lower center", ncols=6, frameon=False, fontsize=9)
+    write_figure(figure, path, dpi=100)
+
+
+def draw(plan: FloorPlan) -> NDArray[np.uint8]:
+    """Return a picture of a floor plan (height, width, RGB), one pixel per 5 cm, the largest y at the top."""
+    width, height = (round(side / UNIT) for side in plan.size)
+    image = np.full((height, width, 3), WALLS, dtype=np.uint8)
+
+    def fill(rect: Rect, color: tuple[int, int, int]) -> None:
+        image[rect.y0 : rect.y1, rect.x0 : rect.x1] = color
+
+    for room in plan.rooms:
+        for part in room.parts:
+            fill(part, TINTS[room.use])
+    for door in plan.doors:
+        fill(door.opening, DOORS)
+    for piece in plan.pieces:
+        fill(piece.rect, FURNITURE)
+    return np.flipud(image)

@@ -116,7 +116,7 @@ VALUES = [
     ("plans office --count 1 --sheet full.png", "--sheet full.png: is a folder"),
     ("plans office --count 1 --json wrong.csv/a.json", "wrong.csv' is a file, expected a folder"),
     ("plans office --count 0", "--count 0: expected at least 1"),
-    ("plans office --sheet sheet.jpg", "expected a name in .png"),
+    ("plans office --sheet sheet.jpg", "ends in .png or .pdf or .svg"),
     ("plans office --size 3,4", "expected width and height from 12 to 60 m"),
     ("forecast constant_velocity --json full.png", "--json full.png: is a folder"),
     ("export sgan_goal.zara1 --zoo", "expected RUN/checkpoints/best.ckpt, not 'sgan_goal.zara1'"),

@@ -39,7 +39,7 @@ from pedzoo.sim.drawing import (
 from pedzoo.sim.physics._base import Bodies
 from pedzoo.sim.robots.env import RobotEnv
 from pedzoo.sim.rollout import RobotRollout
-from pedzoo.viz.plan_sheet import draw
+from pedzoo.viz.plots import draw
 from pedzoo.viz.video import ShownEpisode, film, labelled
 
 ROOT = Path(__file__).parents[2]

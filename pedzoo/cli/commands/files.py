@@ -194,13 +194,12 @@ def plans(
         resolution: Side of a cell, metres: 0.05 or a whole part of it.
         furnished: From 0, bare rooms, to 1; the rooms are the same.
         doors: Least and largest width of a door, metres, as ``0.8,1.2``, within 0.7 to 1.5.
-        sheet: Draw all plans into this .png.
+        sheet: Draw all plans into this .png, .pdf or .svg.
         json: Also write what is printed to this file.
         overwrite: Replace files that are there already.
     """
     from pedzoo.maps.formats import write_ros
     from pedzoo.maps.procedural import KINDS, generate
-    from pedzoo.viz.plan_sheet import save_sheet
 
     at_least_one("--count", count)
     at_least_zero("--", seed=seed)
@@ -208,8 +207,8 @@ def plans(
     for kind in kinds:
         if kind not in KINDS:
             raise unknown("kind of floor plan", kind, KINDS)
-    if sheet and Path(sheet).suffix != ".png":
-        raise UserError(f"--sheet {sheet}: expected a name in .png")
+    if sheet:
+        need("video", "--sheet")
     check_outputs(sheet=sheet, json=json)
     if folder.exists() and not folder.is_dir():
         raise UserError(f"--out {out}: is a file, expected a folder")
@@ -236,7 +235,9 @@ def plans(
             f"{facts['pieces']} pieces of furniture, {facts['free_m2']:.0f} m2 free"
         )
     if sheet:
-        save_sheet(drawn, Path(sheet))
+        from pedzoo.viz.plots import save_sheet
+
+        save_sheet(drawn, sheet)
         print(f"sheet: {sheet}")
     if json:
         report = {"command": "plans", "protocol": {"kinds": kinds, **settings}, "seeds": list(seeds)}
