@@ -26,8 +26,7 @@ from pedzoo.policies.robots.attention import Attention, as_action, as_decision, 
 from pedzoo.sim.crowdnav import COLLISION, CROWDNAV, CROWDNAV_PP, SUCCESS, TIMEOUT, cases
 from pedzoo.sim.robots.env import make_robot_env
 from pedzoo.train.ppo.crowdnav import CrowdNavEnv, Crowds
-from pedzoo.train.ppo.robots import RobotPPO, act, walked_once
-from pedzoo.train.ppo.teacher import taught, teacher_of
+from pedzoo.train.ppo.robots import RobotPPO, act, taught, teacher_of, walked_once
 from tools.kills import difference
 from tools.paper.crowdnav import run
 

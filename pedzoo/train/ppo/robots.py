@@ -1,11 +1,12 @@
-"""PPO of a robot among people: actor, critic, the training, and how its episodes end."""
+"""PPO of a robot among people: actor, critic, teachers, the training, and how its episodes end."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar, cast
 
 import torch
@@ -13,27 +14,90 @@ from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
+from torch.nn import functional
 from torch.utils.data import DataLoader
 from torchrl.modules import ProbabilisticActor
 
+from pedzoo.core.bodies import HOLONOMIC
 from pedzoo.core.errors import UserError
+from pedzoo.core.geometry import direction_of, unrotate
 from pedzoo.core.spec import parse
-from pedzoo.policies.load import load_policy
-from pedzoo.policies.robots._base import bodies_of
-from pedzoo.policies.robots.attention import Attention, Encoder, as_action, frame_of, head
+from pedzoo.policies.load import load_policy, load_robot_policy
+from pedzoo.policies.robots._base import ObservedPeople, Robot, bodies_of
+from pedzoo.policies.robots.attention import (
+    TURN_GAIN,
+    Attention,
+    Encoder,
+    as_action,
+    as_decision,
+    frame_of,
+    head,
+)
+from pedzoo.policies.robots.baselines import Sampling
 from pedzoo.sim.robots.env import RobotEnv, make_robot_env
 from pedzoo.train.ppo.crowdnav import SETTINGS, CrowdNavEnv
-from pedzoo.train.ppo.teacher import CONSTANT_VELOCITY, Teacher, teacher_of
 from pedzoo.train.ppo.trainer import PPO, Gatherer, Objective, Updates, actor, check_ranges
 
 _PEOPLE = "orca"
 """Who walks where nothing else is said, and always in CrowdNav's scenarios."""
+
+CONSTANT_VELOCITY = "constant_velocity"
+"""The name of the teacher that knows no more than the robot senses."""
+
+_PLANNER = Sampling(speeds=3, horizon=12, discount=0.97, margin_cost=4.0)
+"""What it does."""
+
+Teacher = Callable[[TensorDictBase], Tensor]
+"""Returns decisions (B, R, 2) for scenes, see `pedzoo.policies.robots.attention.Attention.mean`."""
 
 _SEEN: list[Any] = [("robots", "observation"), ("robots", "body")]
 """What actor and critic read."""
 
 _WRITTEN = ("loc", "scale", "decision", "log_prob", "taught", "action")
 """What `Decider` writes."""
+
+
+def teacher_of(name: str) -> Teacher:
+    """Return the teacher `CONSTANT_VELOCITY`, or a policy by `load_robot_policy`; errors as there."""
+    if name == CONSTANT_VELOCITY:
+        return taught
+    policy = load_robot_policy(name)
+
+    def decision(scenes: TensorDictBase) -> Tensor:
+        bodies = bodies_of(scenes)
+        return as_decision(policy.action(scenes), frame_of(scenes, bodies), bodies)
+
+    return decision
+
+
+@torch.no_grad()
+def taught(scenes: TensorDictBase) -> Tensor:
+    """Return the decisions (B, R, 2) of the best of some constant velocities, by what the robot senses.
+
+    Where the lidar's beams end there is a wall. Robots on wheels turn towards the velocity.
+    """
+    bodies, observation = bodies_of(scenes), cast("TensorDictBase", scenes["robots", "observation"])
+    seen = {str(key): cast("Tensor", value).flatten(0, 1) for key, value in observation.items()}
+    top, way, walls = bodies.top_speed.flatten(), seen["waypoint"], None
+    axis, left = functional.normalize(way, dim=-1), way.norm(dim=-1, keepdim=True).clamp_min(0.3)
+    here = torch.zeros_like(way)
+    robot = Robot(here, here, axis * left, seen["radius"][:, 0], top)
+    place, velocity, radius = seen["people"].split([2, 2, 1], dim=-1)
+    people = ObservedPeople(place, velocity, radius[..., 0], seen["people_mask"])
+    if (lidar := seen.get("lidar")) is not None:
+        turn = torch.arange(lidar.shape[1], device=lidar.device) * (2 * math.pi / lidar.shape[1])
+        walls = partial(_nearest, lidar.unsqueeze(-1) * direction_of(turn))
+    best = _PLANNER(robot, people, walls) / top.unsqueeze(-1)
+    off, speed = torch.atan2(best[:, 1], best[:, 0]), best.norm(dim=-1)
+    rate = (TURN_GAIN * off / bodies.top_turn.flatten()).clamp(-1, 1)
+    wheels = torch.stack((speed * off.cos().clamp_min(0), rate), dim=-1)
+    free = (bodies.drive == HOLONOMIC).flatten().unsqueeze(-1)
+    return torch.where(free, unrotate(best, axis), wheels).view(*bodies.drive.shape, 2)
+
+
+def _nearest(ends: Tensor, points: Tensor) -> Tensor:
+    """Return how far points (B, M, 2) are from the nearest ends of beams (B, N, 2), metres (B, M)."""
+    return torch.cdist(points, ends).amin(-1)
 
 
 @dataclass(frozen=True)
@@ -157,7 +221,7 @@ class RobotPPO(PPO):
             episodes: Of every scenario in a validation.
             physics: As in `pedzoo.make_robot_env`.
             imitate: So many updates at the beginning follow a teacher, not rewards.
-            teacher: Its name; see `pedzoo.train.ppo.teacher.teacher_of`.
+            teacher: Its name; see `teacher_of`.
             std: Standard deviation of decisions at the beginning, a share of the robot's limits.
             lr: Learning rate of Adam at the beginning.
             final_lr: Share of it left at the end; it falls linearly.
