@@ -3,7 +3,7 @@
 import os
 import re
 from argparse import ArgumentParser
-from collections.abc import Callable, Set
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -12,11 +12,11 @@ from jsonargparse import Namespace
 from lightning.pytorch.callbacks import RichProgressBar
 from lightning.pytorch.cli import LightningArgumentParser
 
-from pedzoo.cli.check import given, split_names
+from pedzoo.cli.check import given
 from pedzoo.cli.parsing import PARSER_SETTINGS
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
-from pedzoo.core.registry import absolute_name, import_path, names_code
+from pedzoo.core.registry import import_path, names_code
 from pedzoo.core.untrusted import refuse_code
 from pedzoo.models.zoo.loading import read_checkpoint
 from pedzoo.train.run import RunFolder
@@ -43,13 +43,12 @@ class ExpandedCommand(NamedTuple):
     """A command line ``argv`` with the options that were left to runs and weights.
 
     ``run`` is the one that goes on, if one does. ``beside`` is the config that lies beside a checkpoint,
-    where the person did not name it; of a run that goes on ``typed`` has what they did name.
+    where the person did not name it.
     """
 
     argv: list[str]
     run: RunFolder | None = None
     beside: Path | None = None
-    typed: Set[str] | None = None
 
 
 def expand(command: Command, argv: list[str]) -> ExpandedCommand:
@@ -69,7 +68,7 @@ def expand(command: Command, argv: list[str]) -> ExpandedCommand:
         config = run.path / "config.yaml"
         beside = None if configured and Path(configured).resolve() == config.resolve() else config
         options = ["--config", str(config), "--ckpt_path", str(run.last)]
-        return ExpandedCommand([*options, *argv], run, beside, names_typed(argv))
+        return ExpandedCommand([*options, *argv], run, beside)
     if weights := named.get("--weights"):
         if configured:
             options = _without_code(architecture_options(weights, configured), argv, weights)
@@ -94,13 +93,6 @@ def expand(command: Command, argv: list[str]) -> ExpandedCommand:
             raise UserError(f"--ckpt_path {checkpoint}: {expected}{more}")
         read_checkpoint(checkpoint)
     return ExpandedCommand(argv)
-
-
-def names_typed(argv: list[str]) -> set[str]:
-    """Return all that a command line may name, as of `absolute_name`: values, and the parts of lists."""
-    values = [word.partition("=")[2] if word.startswith("--") else word for word in argv]
-    parts = [part for value in values for part in (*split_names(value), *re.split(r"[][{}\"',\s]+", value))]
-    return {absolute_name(name) for name in (*values, *parts)}
 
 
 def _without_code(options: list[str], argv: list[str], weights: str) -> list[str]:
@@ -131,12 +123,8 @@ class ConfigParser(LightningArgumentParser):
     def parse_path(self, path: str | os.PathLike, *args: Any, **kwargs: Any) -> Namespace:
         """Parse a config file."""
         settings = load_config(os.fspath(path))
-        beside, typed = self.start.beside, self.start.typed
-        if beside and Path(path).resolve() == beside.resolve():
-            if typed is None:
-                settings = reusable_settings(settings, beside)
-            else:
-                settings = resumable_settings(settings, beside, typed)
+        if (beside := self.start.beside) and Path(path).resolve() == beside.resolve():
+            settings = (resumable_settings if self.start.run else reusable_settings)(settings, beside)
         settings = with_classes(settings, lambda path: import_path(path) if names_code(path) else path)
         text = yaml.safe_dump(settings, sort_keys=False)
         return self.parse_string(text, os.path.basename(path), *args, **kwargs)
@@ -160,7 +148,7 @@ def how_to_go_on(run: RunFolder | None) -> str:
         return ""
     config = run.path / "config.yaml"
     try:
-        resumable_settings(load_config(config), config, frozenset())
+        resumable_settings(load_config(config), config)
     except UserError:  # code of one's own has to be named again
         return f"; continue with: pedzoo fit --resume {run.path} --config {config}"
     return f"; continue with: pedzoo fit --resume {run.path}"

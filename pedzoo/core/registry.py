@@ -257,12 +257,6 @@ def file_path(path: str) -> str:
     return f"{sys.modules[module].__file__}:{name}" if module.startswith(_OF_FILES) else path
 
 
-def absolute_name(text: str) -> str:
-    """Return a name in which the path of a file of code is absolute."""
-    file, code, name = text.partition(".py:")
-    return f"{file_of_code(f'{file}.py') or f'{file}.py'}:{name}" if code else text
-
-
 def _in_file(spec: str, wanted: type) -> Any:
     """Return what ``path/to/file.py:name`` defines: a class for ``type``, or a function."""
     kind = "class" if wanted is type else "function"

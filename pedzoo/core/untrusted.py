@@ -7,7 +7,7 @@ names the limit and a remedy.
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Set
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import NoneType, UnionType
@@ -17,7 +17,7 @@ import msgspec
 import yaml
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.registry import absolute_name, names_code
+from pedzoo.core.registry import names_code
 
 LARGEST_CARD = 2_000_000
 """Bytes of a model card, of the page of a model, and of the config in a file of weights."""
@@ -224,7 +224,7 @@ def check_plain(value: Any) -> None:
             raise UserError(f"{given}: expected plain values (text, finite numbers, lists, mappings)")
 
 
-def refuse_code(value: Any, what: str, remedy: str, typed: Set[str] = frozenset()) -> None:
+def refuse_code(value: Any, what: str, remedy: str) -> None:
     """Raise UserError where a value names a file of code, as a key or value at any depth.
 
     Only a person names code: in a command, or in a config of their own.
@@ -233,10 +233,9 @@ def refuse_code(value: Any, what: str, remedy: str, typed: Set[str] = frozenset(
         value: What was read from a file.
         what: What it is, for the message.
         remedy: What a person can do who wants that code to run.
-        typed: What that person has named, as of `absolute_name`: it passes.
     """
     for one in _all_in(value):
-        if isinstance(one, str) and names_code(one) and absolute_name(one) not in typed:
+        if isinstance(one, str) and names_code(one):
             raise UserError(
                 f"{what}: {one!r:.200} is in a file of code, and no other file ever makes code run: {remedy}"
             )

@@ -6,11 +6,11 @@ how it was measured. It names no code, no place to write to, no logger.
 
 import json
 import re
-from collections.abc import Iterable, Mapping, Set
+from collections.abc import Iterable, Mapping
 from inspect import signature
 from pathlib import Path
 from pydoc import locate
-from typing import Any, NamedTuple, get_args, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 import torch
 from lightning.pytorch.utilities import rank_zero_only
@@ -18,7 +18,7 @@ from lightning.pytorch.utilities import rank_zero_only
 from pedzoo.core.configs import load_config
 from pedzoo.core.errors import UserError
 from pedzoo.core.paths import config_names
-from pedzoo.core.registry import ROBOT_POLICIES, absolute_name, import_path, names_code
+from pedzoo.core.registry import ROBOT_POLICIES, names_code
 from pedzoo.core.spec import grouped, setting_groups
 from pedzoo.core.untrusted import refuse_code
 from pedzoo.data.datamodule import PROTOCOL, TrajectoryDataModule
@@ -129,93 +129,85 @@ def reusable_settings(settings: Mapping[str, Any], file: Path) -> dict[str, Any]
             key: value for key in SCHEDULE if isinstance(value := trainer.get(key), int | float)
         }
     result |= {key: settings[key] for key in ("model", *GROUPS) if settings.get(key) is not None}
-    _Check(frozenset()).settings(result, file, f"if it is yours, add --config {file}")
+    _check(result, file)
     return result
 
 
-def resumable_settings(settings: Mapping[str, Any], file: Path, typed: Set[str]) -> dict[str, Any]:
+def resumable_settings(settings: Mapping[str, Any], file: Path) -> dict[str, Any]:
     """Return what a run's configuration says to the command that goes on with it: all but that of a call.
 
-    Code and classes that the command line has ``typed`` may run; these are names as of `absolute_name`.
-
     Raises:
-        UserError: It names other code, another class, or a place to write to.
+        UserError: It names code, a class of another package than pedzoo's, or a place to write to.
     """
     result = {key: value for key, value in settings.items() if key not in _OF_A_CALL}
-    remedy = f"if it is yours, type the same value behind --resume, or add --config {file}"
-    _Check(typed).settings(result, file, remedy)
+    _check(result, file)
     return result
 
 
-class _Check(NamedTuple):
-    """A search for all that would run, or be imported, read or written, when settings become objects."""
+def _check(result: Mapping[str, Any], file: Path) -> None:
+    """Check all of a configuration that would run, or be imported, read or written, as it becomes objects."""
+    remedy = f"if it is yours, add --config {file}"
+    refuse_code(result, f"config {str(file)!r}", remedy)
+    try:
+        _check_keys(result)
+        for key, kind in {"model": ForecastModule, **GROUPS}.items():
+            _check_value(result.get(key), key, kind)
+        _check_trainer(result.get("trainer"))
+    except UserError as error:
+        raise UserError(f"config {str(file)!r}: {error}: {remedy}") from error
 
-    typed: Set[str]
 
-    def settings(self, result: Mapping[str, Any], file: Path, remedy: str) -> None:
-        """Check all settings of a configuration."""
-        refuse_code(result, f"config {str(file)!r}", remedy, self.typed)
-        try:
-            _check_keys(result)
-            for key, kind in {"model": ForecastModule, **GROUPS}.items():
-                self._value(result.get(key), key, kind)
-            self._trainer(result.get("trainer"))
-        except UserError as error:
-            raise UserError(f"config {str(file)!r}: {error}: {remedy}") from error
+def _check_trainer(values: Any) -> None:
+    if not isinstance(values, Mapping | None):
+        raise UserError(f"trainer is {values!r:.80}, expected a mapping")
+    for key, value in (values or {}).items():
+        if key == "default_root_dir":  # a run's own folder takes its place
+            continue
+        for one in value if isinstance(value, list) else [value]:
+            path = one.get("class_path") if isinstance(one, Mapping) else one
+            if key in _GIVES_ORDERS and isinstance(path, str):
+                raise UserError(f"trainer.{key} is {path!r:.80}, which gives orders")
+            _check_value(one, f"trainer.{key}", object if key == "callbacks" else None)
 
-    def _trainer(self, values: Any) -> None:
-        if not isinstance(values, Mapping | None):
-            raise UserError(f"trainer is {values!r:.80}, expected a mapping")
-        for key, value in (values or {}).items():
-            if key == "default_root_dir":  # a run's own folder takes its place
-                continue
-            for one in value if isinstance(value, list) else [value]:
-                path = one.get("class_path") if isinstance(one, Mapping) else one
-                if key in _GIVES_ORDERS and isinstance(path, str) and absolute_name(path) not in self.typed:
-                    raise UserError(f"trainer.{key} is {path!r:.80}, which gives orders")
-                self._value(one, f"trainer.{key}", object if key == "callbacks" else None)
 
-    def _value(self, value: Any, place: str, kind: type | None = None, own: bool = False) -> None:
-        """Check a value of an object, or group of settings, of a kind; None where that is not known.
+def _check_value(value: Any, place: str, kind: type | None = None, own: bool = False) -> None:
+    """Check a value of an object, or group of settings, of a kind; None where that is not known.
 
-        ``own``: it is a setting of one of pedzoo's classes, which take texts as they are.
-        """
-        if isinstance(value, list):
-            for one in value:
-                self._value(one, place, kind, own)
-        elif isinstance(value, Mapping):
-            settings = value
-            if "class_path" in value:
-                if more := sorted(value.keys() - {"class_path", "init_args"}):
-                    raise UserError(f"{place} has {more[0]!r:.80} beside its class")
-                kind, settings = self._named(value["class_path"], place), value.get("init_args")
-                if not isinstance(settings, Mapping | None):
-                    raise UserError(f"{place} is {settings!r:.80}, expected a mapping")
-            own = kind.__module__.startswith("pedzoo.") if kind else own
-            bases = reversed(kind.__mro__) if kind and own else ()
-            hints = {key: hint for base in bases for key, hint in get_type_hints(base.__init__).items()}
-            for key, inner in (settings or {}).items():
-                for part in _classes(hints.get(key)) or [None]:
-                    self._value(inner, f"{place}.{key}", part, own)
-        elif kind and value is not None:  # a text would be imported, or read
-            raise UserError(f"{place} is {value!r:.80}, and such a file may not name classes or files there")
-        elif isinstance(value, str) and not own and not place.endswith(".monitor"):
-            to_disk = re.search("dir|path|file", place.rpartition(".")[2])
-            if absolute_name(value) not in self.typed and (to_disk or _PLACE.search(value)):
-                raise UserError(
-                    f"{place} is {value!r:.80}, and such a file may not name code or places there"
-                )
+    ``own``: it is a setting of one of pedzoo's classes, which take texts as they are.
+    """
+    if isinstance(value, list):
+        for one in value:
+            _check_value(one, place, kind, own)
+    elif isinstance(value, Mapping):
+        settings = value
+        if "class_path" in value:
+            if more := sorted(value.keys() - {"class_path", "init_args"}):
+                raise UserError(f"{place} has {more[0]!r:.80} beside its class")
+            kind, settings = _named(value["class_path"], place), value.get("init_args")
+            if not isinstance(settings, Mapping | None):
+                raise UserError(f"{place} is {settings!r:.80}, expected a mapping")
+        own = kind.__module__.startswith("pedzoo.") if kind else own
+        bases = reversed(kind.__mro__) if kind and own else ()
+        hints = {key: hint for base in bases for key, hint in get_type_hints(base.__init__).items()}
+        for key, inner in (settings or {}).items():
+            for part in _classes(hints.get(key)) or [None]:
+                _check_value(inner, f"{place}.{key}", part, own)
+    elif kind and value is not None:  # a text would be imported, or read
+        raise UserError(f"{place} is {value!r:.80}, and such a file may not name classes or files there")
+    elif isinstance(value, str) and not own and not place.endswith(".monitor"):
+        to_disk = re.search("dir|path|file", place.rpartition(".")[2])
+        if to_disk or _PLACE.search(value):
+            raise UserError(f"{place} is {value!r:.80}, and such a file may not name code or places there")
 
-    def _named(self, path: Any, place: str) -> type:
-        if typed := isinstance(path, str) and absolute_name(path) in self.typed:
-            path = import_path(path) if names_code(path) else path
-        elif not str(path).startswith(_CLASSES):
-            raise UserError(f"{place} is of the class {path!r:.80}, and such a file may name pedzoo's alone")
-        cls = locate(str(path))
-        # a path may lead through the imports of a module
-        if not isinstance(cls, type) or not (typed or cls.__module__.startswith(_CLASSES)):
-            raise UserError(f"{place} is of the class {path!r:.80}, which pedzoo does not have")
-        return cls
+
+def _named(path: Any, place: str) -> type:
+    if not isinstance(path, str) or not path.startswith(_CLASSES):
+        raise UserError(f"{place} is of the class {path!r:.80}, and such a file may name pedzoo's alone")
+    cls = locate(path)
+    # a path may lead through the imports of a module
+    if not isinstance(cls, type) or not cls.__module__.startswith(_CLASSES):
+        raise UserError(f"{place} is of the class {path!r:.80}, which pedzoo does not have")
+    return cls
 
 
 def _check_keys(value: Any) -> None:
