@@ -18,7 +18,7 @@ from matplotlib.lines import Line2D
 from pedzoo.core.geometry import move_to_map
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.eval.comparison import PolicyRollout
-from pedzoo.metrics.contacts import begins
+from pedzoo.metrics.contacts import begins, nearest
 from pedzoo.sim.drawing import goal_circle, person_color
 from pedzoo.sim.rollout import Rollout
 from pedzoo.sim.state import TRACE_PER_STEP
@@ -92,14 +92,11 @@ def draw_episode(axes: Axes, walked: PolicyRollout, episode: int = 0, point: int
 def meeting(rollout: Rollout, episode: int) -> int:
     """Return the trace point at which two people are first nearest, in the middle where no agents meet."""
     length = int(rollout.length[episode])
-    position, there = rollout.trace[episode, :, :length], rollout.present[episode, :, :length]
-    between = torch.cdist(position.transpose(0, 1), position.transpose(0, 1))
-    pair = there.T.unsqueeze(1) & there.T.unsqueeze(2)
-    pair &= ~torch.eye(len(there), dtype=torch.bool)
-    nearest = between.masked_fill(~pair, torch.inf).flatten(1).amin(1)
-    if not bool(nearest.isfinite().any()):
+    one = rollout.episodes(slice(episode, episode + 1))
+    gap = nearest(one.trace, one.present)[0, :, :length].amin(0)
+    if not bool(gap.isfinite().any()):
         return length // 2
-    return int((nearest <= nearest.min() + _CLOSE).nonzero()[0])
+    return int((gap <= gap.min() + _CLOSE).nonzero()[0])
 
 
 def common_moments(met: Sequence[int], lengths: Sequence[int]) -> list[int]:

@@ -69,21 +69,18 @@ def _forecast(
 def _trained(configs: str, argv: list[str], runs: str) -> list[str]:
     """Train configs on the data that the words of the command name, and return their best checkpoints."""
     from pedzoo.cli.training import train
+    from pedzoo.models.zoo.publish import options_of
 
-    pairs, result = [], []
-    for place, word in enumerate(argv):
-        if word.startswith("--"):
-            name, equal, value = word.partition("=")
-            pairs.append((name, value if equal else "".join(argv[place + 1 : place + 2])))
-    words = [word for pair in pairs if pair[0].startswith("--data.") for word in pair]
-    options = dict(pairs)
+    given, result = options_of(argv), []
+    words = [word for one in given if one.key.startswith("data.") for word in one.words]
+    options = {one.key: one.value for one in given}
     for config in filter(None, configs.split(",")):
         generator = load_config(config)["model"]["init_args"]["generator"]
         fixed = "steps" in generator.get("init_args", {}).get("architecture", {})
-        steps = options.get("--data.pred_len") if fixed else None
+        steps = options.get("data.pred_len") if fixed else None
         more = ["--model.generator.architecture.steps", steps] if steps else []
         before = set(Path(runs).rglob("best.ckpt"))
-        seed = ["--seed_everything", options.get("--seed", "0")]
+        seed = ["--seed_everything", options.get("seed", "0")]
         if train("fit", ["--config", config, "--runs", runs, *seed, *words, *more]):
             raise UserError(f"the training of {config!r} failed: see above")
         result += [str(file) for file in sorted(set(Path(runs).rglob("best.ckpt")) - before)]
