@@ -56,12 +56,12 @@ def film(
     frames = max(one.length for one in shown) + 1
     if seconds is not None:
         frames = min(frames, round(seconds / TRACE_SECONDS) + 1)
-    panels = [_panel(*one, size, camera) for one in zip(walked, shown, strict=True)]
+    panels = [panel(*one, size, camera) for one in zip(walked, shown, strict=True)]
 
     def pictures() -> Iterator[Image]:
         latest = [np.empty(0, np.uint8)] * len(panels)
         for i in range(frames):
-            latest = [next(panel, picture) for panel, picture in zip(panels, latest, strict=True)]
+            latest = [next(one, picture) for one, picture in zip(panels, latest, strict=True)]
             yield _side_by_side(latest)
             if progress:
                 progress("video", i + 1, frames)
@@ -149,9 +149,10 @@ class ShownEpisode:
         self.stays = rollout.stays(episode)
 
 
-def _panel(
+def panel(
     walked: PolicyRollout, shown: ShownEpisode, size: tuple[int, int], camera: Camera
 ) -> Iterator[Image]:
+    """Yield the pictures of an episode, each below a line with the policy's name and the time."""
     physics, one, heading = walked.env.physics, shown.rollout, headings_along(shown.path)
     if camera.view not in physics.views:
         camera = replace(camera, view="top")

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from PIL import Image
 
-from pedzoo.core.geometry import direction_of, move_to_scene
+from pedzoo.core.geometry import direction_of
 from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
 from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.eval.robots import robot_rollout
@@ -31,8 +31,6 @@ from pedzoo.sim.drawing import (
     Camera,
     Canvas,
     as_array,
-    draw_floor,
-    free_corners,
     headings_along,
     person_color,
 )
@@ -40,7 +38,7 @@ from pedzoo.sim.physics._base import Bodies
 from pedzoo.sim.robots.env import RobotEnv
 from pedzoo.sim.rollout import RobotRollout
 from pedzoo.viz.plots import draw
-from pedzoo.viz.video import ShownEpisode, film, labelled
+from pedzoo.viz.video import HEADER, ShownEpisode, film, panel
 
 ROOT = Path(__file__).parents[2]
 PICTURES = ROOT / "docs" / "pictures"
@@ -52,8 +50,8 @@ ROBOT, DRIVER = "turtlebot4:radius=0.25", "orca"
 EPISODES, SECONDS, SIZE = 30, 12.0, (1200, 800)
 """Of the GIF: episodes to choose from, its length, and its pixels."""
 
-BEAMS, REACH, SHOWN, RECENT = 180, 3.0, 6, 30
-"""Of the lidar, its metres, one beam in so many that is drawn; and trace points of ways: 3 s."""
+BEAMS, REACH, SHOWN = 180, 3.0, 6
+"""Of the lidar, its metres, and one beam in so many that is drawn."""
 
 EVERY, WIDTH, FINER, COLORS = 25, 1000, 2, 96
 """Of `snippet`: steps of 0.1 s between two figures; pixels, supersampling, and colours of the picture."""
@@ -74,40 +72,24 @@ def apartment(out: Path = PICTURES / "apartment.gif") -> None:
 
 
 def film_robots(both: RobotRollout, env: RobotEnv, out: Path, title: str, episode: int) -> None:
-    """Write a GIF in real time of the first seconds of an episode in a building, from above."""
-    shown, unknown = ShownEpisode(both.walked, episode), env.scenario.unknown
-    one, first = shown.rollout, len(shown.path) - both.robots
-    plan, large = env.bank.grid(one.map_id), (SIZE[0] * FINER, SIZE[1] * FINER)
-    assert plan is not None
-    corners = torch.from_numpy(free_corners(plan, unknown)).float()
-    seen = torch.cat((shown.seen, move_to_scene(corners.unsqueeze(0), one.pose)[0]))
-    camera = Camera("top").around(seen, large, 0.4)
-    floor, radius = draw_floor(plan, unknown, one.pose[0], large, camera), one.radius[0].tolist()
-    heading, facing = both.heading[episode, :, : shown.length + 1], headings_along(shown.path)
+    """Write a GIF in real time of the first seconds of an episode, from above, with lidars."""
+    shown, first = ShownEpisode(both.walked, episode), both.walked.mask.shape[1] - both.robots
+    camera, radius = Camera("top").around(shown.seen, SIZE, 1.0), both.walked.radius[episode].tolist()
+    heading = both.heading[episode, :, : shown.length + 1]
     ends, pictures = lidar_ends(shown, heading, env), []
-    for frame in range(min(shown.length, round(SECONDS / TRACE_SECONDS)) + 1):
-        canvas, place = Canvas(floor.copy(), camera), shown.path[:, frame]
-        here = shown.present[:, frame].nonzero()[:, 0].tolist()
-        for robot in (agent for agent in here if agent >= first):
-            draw_lidar(canvas, place[robot], ends[frame, robot - first])
-        for agent in here:
-            color = ROBOT_BODY if agent >= first else person_color(agent)
-            canvas.line(shown.path[agent, max(0, frame - RECENT) : frame + 1], color, FINER)
-            canvas.goal(shown.goal[agent, min(frame, shown.length - 1)], color, FINER)
-        for agent in here:
-            if agent >= first:
-                canvas.disc(place[agent], radius[agent], ROBOT_BODY)
-            else:
-                canvas.person(place[agent], float(facing[agent, frame]), radius[agent], person_color(agent))
+    drawn = panel(PolicyRollout(title, both.walked, env), shown, SIZE, camera)
+    for frame, picture in zip(range(round(SECONDS / TRACE_SECONDS) + 1), drawn, strict=False):
+        canvas = Canvas(np.ascontiguousarray(picture[HEADER:]), camera)
         for robot, angle in enumerate(heading[:, frame], first):
-            tip = place[robot] + radius[robot] * direction_of(angle)
-            canvas.line(torch.stack((place[robot], tip)), ROBOT_FRONT, 2 * FINER)
-        image = cv2.resize(canvas.image, SIZE, interpolation=cv2.INTER_AREA).astype(np.uint8)
-        pictures.append(Image.fromarray(labelled(image, title, frame * TRACE_SECONDS)))
-    # one palette for all frames: what does not move does not flicker; people's colours count, however small
-    bodies = [np.full((12, SIZE[0], 3), person_color(agent), np.uint8) for agent in range(10)]
+            place = shown.path[robot, frame]
+            draw_lidar(canvas, place, ends[frame, robot - first])
+            canvas.disc(place, radius[robot], ROBOT_BODY)
+            tip = place + radius[robot] * direction_of(angle)
+            canvas.line(torch.stack((place, tip)), ROBOT_FRONT, 2 * FINER)
+        pictures.append(Image.fromarray(np.vstack((picture[:HEADER], canvas.image))))
+    # one palette for all frames: what does not move does not flicker
     some = [np.asarray(picture) for picture in pictures[:: max(1, len(pictures) // 4)]]
-    palette = Image.fromarray(np.vstack([*some, *bodies])).quantize(48)
+    palette = Image.fromarray(np.vstack(some)).quantize(COLORS)
     start, *rest = (picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
     every = round(1000 * TRACE_SECONDS)
     start.save(out, save_all=True, append_images=rest, duration=every, loop=0, optimize=False)
@@ -126,15 +108,12 @@ def lidar_ends(shown: ShownEpisode, heading: torch.Tensor, env: RobotEnv) -> tor
 
 def draw_lidar(canvas: Canvas, origin: torch.Tensor, ends: torch.Tensor) -> None:
     """Draw the area that a lidar sees, and its beams."""
-    image, points = canvas.image, canvas.pixels(as_array(ends))
-    area = image.copy()
+    area, points = canvas.image.copy(), canvas.pixels(as_array(ends))
     cv2.fillPoly(area, [points], ROBOT_FRONT, cv2.LINE_AA, 4)
-    image[:] = cv2.addWeighted(area, 0.22, image, 0.78, 0)
-    area[:] = image
     middle = canvas.pixels(as_array(origin)[None])
     lines = [np.concatenate((middle, end[None])) for end in points[::SHOWN]]
-    cv2.polylines(area, lines, False, ROBOT_FRONT, 1, cv2.LINE_AA, 4)
-    image[:] = cv2.addWeighted(area, 0.5, image, 0.5, 0)
+    cv2.polylines(area, lines, False, ROBOT_BODY, 1, cv2.LINE_AA, 4)
+    canvas.image[:] = cv2.addWeighted(area, 0.25, canvas.image, 0.75, 0)
 
 
 def liveliest(both: RobotRollout) -> int:
