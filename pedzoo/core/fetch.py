@@ -16,7 +16,7 @@ from typing import Any
 from pedzoo import __version__
 from pedzoo.core.adapters import pieces_as_they_come
 from pedzoo.core.errors import UserError
-from pedzoo.core.paths import cache_home
+from pedzoo.core.paths import cache_home, sha256_of
 
 
 class _RefusedError(Exception):
@@ -30,12 +30,6 @@ class _WrongFileError(_RefusedError):
 def offline() -> bool:
     """Return whether ``PEDZOO_OFFLINE`` forbids the network (unless it is empty, 0, false or no)."""
     return os.environ.get("PEDZOO_OFFLINE", "").lower() not in ("", "0", "false", "no")
-
-
-def sha256_of(path: Path) -> str:
-    """Return a file's sha256 in hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def fetch(

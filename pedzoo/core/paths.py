@@ -1,5 +1,6 @@
 """Folders and files: where they lie, what they may be called, and how they are written."""
 
+import hashlib
 import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -82,6 +83,12 @@ def cache_home() -> Path:
 def data_home() -> Path:
     """Return the folder that ``pedzoo download`` brings datasets to, one folder each."""
     return cache_home() / "data"
+
+
+def sha256_of(path: Path) -> str:
+    """Return a file's sha256 in hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 PARTS = ".*.part*"

@@ -15,9 +15,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.fetch import sha256_of
 from pedzoo.core.machine import versions
-from pedzoo.core.paths import write_atomically
+from pedzoo.core.paths import sha256_of, write_atomically
 from pedzoo.core.registry import ROOT, SUITES, folder_of, names_code
 from pedzoo.core.spec import Spec, parse, unquoted
 from pedzoo.eval.suite import ShareDone, WorkUnit

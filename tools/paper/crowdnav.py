@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.fetch import sha256_of
+from pedzoo.core.paths import sha256_of
 from pedzoo.eval.results import ResultTable
 from pedzoo.eval.work_units import fingerprint
 from pedzoo.metrics.ratios import Ratio, mean, of_sums, ratio, share, summarised

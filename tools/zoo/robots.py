@@ -21,8 +21,7 @@ import yaml
 from msgspec.structs import replace
 from safetensors.torch import save
 
-from pedzoo.core.fetch import sha256_of
-from pedzoo.core.paths import CARD, WEIGHTS, shipped, write_atomically
+from pedzoo.core.paths import CARD, WEIGHTS, sha256_of, shipped, write_atomically
 from pedzoo.eval.cards import measure_robot
 from pedzoo.models.zoo.card import ModelCard, read_card, write_card
 from pedzoo.models.zoo.loading import read_weights

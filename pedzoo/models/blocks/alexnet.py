@@ -13,8 +13,8 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from pedzoo.core.errors import UserError
-from pedzoo.core.fetch import fetch, sha256_of
-from pedzoo.core.paths import expanded
+from pedzoo.core.fetch import fetch
+from pedzoo.core.paths import expanded, sha256_of
 
 FILE = "alexnet-owt-7be5be79.pth"
 URLS = (f"https://download.pytorch.org/models/{FILE}", f"https://s3.amazonaws.com/pytorch/models/{FILE}")

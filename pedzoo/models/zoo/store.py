@@ -13,8 +13,8 @@ from typing import NamedTuple
 from urllib.parse import quote, unquote, urlsplit
 
 from pedzoo.core.errors import UserError, unknown
-from pedzoo.core.fetch import fetch, sha256_of
-from pedzoo.core.paths import CARD, WEIGHTS, cache_home, expanded, shipped
+from pedzoo.core.fetch import fetch
+from pedzoo.core.paths import CARD, WEIGHTS, cache_home, expanded, sha256_of, shipped
 from pedzoo.core.registry import MODELS, names_code
 from pedzoo.core.untrusted import LARGEST_CARD, load_yaml
 from pedzoo.models.zoo.card import ModelCard, card_files, check_name, is_name, read_card
