@@ -1,5 +1,7 @@
 """Videos of an episode: what the physics' camera sees every 0.1 s, one panel per policy."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -8,16 +10,30 @@ from typing import Literal
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from pedzoo.core.errors import UserError, need
-from pedzoo.core.geometry import move_to_map
+from pedzoo.core.geometry import direction_of, move_to_map
 from pedzoo.core.paths import CODECS, atomic_write, check_ending
 from pedzoo.core.types import TRACE_SECONDS
 from pedzoo.eval.comparison import PolicyRollout
-from pedzoo.sim.drawing import Camera, Canvas, Image, headings_along, person_color
+from pedzoo.sim.drawing import (
+    ROBOT_BODY,
+    ROBOT_FRONT,
+    Camera,
+    Canvas,
+    Image,
+    as_array,
+    headings_along,
+    person_color,
+)
 from pedzoo.sim.physics._base import Bodies
 from pedzoo.sim.physics._pybullet import quiet
-from pedzoo.sim.rollout import Rollout
+from pedzoo.sim.robots.env import RobotEnv
+from pedzoo.sim.rollout import RobotRollout, Rollout
+
+BEAMS, REACH, SHOWN = 180, 3.0, 6
+"""Of a lidar in films of robots, its metres, and one beam in so many that is drawn."""
 
 COLUMNS, MARGIN = 3, 0.6
 """Panels beside each other, and metres around people's paths that are seen."""
@@ -56,7 +72,7 @@ def film(
     frames = max(one.length for one in shown) + 1
     if seconds is not None:
         frames = min(frames, round(seconds / TRACE_SECONDS) + 1)
-    panels = [panel(*one, size, camera) for one in zip(walked, shown, strict=True)]
+    panels = [_panel(*one, size, camera) for one in zip(walked, shown, strict=True)]
 
     def pictures() -> Iterator[Image]:
         latest = [np.empty(0, np.uint8)] * len(panels)
@@ -67,6 +83,72 @@ def film(
                 progress("video", i + 1, frames)
 
     write_video(path, pictures(), 1 / TRACE_SECONDS)
+
+
+def film_robots(
+    rollout: RobotRollout,
+    env: RobotEnv,
+    path: str | Path,
+    title: str = "",
+    episode: int = 0,
+    size: tuple[int, int] = (640, 480),
+    seconds: float = 12.0,
+) -> None:
+    """Write a GIF in real time of the first ``seconds`` of an episode, from above, with what lidars see.
+
+    Raises:
+        UserError: No such episode, another suffix, or the file cannot be written.
+    """
+    from PIL import Image as Pillow
+
+    check_ending(f"film {str(path)!r}", path, (".gif",))
+    walked = PolicyRollout(title, rollout.walked, env)
+    check_episode(walked, episode)
+    shown, first = ShownEpisode(rollout.walked, episode), rollout.walked.mask.shape[1] - rollout.robots
+    camera, radius = Camera("top").around(shown.seen, size, 1.0), rollout.walked.radius[episode].tolist()
+    heading = rollout.heading[episode, :, : shown.length + 1]
+    ends, pictures = _lidar_ends(shown, heading, env), []
+    for frame, picture in zip(
+        range(round(seconds / TRACE_SECONDS) + 1), _panel(walked, shown, size, camera), strict=False
+    ):
+        canvas = Canvas(np.ascontiguousarray(picture[HEADER:]), camera)
+        for robot, angle in enumerate(heading[:, frame], first):
+            place = shown.path[robot, frame]
+            _draw_lidar(canvas, place, ends[frame, robot - first])
+            canvas.disc(place, radius[robot], ROBOT_BODY)
+            tip = place + radius[robot] * direction_of(angle)
+            canvas.line(torch.stack((place, tip)), ROBOT_FRONT, 2)
+        pictures.append(Pillow.fromarray(np.vstack((picture[:HEADER], canvas.image))))
+    # one palette for all frames: what does not move does not flicker
+    some = [np.asarray(picture) for picture in pictures[:: max(1, len(pictures) // 4)]]
+    palette = Pillow.fromarray(np.vstack(some)).quantize(96)
+    start, *rest = (picture.quantize(palette=palette, dither=Pillow.Dither.NONE) for picture in pictures)
+    every = round(1000 * TRACE_SECONDS)
+    with atomic_write(Path(path)) as part:
+        start.save(part, save_all=True, append_images=rest, duration=every, loop=0, optimize=False)
+
+
+def _lidar_ends(shown: ShownEpisode, heading: Tensor, env: RobotEnv) -> Tensor:
+    """Return where the beams of all robots end in every frame (F, R, N, 2), metres."""
+    place, one = shown.path.transpose(0, 1), shown.rollout
+    direction = direction_of(heading.T.unsqueeze(2) + 2 * torch.pi * torch.arange(BEAMS) / BEAMS)
+    origin = place[:, -len(heading) :].unsqueeze(2).expand_as(direction)
+    same = (value.expand(len(place), -1) for value in (one.map_id.unsqueeze(1), one.pose, one.radius))
+    bodies = Bodies(place, shown.present.T, *same)
+    far = env.physics.rays(bodies, origin.flatten(1, 2), direction.flatten(1, 2), REACH)
+    return origin + far.view(*direction.shape[:3], 1) * direction
+
+
+def _draw_lidar(canvas: Canvas, origin: Tensor, ends: Tensor) -> None:
+    """Draw the area that a lidar sees, and its beams."""
+    import cv2
+
+    area, points = canvas.image.copy(), canvas.pixels(as_array(ends))
+    cv2.fillPoly(area, [points], ROBOT_FRONT, cv2.LINE_AA, 4)
+    middle = canvas.pixels(as_array(origin)[None])
+    lines = [np.concatenate((middle, end[None])) for end in points[::SHOWN]]
+    cv2.polylines(area, lines, False, ROBOT_BODY, 1, cv2.LINE_AA, 4)
+    canvas.image[:] = cv2.addWeighted(area, 0.25, canvas.image, 0.75, 0)
 
 
 def check_video_path(path: str | Path) -> None:
@@ -149,7 +231,7 @@ class ShownEpisode:
         self.stays = rollout.stays(episode)
 
 
-def panel(
+def _panel(
     walked: PolicyRollout, shown: ShownEpisode, size: tuple[int, int], camera: Camera
 ) -> Iterator[Image]:
     """Yield the pictures of an episode, each below a line with the policy's name and the time."""

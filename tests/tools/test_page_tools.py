@@ -9,12 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from PIL import Image
 
-from pedzoo.eval.robots import robot_rollout
 from pedzoo.models.zoo.card import read_card
-from pedzoo.viz.video import HEADER
-from tools.pages import readme_pictures, score_page, tables
+from tools.pages import score_page, tables
 from tools.pages.join_results import joined
 
 SITE = Path(__file__).parents[2] / "tools" / "pages" / "site"
@@ -134,13 +131,3 @@ def test_the_site_has_every_page_and_all_that_it_names(site: dict[str, Any]) -> 
     for name in (name for line in site["API"].values() for name in line.partition(": ")[2].split()):
         module, _, last = f"pedzoo.{name}".rpartition(".")
         assert hasattr(import_module(module), last) or import_module(f"pedzoo.{name}"), name
-
-
-def test_the_film_of_a_robot_is_in_real_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(readme_pictures, "SIZE", (160, 120))
-    monkeypatch.setattr(readme_pictures, "SECONDS", 1.0)
-    driven = robot_rollout("straight", "goals:map=flat,people=2,goals=1,pool=8", people="orca", episodes=1)
-    readme_pictures.film_robots(*driven, tmp_path / "a.gif", "straight", 0)
-    with Image.open(tmp_path / "a.gif") as picture:
-        assert (getattr(picture, "n_frames", 1), picture.size) == (11, (160, 120 + HEADER))
-        assert picture.info["duration"] == 100

@@ -12,15 +12,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image as Pillow
 
 import pedzoo
 from pedzoo.cli.main import main
 from pedzoo.core.errors import UserError
 from pedzoo.eval.comparison import PolicyRollout
+from pedzoo.eval.robots import robot_rollout
 from pedzoo.eval.rollout import rollout
 from pedzoo.sim.drawing import person_color
 from pedzoo.viz.live import HOST, Live
-from pedzoo.viz.video import GAP, HEADER, Image, film, read_video, write_video
+from pedzoo.viz.video import GAP, HEADER, Image, film, film_robots, read_video, write_video
 
 SIZE = (160, 120)
 
@@ -120,6 +122,17 @@ def test_command_films_the_bullet_world(tmp_path, capfd) -> None:
     count, size = read_video(video)
     assert 15 < count < 30 and size == (640 + GAP, 480 + HEADER)
     assert plot.read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_film_of_a_robot_is_in_real_time(tmp_path: Path) -> None:
+    driven = robot_rollout("straight", "goals:map=flat,people=2,goals=1,pool=8", people="orca", episodes=1)
+    film_robots(*driven, tmp_path / "a.gif", "straight", size=SIZE, seconds=1.0)
+    with Pillow.open(tmp_path / "a.gif") as picture:
+        assert (getattr(picture, "n_frames", 1), picture.size) == (11, (SIZE[0], SIZE[1] + HEADER))
+        assert picture.info["duration"] == 100
+    for name, episode, message in (("a.gif", 1, "walked 1, 0 to 0"), ("a.png", 0, "ends in")):
+        with pytest.raises(UserError, match=message):
+            film_robots(*driven, tmp_path / name, episode=episode)
 
 
 # Watching people who walk now

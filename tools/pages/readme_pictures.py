@@ -16,29 +16,16 @@ import numpy as np
 import torch
 from PIL import Image
 
-from pedzoo.core.geometry import direction_of
 from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
 from pedzoo.eval.comparison import PolicyRollout
 from pedzoo.eval.robots import robot_rollout
 from pedzoo.eval.rollout import rollout
 from pedzoo.maps.procedural import generate
 from pedzoo.policies.controller.controller import Controller
-from pedzoo.sim.drawing import (
-    EDGE,
-    ROBOT_BODY,
-    ROBOT_FRONT,
-    SHOULDERS,
-    Camera,
-    Canvas,
-    as_array,
-    headings_along,
-    person_color,
-)
-from pedzoo.sim.physics._base import Bodies
-from pedzoo.sim.robots.env import RobotEnv
+from pedzoo.sim.drawing import EDGE, ROBOT_BODY, SHOULDERS, Camera, Canvas, headings_along, person_color
 from pedzoo.sim.rollout import RobotRollout
 from pedzoo.viz.plots import draw
-from pedzoo.viz.video import HEADER, ShownEpisode, film, panel
+from pedzoo.viz.video import film, film_robots
 
 ROOT = Path(__file__).parents[2]
 PICTURES = ROOT / "docs" / "pictures"
@@ -49,9 +36,6 @@ ROBOT, DRIVER = "turtlebot4:radius=0.25", "orca"
 
 EPISODES, SECONDS, SIZE = 30, 12.0, (1200, 800)
 """Of the GIF: episodes to choose from, its length, and its pixels."""
-
-BEAMS, REACH, SHOWN = 180, 3.0, 6
-"""Of the lidar, its metres, and one beam in so many that is drawn."""
 
 EVERY, WIDTH, FINER, COLORS = 25, 1000, 2, 96
 """Of `snippet`: steps of 0.1 s between two figures; pixels, supersampling, and colours of the picture."""
@@ -65,55 +49,10 @@ def apartment(out: Path = PICTURES / "apartment.gif") -> None:
     )
     episode = liveliest(both)
     title = f"{PEOPLE} people by {WALKERS}, a robot with its lidar, real time"
-    film_robots(both, env, out, title, episode)
+    film_robots(both, env, out, title, episode, SIZE, SECONDS)
     walked, points = both.episodes(slice(episode, episode + 1)).walked, round(SECONDS / TRACE_SECONDS)
     touches = int((walked.agent_contact | walked.wall_contact)[0, :, :points].sum())
     print(f"{out}: episode {episode}, touches {touches}, {out.stat().st_size / 1e6:.1f} MB")
-
-
-def film_robots(both: RobotRollout, env: RobotEnv, out: Path, title: str, episode: int) -> None:
-    """Write a GIF in real time of the first seconds of an episode, from above, with lidars."""
-    shown, first = ShownEpisode(both.walked, episode), both.walked.mask.shape[1] - both.robots
-    camera, radius = Camera("top").around(shown.seen, SIZE, 1.0), both.walked.radius[episode].tolist()
-    heading = both.heading[episode, :, : shown.length + 1]
-    ends, pictures = lidar_ends(shown, heading, env), []
-    drawn = panel(PolicyRollout(title, both.walked, env), shown, SIZE, camera)
-    for frame, picture in zip(range(round(SECONDS / TRACE_SECONDS) + 1), drawn, strict=False):
-        canvas = Canvas(np.ascontiguousarray(picture[HEADER:]), camera)
-        for robot, angle in enumerate(heading[:, frame], first):
-            place = shown.path[robot, frame]
-            draw_lidar(canvas, place, ends[frame, robot - first])
-            canvas.disc(place, radius[robot], ROBOT_BODY)
-            tip = place + radius[robot] * direction_of(angle)
-            canvas.line(torch.stack((place, tip)), ROBOT_FRONT, 2 * FINER)
-        pictures.append(Image.fromarray(np.vstack((picture[:HEADER], canvas.image))))
-    # one palette for all frames: what does not move does not flicker
-    some = [np.asarray(picture) for picture in pictures[:: max(1, len(pictures) // 4)]]
-    palette = Image.fromarray(np.vstack(some)).quantize(COLORS)
-    start, *rest = (picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
-    every = round(1000 * TRACE_SECONDS)
-    start.save(out, save_all=True, append_images=rest, duration=every, loop=0, optimize=False)
-
-
-def lidar_ends(shown: ShownEpisode, heading: torch.Tensor, env: RobotEnv) -> torch.Tensor:
-    """Return where the beams of all robots end in every frame (F, R, N, 2), metres."""
-    place, one = shown.path.transpose(0, 1), shown.rollout
-    direction = direction_of(heading.T.unsqueeze(2) + 2 * torch.pi * torch.arange(BEAMS) / BEAMS)
-    origin = place[:, -len(heading) :].unsqueeze(2).expand_as(direction)
-    same = (value.expand(len(place), -1) for value in (one.map_id.unsqueeze(1), one.pose, one.radius))
-    bodies = Bodies(place, shown.present.T, *same)
-    far = env.physics.rays(bodies, origin.flatten(1, 2), direction.flatten(1, 2), REACH)
-    return origin + far.view(*direction.shape[:3], 1) * direction
-
-
-def draw_lidar(canvas: Canvas, origin: torch.Tensor, ends: torch.Tensor) -> None:
-    """Draw the area that a lidar sees, and its beams."""
-    area, points = canvas.image.copy(), canvas.pixels(as_array(ends))
-    cv2.fillPoly(area, [points], ROBOT_FRONT, cv2.LINE_AA, 4)
-    middle = canvas.pixels(as_array(origin)[None])
-    lines = [np.concatenate((middle, end[None])) for end in points[::SHOWN]]
-    cv2.polylines(area, lines, False, ROBOT_BODY, 1, cv2.LINE_AA, 4)
-    canvas.image[:] = cv2.addWeighted(area, 0.25, canvas.image, 0.75, 0)
 
 
 def liveliest(both: RobotRollout) -> int:
