@@ -34,7 +34,9 @@ def input_use(
     * ``map``: free floor everywhere.
     * ``noise``: one random sample, drawn by ``generator``, beside the most likely forecast.
     """
-    agents, mask = agents_of(batch), cast("Tensor", batch["agents", "mask"])
+    batch, agents, mask = batch.copy(), agents_of(batch).copy(), cast("Tensor", batch["agents", "mask"])
+    batch.batch_size, agents.batch_size = mask.shape[:1], mask.shape  # Lightning loses them in 64-true
+    batch.set("agents", agents)
     steps = agents["future"].shape[2]
     whole = model.mode(batch, steps)[:, 0]
 

@@ -28,7 +28,7 @@ from pedzoo.train.settings import architecture_options
 @pytest.mark.parametrize("name", config_names())
 def test_config_trains(name, tmp_path, request, monkeypatch):
     monkeypatch.setitem(TREES, "max_iter", 5)
-    if "alexnet" in name:
+    if "sgan_goal_map" in name:
         request.getfixturevalue("alexnet")
     options = [*SHORT, "--runs", str(tmp_path)]
     if name.startswith("robot/"):  # without recordings
@@ -96,7 +96,7 @@ def test_a_run_of_a_config_with_a_base_keeps_all_of_it(tmp_path):
 
 @pytest.mark.parametrize("name", config_names())
 def test_a_config_trains_in_a_precision_or_refuses_it(name, tmp_path, request, capsys):
-    if "alexnet" in name:
+    if "sgan_goal_map" in name:
         request.getfixturevalue("alexnet")
     options = [
         f"--runs={tmp_path / 'runs'}",
