@@ -77,7 +77,7 @@ def test_a_hub_folder_loads_and_is_written_the_same_again(model: str, tmp_path) 
     write_hub(str(hub), hub)
     assert {path.name: path.read_bytes() for path in hub.iterdir()} == before
     with pytest.raises(UserError, match=r"holds sgan\.mall already: .* a folder of its own"):
-        write_hub("sgan_goal.zara1", hub)
+        write_hub("approach_net_goal_map.indoor_zara1", hub)
     assert len(os.listdir(hub)) == 4
     # wherever a card says that its weights can be downloaded, in the folder they lie beside it
     path = Path(model) / "card.yaml"
@@ -125,7 +125,7 @@ def test_shipped_weights_have_the_licence_of_their_data(tmp_path) -> None:
             assert front["license"] == "other" and front["license_link"] == "LICENSE.md"
         seen.add(card.licence)
     assert len(seen) == 3
-    write_hub("sgan_goal.zara1", tmp_path / "hub")
+    write_hub("approach_net_goal_map.indoor_zara1", tmp_path / "hub")
     assert "CC BY-NC 4.0" in (text := (tmp_path / "hub" / "LICENSE.md").read_text()) and "Pellegrini" in text
     assert licence(provenance("embedded")["terms"]) == "MIT"
     mixed = together(provenance("embedded"), provenance("zara1", plans=True))

@@ -42,7 +42,7 @@ def reports() -> dict[str, Any]:
 def measured(reports: dict[str, Any]) -> list[dict[str, Any]]:
     if not reports:
         reports["said"] = []
-        reports["made"] = measure(NAME, tell=reports["said"].append)
+        reports["made"] = measure(NAME, tell=reports["said"].append, commands=("forecast", "evaluate"))
     return deepcopy(reports["made"])
 
 
@@ -82,13 +82,14 @@ def test_a_card_gets_what_the_commands_say(measured: list[dict[str, Any]], repor
 def test_weights_of_all_scenes_have_validation_windows(shared: Path, monkeypatch) -> None:
     monkeypatch.setattr(card_numbers, "WALKS", [])
     result = measure("sgan_goal.eth_ucy", "mine.all", root=str(shared / "data"))
-    assert [report["protocol"]["fold"] for report in result] == ["eth_ucy", "embedded"]
+    assert [report["command"] for report in result] == ["inputs", "forecast", "forecast"]
+    assert [report["protocol"]["fold"] for report in result] == ["eth_ucy", "eth_ucy", "embedded"]
     assert result[0]["protocol"]["split"] == "val" and result[0]["protocol"]["clock"] == "true"
     assert {row["name"] for report in result for row in report["rows"]} == {"mine.all"}
     entry = find("sgan_goal.eth_ucy")
     assert entry
     # by which these weights were chosen
-    assert result[0]["rows"][0]["metrics"]["ade_m"] == pytest.approx(entry.card.training["value"], 1e-3)
+    assert result[1]["rows"][0]["metrics"]["ade_m"] == pytest.approx(entry.card.training["value"], 1e-3)
 
 
 def test_the_numbers_of_a_card_are_found_again_or_not(measured: list[dict[str, Any]], capsys) -> None:
@@ -117,7 +118,7 @@ def test_what_cannot_be_done_here_is_skipped_and_says_why(measured: list[dict[st
     assert code == 1 and "nothing of its card could be done again" in printed
     older = measured[0] | {"command": "measure", "versions": {"torch": "1.0"}}
     code, printed = again(capsys, card_with([older]))
-    assert code == 1 and "no way to do 'measure' again: expected forecast or evaluate" in printed
+    assert code == 1 and "no way to do 'measure' again: expected forecast or inputs or evaluate" in printed
     del measured[0]["protocol"]["goal"], measured[0]["protocol"]["samples"]
     code, printed = again(capsys, card_with([measured[0]]))
     assert code == 1 and "protocol of forecast: Object missing required field `goal`" in printed
@@ -210,8 +211,9 @@ def test_the_card_of_a_shipped_model_is_true(capsys) -> None:
 
 def test_the_card_of_a_shipped_model_is_true_on_recordings(capsys, shared: Path) -> None:
     here = [one for one in shipped().evaluations if one["protocol"].get("fold") == "zara1"]
+    assert [one["command"] for one in here] == ["inputs", "forecast"]
     code, printed = again(capsys, card_with(here), "--data.root", str(shared / "data"))
-    assert code == 0 and "zara1 test" in printed and "11 of 11 numbers" in printed
+    assert code == 0 and "zara1 test" in printed and "44 of 44 numbers" in printed
 
 
 def shipped() -> ModelCard:

@@ -154,7 +154,7 @@ def test_teams_without_a_share_share_the_rest(text: str, shares: dict[str, float
         ("orca:share=nan+go_to_goal", "share nan: expected a number above 0"),
         ("orca+", "a policy is missing beside '\\+'"),
         ("orca+go_to_gaol", "unknown policy 'go_to_gaol': did you mean 'go_to_goal'"),
-        ("orca:share=0.5+sgan_goal.indor", "did you mean 'approach_net_goal.indoor'"),
+        ("orca:share=0.5+approach_net_goal.indor", "did you mean 'approach_net_goal.indoor'"),
         ("orca:share=0.5,raduis=1+go_to_goal", "did you mean 'radius'"),
         ("orca:dt=0.3+go_to_goal", "teams decide every 0.3, 0.4 s: expected multiples of the shortest"),
         ("orca+sgan_goal.zara1:execute_steps=2", "execute_steps 2: a team decides anew"),
