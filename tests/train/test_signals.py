@@ -113,7 +113,7 @@ def test_a_job_that_slurm_runs_again_goes_on(whole, monkeypatch):
     assert main([*FIT, "--seed_everything", "5"]) == 0  # another run of the job
     monkeypatch.setenv("SLURM_RESTART_COUNT", "1")
     assert main(FIT) == 0
-    assert {path.name for path in Path("runs/sgan").iterdir()} == {"embedded-seed0", "embedded-seed5"}
+    assert {path.name for path in Path("runs/sgan_nopool").iterdir()} == {"embedded-seed0", "embedded-seed5"}
     assert list(Path().rglob("hpc_ckpt*")) == []
     assert main(FIT) == 0  # the same training again, in the same run of the job
     assert Path(f"{RUN}-2").is_dir()
