@@ -90,8 +90,8 @@ def _file_sum(what: str | Spec) -> str:
     finder = ModuleFinder([str(path.parent), *own], excludes=["pedzoo"])
     with suppress(SyntaxError, ValueError):  # no Python
         finder.run_script(str(path))
-    imported = (Path(one.__file__) for one in finder.modules.values() if getattr(one, "__file__", None))
-    files = {file.resolve() for file in (path, *imported)}
+    imported = (getattr(one, "__file__", None) for one in finder.modules.values())
+    files = {Path(file).resolve() for file in (path, *imported) if file}
     return _sum_of(sorted((file.name, code_sum(file.read_bytes())) for file in files))
 
 

@@ -212,7 +212,7 @@ def save_sheet(plans: Sequence[FloorPlan], path: str | Path) -> None:
         axes.imshow(draw(plan))
         axes.set_title(f"{plan.grid.name}, {plan.size[0]:.1f} x {plan.size[1]:.1f} m", fontsize=9)
     used = [use for use in TINTS if any(room.use == use for plan in plans for room in plan.rooms)]
-    handles = [Patch(color=np.array(TINTS[use]) / 255, label=use.replace("_", " ")) for use in used]
+    handles = [Patch(color=tuple(np.array(TINTS[use]) / 255), label=use.replace("_", " ")) for use in used]
     figure.legend(handles=handles, loc="outside lower center", ncols=6, frameon=False, fontsize=9)
     write_figure(figure, path, dpi=100)
 

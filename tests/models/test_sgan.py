@@ -18,6 +18,7 @@ from pedzoo.data.datamodule import Loading, TrajectoryDataModule
 from pedzoo.models.architectures.sgan import SGAN
 from pedzoo.models.blocks.people import linear_extrapolation
 from pedzoo.models.blocks.people.crowd import Crowd
+from pedzoo.models.blocks.people.pooling import SocialPooling
 
 SMALL: dict[str, Any] = {
     "embedding_dim": 5,
@@ -48,7 +49,7 @@ def plain_path(model: SGAN, batch: TensorDict, scene: int, z: Tensor) -> Tensor:
     here, last = history[:, -1], history[:, -1] - history[:, -2]
     observed = torch.stack([history[:, step] - history[:, step - 1] for step in range(1, 8)], 1)
     features = [plain_encoder(model.encoder, observed)]
-    if model.pooling is not None:
+    if isinstance(model.pooling, SocialPooling):
         one = Crowd.of(torch.ones(1, len(here), dtype=torch.bool))
         features.append(plain_pooling(model.pooling, features[0], here, one))
     if model.goal is not None:

@@ -39,7 +39,8 @@ class Torch(Physics):
         valid = (origin.isfinite() & direction.isfinite()).all(-1)
         origin, direction = (torch.where(valid.unsqueeze(-1), values, 0) for values in (origin, direction))
         around = self.bank.to("cpu").walls_around(people.map_id[:, 0].cpu(), people.pose.cpu())
-        walls = around.cast(*(part.cpu().permute(2, 1, 0) for part in (origin, direction)), reach).t()
+        start, way = (part.cpu().permute(2, 1, 0) for part in (origin, direction))
+        walls = around.cast(start, way, reach).t()
         length = torch.full(origin.shape[:2], reach, dtype=origin.dtype)
         given = people.position, self._radius(people), self._present(people), origin, direction
         meet_bodies(*(part.detach().cpu().contiguous().numpy() for part in given), length.numpy())
