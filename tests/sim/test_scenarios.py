@@ -210,7 +210,7 @@ def test_goals_can_be_reached_in_time(name: str) -> None:
 
 @EVERY_POLICY
 def test_policies_walk(name: str, request) -> None:
-    if "alexnet" in name:
+    if "sgan_goal_map" in name:
         request.getfixturevalue("alexnet")
     policy = load_policy(name)
     env = make_env("goals:people=[2,4],pool=6", num_envs=3, decision_dt=policy.decision_dt)
