@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import statistics
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache, partial
 from pathlib import Path
@@ -34,7 +33,7 @@ from pedzoo.models.blocks.variety import VarietyLoss
 from pedzoo.models.zoo.loading import load
 from pedzoo.train.run import RunFolder
 from tools.pages.tables import table as markdown
-from tools.zoo.robots import fit
+from tools.zoo.robots import fit_whole, is_finished, over_seeds
 
 EPOCHS = 24
 """Less than half of what the zoo's weights have: the changes are compared with one another."""
@@ -112,25 +111,19 @@ def train(one: tuple[int, str], root: Path) -> None:
     """Train a change with a seed, if that is not done."""
     seed, change = one
     run = run_of(change, seed, root)
-    if (run.path / "finished").is_file():
+    if is_finished(run):
         return
+    runs = run.path.parents[1]
     options = {"config": "sgan_goal_map", "data.fold": "zara1", "rollout.scenarios": "null"}
-    options |= {
-        "trainer.max_epochs": str(EPOCHS),
-        "seed_everything": str(seed),
-        "runs": str(run.path.parents[1]),
-    }
+    options |= {"trainer.max_epochs": str(EPOCHS), "seed_everything": str(seed), "runs": str(runs)}
     words = [word for key, value in (options | CHANGES[change]).items() for word in (f"--{key}", value)]
-    fit(
-        ["--resume", str(run.path)] if run.last.is_file() else words, root / f"{run.path.parents[1].name}.log"
-    )
-    (run.path / "finished").touch()
+    fit_whole(run, words, root / f"{runs.name}-{seed}.log")
     print(f"{change}, seed {seed}", flush=True)
 
 
 def row(change: str, seeds: list[int], root: Path) -> dict[str, Any]:
     """Return the numbers of a change, of every seed that is trained."""
-    found: dict[str, list[float]] = {}
+    by_seed = []
     for seed in seeds:
         path = str(run_of(change, seed, root).best)
         if code := CHANGES[change].get("model.generator"):
@@ -144,15 +137,10 @@ def row(change: str, seeds: list[int], root: Path) -> dict[str, Any]:
                 numbers |= {key: metrics[key] for key in ("shift_m", "gain_m")}
             elif case in COLUMNS:
                 numbers[case] = metrics["gain_m"]
-        walk = evaluate([with_settings(path, {"safety": "false"})], ["goals"], quick=True)["summary"][0][
-            "metrics"
-        ]
-        numbers |= {key: walk[key] for key in COLUMNS if key in walk}
-        for key, value in numbers.items():
-            found.setdefault(key, []).append(value)
-    spread = {key: statistics.stdev(values) if len(values) > 1 else None for key, values in found.items()}
-    means = {key: statistics.fmean(values) for key, values in found.items()}
-    return {"name": change, "seeds": len(seeds), "metrics": means, "spread": spread, "per_seed": found}
+        report = evaluate([with_settings(path, {"safety": False})], ["goals"], quick=True)
+        walk = report["summary"][0]["metrics"]
+        by_seed.append(numbers | {key: walk[key] for key in COLUMNS if key in walk})
+    return {"name": change, "seeds": len(seeds)} | over_seeds(by_seed)
 
 
 def cell(row: dict[str, Any], key: str) -> str:
@@ -178,11 +166,7 @@ def main() -> None:
             list(pool.map(partial(train, root=given.runs), wanted))
         return
     done = {
-        change: [
-            seed
-            for seed in range(given.seeds)
-            if (run_of(change, seed, given.runs).path / "finished").is_file()
-        ]
+        change: [seed for seed in range(given.seeds) if is_finished(run_of(change, seed, given.runs))]
         for change in CHANGES
     }
     rows = [row(change, seeds, given.runs) for change, seeds in done.items() if seeds]

@@ -12,9 +12,12 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import statistics
 import subprocess
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import torch
 import yaml
@@ -63,10 +66,31 @@ def fit(words: list[str], log: Path) -> None:
         raise SystemExit(f"{' '.join(command)} failed: see {log}")
 
 
+def fit_whole(run: RunFolder, words: list[str], log: Path) -> None:
+    """Train a run with these words, or go on with it where it was interrupted; mark it as finished."""
+    fit(["--resume", str(run.path)] if run.last.is_file() else words, log)
+    (run.path / "finished").touch()
+
+
+def is_finished(run: RunFolder) -> bool:
+    """Return whether a run was trained to its end."""
+    return (run.path / "finished").is_file()
+
+
+def over_seeds(by_seed: Sequence[Mapping[str, float]]) -> dict[str, Any]:
+    """Return the mean of every metric, its standard deviation (None of one seed), and all values."""
+    found = {key: [metrics[key] for metrics in by_seed] for key in by_seed[0]}
+    return {
+        "metrics": {key: statistics.fmean(values) for key, values in found.items()},
+        "spread": {key: statistics.stdev(v) if len(v) > 1 else None for key, v in found.items()},
+        "per_seed": found,
+    }
+
+
 def train(name: str, runs: Path, epochs: int | None) -> None:
     """Train one robot."""
     run = run_of(name, runs)
-    if run and (run.path / "finished").is_file():
+    if run and is_finished(run):
         return
     words = ["--resume", str(run.path)] if run else [*ROBOTS[name], "--runs", str(runs / name)]
     fit([*words, *(["--trainer.max_epochs", str(epochs)] if epochs else [])], runs / f"{name}.log")

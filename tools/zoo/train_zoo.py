@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import statistics
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -30,7 +29,7 @@ from pedzoo.models.zoo.card import read_card, write_card
 from pedzoo.models.zoo.loading import load
 from pedzoo.models.zoo.publish import publish
 from tools.pages.tables import table as markdown
-from tools.zoo.robots import fit
+from tools.zoo.robots import fit_whole, is_finished, over_seeds
 
 HEADER = """# Open-loop results of every seed
 
@@ -67,14 +66,13 @@ def train(recipes: list[Recipe], root: Path, jobs: int) -> None:
 def train_one(recipe: Recipe, seed: int, root: Path) -> None:
     """Train one seed in a process of its own; finished runs are left alone, interrupted ones resumed."""
     run = recipe.run(seed, root)
-    if (run.path / "finished").is_file():
+    if is_finished(run):
         return
     options = {**recipe.options, "seed_everything": str(seed), "runs": str(recipe.runs(root))}
     words = [word for key, value in options.items() for word in (f"--{key}", value)]
     if (weights := recipe.begins_with) and weights not in weight_files():
         raise SystemExit(f"{recipe.name} begins with {weights}: train and export these first")
-    fit(["--resume", str(run.path)] if run.last.is_file() else words, root / f"{recipe.name}-{seed}.log")
-    (run.path / "finished").touch()
+    fit_whole(run, words, root / f"{recipe.name}-{seed}.log")
     print(f"{recipe.name} seed {seed}: {recipe.monitor} {recipe.finished(root)[seed]:.4f}", flush=True)
 
 
@@ -131,13 +129,8 @@ def rows(root: Path) -> Iterator[dict]:
         yield from ({**row, "case": case, "seeds": 1} for row in baselines)
         models = {seed: load(recipe.run(seed, root).best) for seed in seeds}
         by_seed = [forecast_row(recipe.config, model, data, seed=seed) for seed, model in models.items()]
-        metrics = {key: [row["metrics"][key] for row in by_seed] for key in by_seed[0]["metrics"]}
         row = {"name": recipe.config, "case": case, "n": by_seed[0]["n"], "seeds": len(by_seed)}
-        yield row | {
-            "metrics": {key: statistics.fmean(values) for key, values in metrics.items()},
-            "spread": {key: statistics.stdev(v) if len(v) > 1 else None for key, v in metrics.items()},
-            "per_seed": metrics,
-        }
+        yield row | over_seeds([row["metrics"] for row in by_seed])
 
 
 def page(rows: list[dict]) -> str:

@@ -13,6 +13,7 @@ from pedzoo.core.types import PRED_LEN, GoalProtocol, TimeBase
 from pedzoo.data.datasets.eth_ucy import SCENES
 from pedzoo.models.zoo.publish import WHOLE_WALKS, monitored, zoo_name
 from pedzoo.train.run import RunFolder
+from tools.zoo.robots import is_finished
 
 EVERYTHING = "eth_ucy"
 """The fold of ETH/UCY that leaves nothing out."""
@@ -122,7 +123,7 @@ class Recipe:
 
     def finished(self, root: Path) -> dict[int, float]:
         """Return the seeds whose training is done, each with its best validation value."""
-        done = (seed for seed in range(self.seeds) if (self.run(seed, root).path / "finished").is_file())
+        done = (seed for seed in range(self.seeds) if is_finished(self.run(seed, root)))
         return {seed: self.best(monitored(self.run(seed, root).path, self.monitor).values()) for seed in done}
 
 
