@@ -20,7 +20,7 @@ _AT_ONCE = 256  # scenes in a batch of one for every person
 
 @torch.no_grad()
 def input_use(
-    model: Forecaster, batch: TensorDict, generator: torch.Generator | None = None
+    model: Forecaster, batch: TensorDict, generator: torch.Generator | None = None, control: bool = True
 ) -> dict[str, tuple[Tensor, Mapping[str, Sums]]]:
     """Return how the most likely forecasts of a batch differ without each input of a model.
 
@@ -33,6 +33,8 @@ def input_use(
     * ``goal``, ``desired velocity``: those of a person who walks straight on.
     * ``map``: free floor everywhere.
     * ``noise``: one random sample, drawn by ``generator``, beside the most likely forecast.
+
+    Without ``control`` there are no others of another scene, which take the most time, and no noise.
     """
     batch, agents, mask = batch.copy(), agents_of(batch).copy(), cast("Tensor", batch["agents", "mask"])
     batch.batch_size, agents.batch_size = mask.shape[:1], mask.shape  # Lightning loses them in 64-true
@@ -55,13 +57,12 @@ def input_use(
         }
 
     near = _near(agents["history"][:, :, -1], mask)
-    result = {
-        "others": compared(alone(model, batch, steps), near),
-        "others of another scene": compared(among_strangers(model, batch, steps), near),
-    }
+    result = {"others": compared(alone(model, batch, steps), near)}
+    if control:
+        result["others of another scene"] = compared(among_strangers(model, batch, steps), near)
     for case, taken in without(batch, model.needs).items():
         result[case] = compared(model.mode(taken, steps)[:, 0], mask)
-    if model.stochastic:
+    if control and model.stochastic:
         result["noise"] = compared(model.sample(batch, 1, steps, generator)[:, 0], mask)
     return result
 
