@@ -1,5 +1,7 @@
 """Features of the others around a person: where they are, and how close and how soon they come."""
 
+from typing import ClassVar
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -14,8 +16,6 @@ REACH, NEAR = 2.0, 4.0
 HORIZON = 4.0
 """Seconds: closest approaches farther ahead count as so far ahead."""
 
-_FEATURES = 8
-
 
 class ApproachPooling(nn.Module):
     """Max-pools an embedding of all others: where they are, how they move, how close they come.
@@ -25,10 +25,13 @@ class ApproachPooling(nn.Module):
     al., "Minimal predicted distance", Gait & Posture 2012. A person alone has features of zero.
     """
 
+    pairs: ClassVar[int] = 8
+    """Features of a pair of people."""
+
     def __init__(self, state_dim: int, dim: int, hidden_dim: int = 64) -> None:
         """Create the parameters: ``state_dim`` is the width of a person's state, ``dim`` of the result."""
         super().__init__()
-        self.pair = nn.Linear(_FEATURES, hidden_dim)
+        self.pair = nn.Linear(self.pairs, hidden_dim)
         self.other = nn.Linear(state_dim, hidden_dim, bias=False)
         self.output = nn.Linear(hidden_dim, dim)
         self.dim = dim
@@ -50,7 +53,7 @@ class ApproachPooling(nn.Module):
         return crowd.most_of_others(seen, position, self.dim)
 
 
-class OwnFramePooling(nn.Module):
+class OwnFramePooling(ApproachPooling):
     """Social GAN's pooling (Gupta et al., CVPR 2018, eq. 2) for states that are in each person's own frame.
 
     Such states no longer say whither people walk: the relative displacement stands beside the relative
@@ -58,13 +61,7 @@ class OwnFramePooling(nn.Module):
     can die: `softplus` has a slope everywhere. A person alone has features of zero.
     """
 
-    def __init__(self, state_dim: int, dim: int, hidden_dim: int = 64) -> None:
-        """Create the parameters: ``state_dim`` is the width of a person's state, ``dim`` of the result."""
-        super().__init__()
-        self.pair = nn.Linear(5, hidden_dim)
-        self.other = nn.Linear(state_dim, hidden_dim, bias=False)
-        self.output = nn.Linear(hidden_dim, dim)
-        self.dim = dim
+    pairs = 5
 
     def forward(
         self, position: Tensor, moved: Tensor, heading: Tensor, state: Tensor, crowd: Crowd
