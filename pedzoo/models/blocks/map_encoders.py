@@ -5,6 +5,7 @@ checkpoint holds a map.
 """
 
 import math
+from collections import OrderedDict
 from functools import lru_cache
 from typing import NamedTuple, Self
 
@@ -117,7 +118,7 @@ class PatchEncoder(nn.Module):
         return self.net(self.patch(at))
 
 
-_AROUND = 0.8
+_AROUND = 0.4
 """Metres, two feature cells: how far around a person AlexNet's features are read."""
 
 _MARGIN = alexnet.STRIDE
@@ -132,7 +133,7 @@ class AlexNetEncoder(nn.Module):
     it knows on which side a wall is. Checkpoints hold the linear layer only.
     """
 
-    def __init__(self, dim: int = 32, weights: str | None = None, cell: float = 0.4) -> None:
+    def __init__(self, dim: int = 32, weights: str | None = None, cell: float = 0.2) -> None:
         """Encode conv5 features into ``dim`` features per person.
 
         Args:
@@ -162,12 +163,25 @@ ENCODERS: dict[str, type[RingEncoder | PatchEncoder | AlexNetEncoder]] = {
 """By the names that settings of models give them."""
 
 
+_ENCODED: OrderedDict[tuple[str, str, str | None, float], Tensor] = OrderedDict()
+_NUMBERS = 100_000_000
+"""Features of floor plans that were encoded last, and how many numbers of them are kept."""
+
+
 @lru_cache(8)  # a policy meets a training set, an environment and little else
 def atlas_of(bank: MapBank, device: torch.device, weights: str | None, cell: float) -> Atlas:
-    """Return AlexNet's features of every floor plan of a bank, on a device; about a second for each plan."""
+    """Return AlexNet's features of every floor plan of a bank, on a device; some seconds for each plan."""
     tensors = alexnet.load(weights) if bank.grids else {}
     with torch.inference_mode(False):  # the next use may ask for gradients
-        features = [encode(grid, bank, tensors, cell) for grid in bank.grids]
+        features = []
+        for grid in bank.grids:  # scenarios draw the same doors again and again
+            key = grid.digest, bank.unknown, weights, cell
+            if key not in _ENCODED:
+                _ENCODED[key] = encode(grid, bank, tensors, cell)
+            _ENCODED.move_to_end(key)
+            features.append(_ENCODED[key])
+        while sum(map(torch.Tensor.numel, _ENCODED.values())) > _NUMBERS and len(_ENCODED) > 1:
+            _ENCODED.popitem(last=False)
         to_pixel = [map_to_feature(grid, cell) for grid in bank.grids]
         return Atlas.stack(features, to_pixel, nowhere=torch.zeros(alexnet.CHANNELS)).to(device)
 
