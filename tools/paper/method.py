@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 PAPER = "sgan_goal_map.eth_ucy:safety=false"
 """The paper's network, trained on recordings alone, without a safety layer: as the paper has it."""
 
-LAYER, IN_LOOP = "sgan_goal_map.eth_ucy:safety=true", "approach_net_goal_map.indoor:safety=false"
-"""The paper's weights with our safety layer, and another network taught in the loop, without it."""
+LAYER, IN_LOOP = "sgan_goal_map.eth_ucy:safety=true", "sgan_goal_map.indoor:safety=false"
+"""The paper's weights with our safety layer, and those that were trained on in the loop, without it."""
 
 APPROACH = "approach_net_goal_map.indoor"
 """Another network than the paper's, taught in the loop, with the layer."""
@@ -37,7 +37,7 @@ WORLDS = {
 
 CHANGES = {
     PAPER: "nothing: the paper's method",
-    IN_LOOP: "another network, as below, taught in the loop; without the layer",
+    IN_LOOP: "the same network, trained on while it walks, mostly at doors; without the layer",
     LAYER: "the safety layer takes steps off people and walls",
     APPROACH: "another network: approach pooling, a residual on the bent line, no AlexNet, no GAN; "
     "taught in the loop; with the layer",

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from tensordict import TensorDict
 from torch import Tensor
 
 from pedzoo.core.machine import versions
@@ -25,7 +26,8 @@ from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.eval.evaluate import evaluate
 from pedzoo.eval.forecast import forecast_row, input_rows
 from pedzoo.maps.bank import MapBank
-from pedzoo.models.architectures.sgan import SGAN, Architecture
+from pedzoo.metrics.inputs import without
+from pedzoo.models.architectures.sgan import SGAN, Architecture, Encoded
 from pedzoo.models.base import Walking
 from pedzoo.models.blocks import alexnet, map_encoders
 from pedzoo.models.blocks.map_encoders import AlexNetEncoder, Viewpoints
@@ -59,6 +61,12 @@ COLUMNS = {
     "agent_contacts_per_min": "touches of people per minute", "wall_contacts_per_min": "of walls",
 }  # fmt: skip
 
+TAUGHT = "sgan_goal_map.indoor"
+WALKED = {
+    "clean": "all through, no touch", "agent_contacts_per_min": "touches of people per minute",
+    "wall_contacts_per_min": "of walls",
+}  # fmt: skip
+
 HEADER = f"""# What each part of the paper's network does
 
 Made by `python tools/zoo/ablations.py train && python tools/zoo/ablations.py table`; as JSON: ABLATIONS.json.
@@ -67,6 +75,15 @@ their standard deviation behind ±. ADE is of the most likely forecast, 8 steps,
 others, of people with somebody within 2 m: see `pedzoo.metrics.inputs`. Walks: suite `goals`,
 `--quick`, without a safety layer.
 Numbers under different goals are of different tasks.
+"""
+
+
+LOOP_HEADER = f"""
+## What the network that was taught in the loop does with its inputs
+
+`{TAUGHT}` without a safety layer, suite `door`: an input is taken away while people walk. Without the floor
+plan they see free floor everywhere, and without others everybody is alone.
+
 """
 
 
@@ -99,6 +116,27 @@ class WholePlan(SGAN):
         """Take the settings of `SGAN`."""
         super().__init__(architecture, losses, walking)
         self.map = _WholePlan(dim=architecture.map_dim)
+
+
+class NoPlan(SGAN):
+    """The paper's network on free floor, wherever it is."""
+
+    def encode(self, batch: TensorDict, steps: int, alone: bool = False) -> Encoded:
+        """Return what `SGAN` makes of a batch without a map."""
+        return super().encode(without(batch, frozenset({"map"}))["map"], steps, alone)
+
+
+class NoOthers(SGAN):
+    """The paper's network for which everybody is alone."""
+
+    def encode(self, batch: TensorDict, steps: int, alone: bool = False) -> Encoded:
+        """Return what `SGAN` makes of a batch when the pooled features are those of nobody."""
+        assert self.pooling is not None
+        with_zeros = self.pooling.register_forward_hook(lambda *given: torch.zeros_like(given[-1]))
+        try:
+            return super().encode(batch, steps, alone)
+        finally:
+            with_zeros.remove()
 
 
 def run_of(change: str, seed: int, root: Path) -> RunFolder:
@@ -143,6 +181,16 @@ def row(change: str, seeds: list[int], root: Path) -> dict[str, Any]:
     return {"name": change, "seeds": len(seeds)} | over_seeds(by_seed)
 
 
+def in_the_loop() -> list[dict[str, Any]]:
+    """Return the doors of the weights that were taught in the loop, whole and with an input taken away."""
+    rows = []
+    for name, code in {"all inputs": "", "no floor plan": "NoPlan", "no others": "NoOthers"}.items():
+        policy = f"{__file__}:{code}:weights={TAUGHT}" if code else TAUGHT
+        report = evaluate([with_settings(policy, {"safety": False})], ["door"])
+        rows.append({"name": name} | {key: report["summary"][0][key] for key in ("n", "metrics")})
+    return rows
+
+
 def cell(row: dict[str, Any], key: str) -> str:
     """Return a value with its spread, a dash where there is none."""
     if key not in row["metrics"]:
@@ -172,8 +220,18 @@ def main() -> None:
     rows = [row(change, seeds, given.runs) for change, seeds in done.items() if seeds]
     cells = [[one["name"], str(one["seeds"]), *(cell(one, key) for key in COLUMNS)] for one in rows]
     page = HEADER + "\n" + markdown(["change", "seeds", *COLUMNS.values()], cells)
+    walked = in_the_loop()
+    cells = [
+        [one["name"], str(one["n"]), *(f"{one['metrics'][key]:.2f}" for key in WALKED)] for one in walked
+    ]
+    page += LOOP_HEADER + markdown(["inputs", "episodes", *WALKED.values()], cells)
     target = shipped("checkpoints") / "results"
-    report = {"command": "tools/zoo/ablations.py table", "versions": versions(), "rows": rows}
+    report = {
+        "command": "tools/zoo/ablations.py table",
+        "versions": versions(),
+        "rows": rows,
+        "in_the_loop": walked,
+    }
     write_atomically(target / "ABLATIONS.json", (json.dumps(report, separators=(",", ":")) + "\n").encode())
     write_atomically(target / "ABLATIONS.md", page.encode())
     print(page)
