@@ -74,15 +74,13 @@ def load(
     return result if device == "cpu" else result.to(usable(device))
 
 
-def policy(
-    model: str | Path | Forecaster | NamedPolicy, noise: Noise | None = None, execute_steps: int = 1
-) -> NamedPolicy:
+def policy(model: str | Path | Forecaster | NamedPolicy, noise: Noise | None = None) -> NamedPolicy:
     """Return a model, or the one of a name, as a TorchRL policy; what is a policy stays as it is.
 
     Arguments of models as of `pedzoo.policies.walker.Walker`; errors as of `load`.
     """
     loaded = load(model) if isinstance(model, str | Path) else model
-    return Walker(loaded, noise, execute_steps) if isinstance(loaded, Forecaster) else loaded
+    return Walker(loaded, noise) if isinstance(loaded, Forecaster) else loaded
 
 
 def controller(

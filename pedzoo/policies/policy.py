@@ -29,12 +29,10 @@ class NamedPolicy(TensorDictModuleBase):
     Attributes:
         name: As it was loaded, ``orca:radius=0.3``.
         decision_dt: Seconds between its decisions.
-        execute_steps: How many steps of an answer are walked before it is asked again.
     """
 
     name: str = ""
     decision_dt: float
-    execute_steps: int = 1
     in_keys: ClassVar[list[Any]] = ["agents", "maps", "map_id", "scene_pose", "scene_key", "time"]
     out_keys: ClassVar[list[Any]] = [("agents", "action")]
 

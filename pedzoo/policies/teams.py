@@ -144,11 +144,6 @@ class Teams(Policy):
                         f"teams decide every {listed} s: expected multiples of the shortest, "
                         f"{self.decision_dt:g} s; change the setting dt of one"
                     )
-                if policy.execute_steps != 1 and len(steps) > 1:
-                    raise UserError(
-                        f"execute_steps {policy.execute_steps}: a team decides anew for people who are "
-                        "taken over: expected 1"
-                    )
                 teams.append(Team(policy, kind, least, below, every))
                 least = below
         self.teams = nn.ModuleList(teams)

@@ -11,7 +11,7 @@ from pedzoo.core import randomness
 from pedzoo.core.adapters import copied
 from pedzoo.core.batch import WAITING_SPEED_SHARE, agents_of, desired_speed_share, ids_of, is_walking
 from pedzoo.core.errors import UserError, as_integer, unknown
-from pedzoo.core.types import OBS_LEN, PRED_LEN, STEP_SECONDS, TRACE_SECONDS
+from pedzoo.core.types import OBS_LEN, STEP_SECONDS, TRACE_SECONDS
 from pedzoo.models.base import Forecaster, Noise
 from pedzoo.models.blocks.timed_noise import timed_noise
 from pedzoo.policies.clearance import SHOULDERS
@@ -84,7 +84,6 @@ class Walker(NamedPolicy):
         self,
         model: Forecaster,
         noise: Noise | None = None,
-        execute_steps: int = 1,
         noise_seed: int = 0,
         safety: bool | None = None,
     ) -> None:
@@ -95,7 +94,6 @@ class Walker(NamedPolicy):
             noise: Drawn for each person once per ``episode``, at every ``step``, or once for all people of
                 a ``scene`` (as Social GAN was trained); ``mixed``: the first half of its numbers as for
                 ``episode``, what a person is like, the rest as for ``step``.
-            execute_steps: How many steps of a prediction are walked before the next one is asked for.
             noise_seed: Other seeds give other noise for the same scenes.
             safety: Whether steps are led off others and walls by `pedzoo.policies.safety_layer`; those before
                 are then written, too, as ``unconstrained_action`` (B, A, 2), m/s. None: as the model says.
@@ -107,17 +105,13 @@ class Walker(NamedPolicy):
         noise = noise or model.walking_noise
         if noise not in get_args(Noise):
             raise unknown("noise", noise, get_args(Noise))
-        if not 1 <= execute_steps <= PRED_LEN:
-            raise UserError(f"execute_steps {execute_steps}: expected 1 to {PRED_LEN}")
-        self.model, self.noise, self.execute_steps = model, noise, execute_steps
+        self.model, self.noise = model, noise
         self.name = model.name
         self.noise_seed = as_integer("noise_seed", noise_seed)
         self.safety = model.walking.safety if safety is None else safety
         self._remember_nothing()
 
     def _remember_nothing(self) -> None:
-        # predictions that are being walked: keys (B,), steps at which they were made (B,), displacements
-        self._stored: tuple[Tensor, Tensor, Tensor] | None = None
         # of the last scenes: keys of the agents (B, A), and their noise for the episode
         self._episode_noise: tuple[Tensor, Tensor] | None = None
         self._first_seen = FirstSeenMemory() if self.model.remembers else None
@@ -131,10 +125,10 @@ class Walker(NamedPolicy):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write each person's velocity (B, A, 2), m/s."""
         check_interval(tensordict, STEP_SECONDS, "a learned model")
-        if self.execute_steps == 1:
-            step, wish = self.model.step_and_wish(self._seen(tensordict), self.noise_of(tensordict))
-        else:
-            step = wish = self._of_stored(tensordict)
+        scenes = with_walked_history(tensordict)
+        if self._first_seen is not None:
+            scenes = self._first_seen.add(scenes)
+        step, wish = self.model.step_and_wish(scenes, self.noise_of(tensordict))
         apart = separation_push(tensordict)
         step = stay_in_place(tensordict, step) + apart
         if self.model.keeps_distance:
@@ -149,26 +143,6 @@ class Walker(NamedPolicy):
             step = safe(tensordict, step, 0.0 if self.model.keeps_distance else SHOULDERS)
         tensordict["agents", "action"] = step / STEP_SECONDS
         return tensordict
-
-    def _of_stored(self, tensordict: TensorDictBase) -> Tensor:
-        """Return the step (B, A, 2) of the stored prediction, or of a new one where it is over."""
-        key, now = tensordict["scene_key"][:, 0], (tensordict["time"][:, 0] / STEP_SECONDS).round().long()
-        over, (before, begun, steps) = torch.ones_like(key, dtype=torch.bool), self._stored or (key[:0],) * 3
-        if known := before.shape == key.shape:
-            # the same walker may have been asked about other scenes in between
-            over = (now == 0) | (before != key) | (now < begun) | (now >= begun + self.execute_steps)
-        if bool(over.any()):
-            noise, seen = self.noise_of(tensordict), self._seen(tensordict)
-            fresh = self.model.next_steps(seen, noise, self.execute_steps, PRED_LEN)
-            steps = torch.where(over.view(-1, 1, 1, 1), fresh, steps) if known else fresh
-            begun = torch.where(over, now, begun) if known else now
-            self._stored = key, begun, steps
-        return steps[torch.arange(len(key), device=key.device), :, now - begun]
-
-    def _seen(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Return the scenes as the model sees them."""
-        scenes = with_walked_history(tensordict)
-        return scenes if self._first_seen is None else self._first_seen.add(scenes)
 
     def noise_of(self, tensordict: TensorDictBase) -> Tensor | None:
         """Return each person's noise (B, A, noise_dim) in scenes as they are now, None for none."""

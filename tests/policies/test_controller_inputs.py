@@ -218,8 +218,6 @@ def test_wrong_settings_are_refused(settings: dict[str, Any], message: str) -> N
 
 
 def test_policies_that_no_controller_can_ask_are_refused() -> None:
-    with pytest.raises(UserError, match="execute_steps 4"):
-        Controller(pedzoo.policy("sgan_goal.zara1", execute_steps=4))
     with pytest.raises(UserError, match="not finite for 'a'"):
         Controller(Watch(factor=float("nan"))).step({"a": (0, 0)}, {"a": (1, 0)})
 

@@ -157,7 +157,6 @@ def test_teams_without_a_share_share_the_rest(text: str, shares: dict[str, float
         ("orca:share=0.5+approach_net_goal.indor", "did you mean 'approach_net_goal.indoor'"),
         ("orca:share=0.5,raduis=1+go_to_goal", "did you mean 'radius'"),
         ("orca:dt=0.3+go_to_goal", "teams decide every 0.3, 0.4 s: expected multiples of the shortest"),
-        ("orca+sgan_goal.zara1:execute_steps=2", "execute_steps 2: a team decides anew"),
     ],
 )
 def test_what_cannot_be_is_refused(crowd: str, message: str) -> None:
@@ -293,9 +292,7 @@ def walked(policy: str, scenario: str = "hallway", scenes: int = 3, **settings: 
         return run(made, env)
 
 
-@pytest.mark.parametrize(
-    "policy", ["orca", "approach_net_goal_map.indoor", "sgan_goal.zara1:execute_steps=2"]
-)
+@pytest.mark.parametrize("policy", ["orca", "approach_net_goal_map.indoor", "sgan_goal.zara1:noise=step"])
 def test_a_crowd_of_one_team_is_that_team(policy: str) -> None:
     setting = "," if "=" in policy else ":"
     one, crowd = (walked(name, "door", 2) for name in (policy, f"{policy}{setting}share=1"))

@@ -1,4 +1,4 @@
-"""Any forecaster walks: its noise, how much of a prediction is walked, and how people began."""
+"""Any forecaster walks: its noise, and how people began."""
 
 from typing import Any
 
@@ -21,18 +21,16 @@ from tests.helpers.batches import make_batch
 
 
 class Echo(Forecaster):
-    """Walks its own noise, and counts how often it is asked."""
+    """Walks its own noise."""
 
     noise_dim = 2
 
     def __init__(self) -> None:
         super().__init__()
-        self.asked = 0
         self.config = {}
 
     def next_steps(self, batch: TensorDict, noise: Tensor | None, steps: int, horizon: int) -> Tensor:
         """Return the noise as the first step, twice that as the second, and so on."""
-        self.asked += 1
         assert horizon == PRED_LEN
         shape: Any = batch["agents", "mask"].shape
         z = torch.zeros(*shape, 2) if noise is None else noise
@@ -117,28 +115,6 @@ def test_deterministic_exploration_is_noise_zero(kind: ExplorationType) -> None:
         assert (Walker(Echo())(scene())["agents", "action"] == 0).all()
 
 
-def test_execute_steps_walks_a_prediction_before_the_next() -> None:
-    model = Echo()
-    walker = Walker(model, execute_steps=3)
-    actions = [drawn(walker, time=0.4 * step) for step in range(6)]
-    assert model.asked == 2
-    for step, action in enumerate(actions):
-        assert torch.allclose(action, actions[0] * (step % 3 + 1))
-    # another batch begins: nothing of the old plan is left
-    assert drawn(walker, scenes=2).shape == (2, 4, 2)
-
-
-def test_a_scene_that_begins_anew_gets_a_plan_of_its_own() -> None:
-    walker = Walker(Echo(), execute_steps=4)
-    drawn(walker)
-    later = scene(time=0.8)
-    later["time"][1] = 0.0
-    with set_exploration_type(ExplorationType.RANDOM):
-        action = walker(later)["agents", "action"] * 0.4
-    first = drawn(Walker(Echo()))
-    assert torch.allclose(action, first * torch.tensor([3.0, 1.0, 3.0]).view(3, 1, 1))
-
-
 def test_displacement_over_0_4_s_is_the_velocity() -> None:
     env = make_env("door:people=2", num_envs=3)
     now = env.reset()
@@ -149,22 +125,9 @@ def test_displacement_over_0_4_s_is_the_velocity() -> None:
     assert torch.allclose(action, expected, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [({"noise": "epsiode"}, "did you mean 'episode'"), ({"execute_steps": 9}, "expected 1 to 8")],
-)
-def test_wrong_settings(settings: dict[str, Any], message: str) -> None:
-    with pytest.raises(UserError, match=message):
-        Walker(Echo(), **settings)
-
-
-def test_plans_belong_to_scenes() -> None:
-    walker = Walker(Echo(), execute_steps=4)
-    first = drawn(walker)
-    drawn(walker, key=50)  # three other scenes
-    drawn(walker, scenes=5)
-    assert torch.allclose(drawn(walker, time=0.4), first)  # a new plan, at its first step
-    assert torch.allclose(drawn(walker, time=0.8), 2 * first)
+def test_misspelt_noise_is_refused() -> None:
+    with pytest.raises(UserError, match="did you mean 'episode'"):
+        Walker(Echo(), "epsiode")  # pyright: ignore[reportArgumentType]
 
 
 # What a policy remembers of how people began

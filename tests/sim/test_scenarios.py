@@ -236,8 +236,8 @@ def test_policies_of_ones_own(tmp_path) -> None:
         "class Model(ConstantVelocity):\n    pass\n\n\n"
         "class Mine(GoToGoal):\n    def __init__(self, dt: float = 0.2):\n        super().__init__(dt)\n"
     )
-    model = load_policy(f"{tmp_path}/mine.py:Model:execute_steps=2")
-    assert isinstance(model, Walker) and model.execute_steps == 2
+    model = load_policy(f"{tmp_path}/mine.py:Model:noise=step")
+    assert isinstance(model, Walker) and model.noise == "step"
     assert load_policy(f"{tmp_path}/mine.py:Mine").decision_dt == 0.2
     for name in ("Model", "Mine:dt=0.4"):
         assert rollout(f"{tmp_path}/mine.py:{name}", "door", "compiled", 1)[0].trace.isfinite().all()

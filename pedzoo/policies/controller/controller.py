@@ -108,11 +108,6 @@ class Controller:
         """
         if not isinstance(policy, NamedPolicy):
             raise UserError(f"policy {policy!r:.60}: expected a subclass of pedzoo.policies.policy.Policy")
-        if policy.execute_steps != 1:
-            raise UserError(
-                f"execute_steps {policy.execute_steps}: a controller decides anew for people who come and "
-                "go: expected 1"
-            )
         clock = CallerClock.of(dt, policy.decision_dt)
         grid, origin = load_plan(map) if isinstance(map, str | Path) else map, ZERO
         if not isinstance(grid, OccupancyGrid | None):
