@@ -63,8 +63,8 @@ class Recipe:
         """The validation metric that chooses checkpoint and seed: what the model is made for."""
         if self.on_crowds:
             return "val/unlike"
-        if self.folder == "closed_loop":  # whom no layer keeps off others must learn it
-            return "rollout/clean" if self.config == "closed_loop/sgan_goal_map" else "rollout/stl"
+        if self.folder == "closed_loop":
+            return "val/ade" if self.config == "closed_loop/sgan_goal_map" else "rollout/stl"
         if self.config in ANCHORED:
             return "val/min_ade_20_agent"
         return "val/min_ade_20_scene" if self.config in ("sgan", "sgan_nopool") else "val/ade"
