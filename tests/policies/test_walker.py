@@ -12,6 +12,7 @@ import pedzoo
 from pedzoo.core.batch import agents_of
 from pedzoo.core.errors import UserError
 from pedzoo.core.types import PRED_LEN
+from pedzoo.eval.rollout import prepare, run
 from pedzoo.models.base import Forecaster
 from pedzoo.models.zoo.loading import load
 from pedzoo.policies.memory import FirstSeenMemory
@@ -128,6 +129,26 @@ def test_displacement_over_0_4_s_is_the_velocity() -> None:
 def test_misspelt_noise_is_refused() -> None:
     with pytest.raises(UserError, match="did you mean 'episode'"):
         Walker(Echo(), "epsiode")  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.usefixtures("alexnet")
+@pytest.mark.parametrize("blind", [None, "pooling", "map"])
+def test_the_papers_network_taught_in_the_loop_keeps_clear_of_what_it_sees(blind: str | None) -> None:
+    """No safety layer: blind to people it touches people, blind to walls it touches walls."""
+    width = "door:width=[0.7, 0.8, 0.9, 1.0, 1.2]"
+    walker, env = prepare("sgan_goal_map.indoor:safety=false", width, "compiled", 24)
+    assert isinstance(walker, Walker)
+    if blind:  # features of somebody who is alone, or on free floor
+        part = walker.model.get_submodule(blind)
+        nothing = 0.0 if blind == "pooling" else part.get_submodule("head").bias
+        part.register_forward_hook(lambda *seen: torch.zeros_like(seen[-1]) + nothing)
+    with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
+        walk = run(walker, env)
+    people, walls = (
+        float(touch.flatten(1).any(1).double().mean()) for touch in (walk.agent_contact, walk.wall_contact)
+    )
+    assert people > 0.5 if blind == "pooling" else people < 0.2
+    assert walls > 0.5 if blind == "map" else walls < 0.2
 
 
 # What a policy remembers of how people began
