@@ -9,7 +9,7 @@ from pedzoo.core.paths import find_config
 from pedzoo.core.spec import with_settings
 from pedzoo.core.untrusted import check_yaml, read_mapping
 
-_OF_COURSE = ("scenes", "share")
+_OF_COURSE = ("scenes", "share", "planner")
 """A course's own keys beside ``scenario``; its other keys are settings of that."""
 
 

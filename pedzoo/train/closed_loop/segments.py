@@ -10,6 +10,7 @@ from torch import Tensor
 
 from pedzoo.core.errors import UserError
 from pedzoo.core.randomness import join, uniform
+from pedzoo.maps.planning.planner import Planner, planner_class
 from pedzoo.policies.walker import Walker
 from pedzoo.sim.env import PedestrianEnv
 from pedzoo.sim.make import make_env, make_scenario
@@ -91,11 +92,13 @@ class Course:
         scenario: With settings, as ``door:people=4``.
         scenes: That are walked at once.
         share: Of the updates, beside those of the other courses.
+        planner: As of `pedzoo.make_env`.
     """
 
     scenario: str
     scenes: int = 64
     share: float = 1.0
+    planner: str = Planner.name
 
     def __post_init__(self) -> None:
         """Check the numbers. Raises UserError: one of them gives no training."""
@@ -157,6 +160,7 @@ class CourseSampler:
             raise UserError("no courses: expected at least one scenario to train in")
         for course in courses:
             make_scenario(course.scenario)  # report a mistake before the training starts
+            planner_class(course.planner)
         self.courses, self.seed = courses, seed
         self._active: dict[int, ActiveCourse] = {}
         self._shares = torch.tensor([course.share for course in courses]).cumsum(0)
@@ -168,7 +172,7 @@ class CourseSampler:
         number = int((lot >= self._shares).sum().clamp_max(len(self.courses) - 1))
         if number not in self._active:
             course = self.courses[number]
-            env = make_env(course.scenario, course.scenes, "compiled", device=device)
+            env = make_env(course.scenario, course.scenes, "compiled", planner=course.planner, device=device)
             env.policy_name = "the model in training"
             self._active[number] = ActiveCourse(course, env)
         active = self._active[number]
