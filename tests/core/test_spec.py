@@ -206,7 +206,8 @@ def test_another_class_takes_none_of_the_arguments_of_the_base() -> None:
 def test_scenarios_may_be_mappings() -> None:
     door = {"scenario": "door", "width": [0.9, 1.0], "people": 3, "jitter": 0, "together": True}
     plans = {"scenario": "goals:people=2", "map": ["a.1", "b,c.yaml"], "seed": None}
-    courses = [door | {"scenes": 6, "share": 0.5}, {"scenario": "circle"}, {"scenario": "door:people=2"}]
+    circle, walk = {"scenario": "circle", "planner": "astar"}, {"scenario": "door:people=2"}
+    courses = [door | {"scenes": 6, "share": 0.5}, circle, walk]
     walked = {"scenarios": [door, plans, "hallway", {"scenario": "circle"}]}
     result = load_config(write("mine.yaml", rollout=walked, model={"init_args": {"courses": courses}}))
     text = "door:width=[0.9,1.0],people=3,jitter=0,together=true"
@@ -214,8 +215,8 @@ def test_scenarios_may_be_mappings() -> None:
     assert result["rollout"]["scenarios"] == [text, goals, "hallway", "circle"]
     assert result["model"]["init_args"]["courses"] == [
         {"scenario": text, "scenes": 6, "share": 0.5},
-        {"scenario": "circle"},
-        {"scenario": "door:people=2"},
+        circle,
+        walk,
     ]
     assert load_config(write("none.yaml", rollout={"scenarios": None})) == {"rollout": {"scenarios": None}}
 

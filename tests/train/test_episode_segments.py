@@ -326,6 +326,16 @@ def test_courses_that_give_no_training_are_refused(options):
         Course("door", **options)
     with pytest.raises(UserError, match="no courses"):
         CourseSampler([], 0)
+    with pytest.raises(UserError, match="unknown planner 'astr': did you mean 'astar'"):
+        CourseSampler([Course("door", planner="astr")], 0)
+
+
+def test_people_of_a_course_go_the_ways_of_its_planner() -> None:
+    ways = []
+    for planner in ("astar", "shortest"):
+        course = Course("door:offset=0.6,jitter=0,people=1", 1, planner=planner)
+        ways.append(CourseSampler([course], 0).at(0, 0).begin(9)["agents", "desired_velocity"])
+    assert not torch.allclose(*ways, atol=0.05)
 
 
 def test_cut_needs_scenes_and_reset_keeps_the_others():
