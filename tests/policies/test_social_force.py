@@ -23,7 +23,6 @@ from pedzoo.policies.rule_based.social_force import (
     SocialForce,
     SocialForceSettings,
     repulsion,
-    smooth_weight,
     social_force_velocity,
     view_weight,
     wall_force,
@@ -90,7 +89,6 @@ def test_the_papers_parameters_are_the_default() -> None:
         ("max_neighbors=-1", r"max_neighbors -1: expected 0 or more"),
         ("dt=0.6", r"dt 0\.6: expected at most tau, 0\.5 s"),
         ("dt=0", r"dt 0\.0: expected seconds"),
-        ("anisotropy=viev", "anisotropy=viev"),
         ("preset=1996", "unknown preset of social_force '1996': did you mean '1995'"),
         ("fluctuation=.inf", "fluctuation inf"),
         ("taw=1", "did you mean 'tau'"),
@@ -132,17 +130,13 @@ def test_perception_by_hand() -> None:
     angles = torch.tensor([0.0, 60, 99, 101, 180]).deg2rad()
     towards = torch.stack((angles.cos(), angles.sin())).unsqueeze(2)  # to whom the force comes from
     assert view_weight(-towards, heading, 100, 0.5).flatten().tolist() == [1, 1, 1, 0.5, 0.5]
-    expected = [1, 0.75 + 0.25 * 0.75, 0.75 + 0.25 * (1 + math.cos(math.radians(99))) / 2]
-    result = smooth_weight(-3 * towards, heading, 0.75).flatten().tolist()
-    assert result[:3] == pytest.approx(expected)
-    assert result[4] == pytest.approx(0.75)
     assert view_weight(-towards, 0 * heading, 100, 0.5).flatten().tolist() == [1] * 5
 
 
-@pytest.mark.parametrize(("anisotropy", "weight"), [("view", 0.5), ("smooth", 0.75), ("none", 1.0)])
-def test_who_is_behind_counts_less(anisotropy: Any, weight: float) -> None:
+@pytest.mark.parametrize("weight", [0.5, 0.75, 1.0])
+def test_who_is_behind_counts_less(weight: float) -> None:
     position, desired = torch.tensor([[[0.0, 0.0], [0.6, 0.0]], [[1.0, 0.0], [1.0, 0.0]]]).unsqueeze(1)
-    result = accelerate(position, 0 * position, desired, replace(PAPER, anisotropy=anisotropy))
+    result = accelerate(position, 0 * position, desired, replace(PAPER, out_of_view=weight))
     pushed, driven = 7 * math.exp(-2), 1 / 0.5
     assert result[0, :, 0].tolist() == pytest.approx([driven - pushed, driven + weight * pushed], abs=1e-3)
 
@@ -216,7 +210,7 @@ def test_a_crowd_of_150_is_what_all_pairs_give() -> None:
 
 def test_people_at_the_same_place_part() -> None:
     place, desired = torch.tensor([[[1.0, 1.0], [1.0, 1.0], [9.0, 9.0]]]), torch.full((1, 3, 2), 1e-6)
-    settings = replace(PAPER, anisotropy="none")
+    settings = replace(PAPER, out_of_view=1.0)
     result, swapped, other = (
         accelerate(place, 0 * place, desired, settings, identity=torch.tensor([identity]))[0, :2]
         for identity in ([0, 1, 2], [1, 0, 2], [1, 7, 2])

@@ -7,7 +7,7 @@ first, (2, K, N) for K others of N people: on a CPU several times faster than pa
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, cast, get_args
+from typing import Any, cast
 
 import torch
 from tensordict import TensorDictBase
@@ -15,7 +15,7 @@ from torch import Tensor
 
 from pedzoo.core import randomness
 from pedzoo.core.batch import ROBOT, agents_of, ids_of, is_person_sized, maps_of
-from pedzoo.core.errors import UserError, check_range, unknown
+from pedzoo.core.errors import UserError, check_range
 from pedzoo.core.geometry import move_to_map, turn_to_scene
 from pedzoo.core.types import BODY_RADIUS, TRACE_SECONDS
 from pedzoo.maps.segments import SegmentTable
@@ -23,7 +23,6 @@ from pedzoo.policies.neighbours import nearest
 from pedzoo.policies.policy import Policy, deterministic, drawn_vectors
 from pedzoo.policies.rule_based.orca import OF_PRESET, cross, dot, left, take_preset
 
-Anisotropy = Literal["view", "smooth", "none"]  # how the weight of others depends on their direction
 NEGLIGIBLE = 0.01  # m/s^2: walls that accelerate less are left out; walking people accelerate by 1 or more
 CLOSEST = 0.01  # metres: people are never closer to the centre of a potential, where its gradient is infinite
 EXACT, OFF_LINE = 1e-5, 0.02  # of the distance: so little off the line ahead counts as so much off it
@@ -35,8 +34,8 @@ class SocialForceSettings:
     """Settings of the social force model; the symbols are those of the paper.
 
     Helbing and Molnar, "Social force model for pedestrian dynamics", Phys. Rev. E 51, 4282 (1995),
-    arXiv:cond-mat/9805244. Every default but those of ``behind`` and the last three is the paper's. The
-    paper's desired speed (normally distributed, 1.34 and 0.26 m/s) is each person's ``pref_speed`` here. The
+    arXiv:cond-mat/9805244. Every default but those of the last three is the paper's. The paper's
+    desired speed (normally distributed, 1.34 and 0.26 m/s) is each person's ``pref_speed`` here. The
     ellipse around a person (eq. 4) lies along their velocity, which others can see; in the paper along their
     desired direction. Helbing et al. 2005 is "Self-organized pedestrian crowd dynamics: experiments,
     simulations, and design solutions", Transportation Science 39, 1-24.
@@ -51,13 +50,8 @@ class SocialForceSettings:
         step_time: Seconds that the potential's ellipses reach ahead of a walking person (Delta t, eq. 4).
         wall_strength: Of the potential of walls, m^2/s^2 (U0, eq. 5).
         wall_range: Its range, metres (R).
-        anisotropy: Weight of others' forces. ``view``: 1 within ``view_angle`` of the desired direction,
-            ``out_of_view`` beyond, by the direction that the force comes from (eq. 8). ``smooth``: lambda +
-            (1 - lambda) (1 + cos) / 2, by the angle to the other person (Helbing et al. 2005). ``none``: 1.
-            Walls always count in full, as in the paper.
         view_angle: Half of the angle of sight, degrees (phi; the paper gives 2 phi = 200).
-        out_of_view: Weight of people out of sight (c).
-        behind: Weight of a person straight behind with ``smooth`` (lambda; Helbing et al. 2005: 0.75).
+        out_of_view: Weight of people whose force comes from out of sight (c, eq. 8); of others it is 1.
         top_speed_ratio: Top speed, divided by the preferred one (eq. 11).
         neighbor_dist: Metres between centres beyond which others are ignored. From 5 m away a person who
             approaches at 1.7 m/s accelerates another by less than 0.001 m/s^2, at 2.2 m/s by 0.04 m/s^2.
@@ -75,10 +69,8 @@ class SocialForceSettings:
     step_time: float = OF_PRESET
     wall_strength: float = OF_PRESET
     wall_range: float = OF_PRESET
-    anisotropy: Anisotropy = "view"
     view_angle: float = 100.0
     out_of_view: float = 0.5
-    behind: float = 0.75
     top_speed_ratio: float = 1.3
     neighbor_dist: float = 5.0
     max_neighbors: int | None = None
@@ -90,11 +82,9 @@ class SocialForceSettings:
         kind, lengths = "social_force", "tau sigma wall_range top_speed_ratio neighbor_dist"
         check_range(self, kind, lengths, "a number above 0", above=True)
         check_range(self, kind, "strength step_time wall_strength fluctuation", "a number, 0 or more")
-        check_range(self, kind, "out_of_view behind", "a weight from 0 to 1", most=1)
+        check_range(self, kind, "out_of_view", "a weight from 0 to 1", most=1)
         check_range(self, kind, "view_angle", "degrees from 0 to 180", most=180)
         check_range(self, kind, "max_neighbors", "0 or more, or none")
-        if self.anisotropy not in get_args(Anisotropy):
-            raise unknown("anisotropy of social_force", self.anisotropy, get_args(Anisotropy))
         if self.dt > self.tau:
             raise UserError(
                 f"social_force: dt {self.dt}: expected at most tau, {self.tau} s: a velocity that is held "
@@ -177,12 +167,6 @@ def view_weight(force: Tensor, heading: Tensor, angle: float, out_of_view: float
     """Return the weight (K, N) of forces (2, K, N): 1 from within degrees of the heading (2, N) (eq. 8)."""
     seen = -dot(force, heading.unsqueeze(1)) >= math.cos(math.radians(angle))
     return out_of_view + (1 - out_of_view) * seen.to(force.dtype)
-
-
-def smooth_weight(offset: Tensor, heading: Tensor, behind: float) -> Tensor:
-    """Return weights (K, N) that fall from 1 in front to ``behind`` behind (Helbing et al. 2005)."""
-    cosine = -dot(direction(offset), heading.unsqueeze(1))
-    return behind + (1 - behind) * 0.5 * (1 + cosine)
 
 
 def wall_force(offset: Tensor, weight: Tensor, strength: float, reach: float) -> Tensor:
@@ -297,10 +281,7 @@ def social_force_velocity(
                 offset = offset + _apart(together, index, rows, identity.flatten(), offset.dtype)
             offset = closer(off_line(offset, heading), more)
             push, away = repulsion(offset, theirs[2:], settings.strength, settings.sigma)
-            if settings.anisotropy == "view":
-                push = push * view_weight(away, heading, settings.view_angle, settings.out_of_view)
-            elif settings.anisotropy == "smooth":
-                push = push * smooth_weight(offset, heading, settings.behind)
+            push = push * view_weight(away, heading, settings.view_angle, settings.out_of_view)
             # one after the other: a sum's rounding would depend on how many people other scenes have
             force = force + ((push if near is None else push * near) * away).cumsum(1)[:, -1]
         if walls is not None:
