@@ -140,7 +140,7 @@ def test_the_papers_network_taught_in_the_loop_keeps_clear_of_what_it_sees(blind
     assert isinstance(walker, Walker)
     if blind:  # features of somebody who is alone, or on free floor
         part = walker.model.get_submodule(blind)
-        nothing = 0.0 if blind == "pooling" else part.get_submodule("head").bias
+        nothing = 0.0 if blind == "pooling" else part.get_parameter("head.bias")
         part.register_forward_hook(lambda *seen: torch.zeros_like(seen[-1]) + nothing)
     with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
         walk = run(walker, env)
