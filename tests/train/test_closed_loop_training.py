@@ -30,7 +30,7 @@ from pedzoo.train.run import rows_of
 from pedzoo.train.validation import METRICS, ClosedLoopValidation, share
 from pedzoo.viz.video import read_video
 
-FIT = ["fit", "--config", "sgan_goal", "--data.fold", "embedded", *SHORT]
+FIT = ["fit", "--config", "sgan_goal", "--weights", "sgan_goal.zara1", "--data.fold", "embedded", *SHORT]
 QUICK = ["--model.samples=2", "--model.generator.losses.best_k=2", "--rollout.episodes=2"]
 SUCCESS = "rollout/door/success"
 BEST = ["--monitor", SUCCESS, "--monitor_mode", "max"]
@@ -78,7 +78,7 @@ def test_one_row_and_one_offline_run_have_both_kinds_of_metrics(elsewhere, tmp_p
     assert main([*FIT, *QUICK, "--wandb", "offline", "--rollout.video", "true", *BEST]) == 0
     run = Path("runs/sgan_goal/embedded-seed0")
     (result,) = measured(run)
-    assert 0 < float(result["val/ade"]) < 3 and float(result["val/fde"]) >= 0 and result["epoch"] == "0"
+    assert 0 < float(result["val/ade"]) < 1 and float(result["val/fde"]) >= 0 and result["epoch"] == "0"
     assert {f"rollout/door/{name}" for name in METRICS} <= set(result)
     assert 0 <= float(result[SUCCESS]) <= 1
     assert (run / "checkpoints" / "best.ckpt").is_file()
@@ -276,8 +276,7 @@ def test_two_processes_train_and_walk_like_one(elsewhere):
     assert main(["validate", "--ckpt_path", str(last(run)), "--json", "one.json", *alone]) == 0
     forecast, walk = (row["metrics"] for row in json.loads(Path("one.json").read_text())["rows"])
     (both,) = measured(run)
-    # people who hardly move, as untrained ones do, turn by rounding errors
-    for prefix, metrics, near in (("val", forecast, 1e-5), ("rollout/door", walk, 2e-3)):
+    for prefix, metrics in (("val", forecast), ("rollout/door", walk)):
         assert len(metrics) > 5
         for key, value in metrics.items():
-            assert float(both[f"{prefix}/{key}"]) == pytest.approx(value, rel=near), key
+            assert float(both[f"{prefix}/{key}"]) == pytest.approx(value, rel=1e-5), key
