@@ -1,5 +1,6 @@
 """Any forecaster walks: its noise, and how people began."""
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -135,13 +136,9 @@ def test_misspelt_noise_is_refused() -> None:
 @pytest.mark.parametrize("blind", [None, "pooling", "map"])
 def test_the_papers_network_taught_in_the_loop_keeps_clear_of_what_it_sees(blind: str | None) -> None:
     """No safety layer: blind to people it touches people, blind to walls it touches walls."""
-    width = "door:width=[0.7, 0.8, 0.9, 1.0, 1.2]"
-    walker, env = prepare("sgan_goal_map.indoor:safety=false", width, "compiled", 24)
-    assert isinstance(walker, Walker)
-    if blind:  # features of somebody who is alone, or on free floor
-        part = walker.model.get_submodule(blind)
-        nothing = 0.0 if blind == "pooling" else part.get_parameter("head.bias")
-        part.register_forward_hook(lambda *seen: torch.zeros_like(seen[-1]) + nothing)
+    tool = Path(__file__).parents[2] / "tools" / "zoo" / "ablations.py"
+    policy = f"{tool}:Blind:taken={blind}" if blind else "sgan_goal_map.indoor:safety=false"
+    walker, env = prepare(policy, "door:width=[0.7, 0.8, 0.9, 1.0, 1.2]", "compiled", 24)
     with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
         walk = run(walker, env)
     people, walls = (

@@ -13,7 +13,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "pedzoo"
 
-BUDGET = {"pedzoo": 44_020, "tests": 31_430, "tools": 7_600}
+BUDGET = {"pedzoo": 44_020, "tests": 31_430, "tools": 7_545}
 """Lines at most, whose sum only falls: the aim is 38,000, 28,000 and 7,000."""
 
 LONGEST, TABLES = 400, 600

@@ -16,26 +16,28 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDictBase
 from torch import Tensor
 
 from pedzoo.core.machine import versions
 from pedzoo.core.paths import shipped, write_atomically
 from pedzoo.core.spec import with_settings
+from pedzoo.core.types import STEP_SECONDS
 from pedzoo.data.datamodule import TrajectoryDataModule
 from pedzoo.eval.evaluate import evaluate
 from pedzoo.eval.forecast import forecast_row, input_rows
 from pedzoo.maps.bank import MapBank
-from pedzoo.metrics.inputs import without
-from pedzoo.models.architectures.sgan import SGAN, Architecture, Encoded
+from pedzoo.models.architectures.sgan import SGAN, Architecture
 from pedzoo.models.base import Walking
 from pedzoo.models.blocks import alexnet, map_encoders
 from pedzoo.models.blocks.map_encoders import AlexNetEncoder, Viewpoints
 from pedzoo.models.blocks.variety import VarietyLoss
 from pedzoo.models.zoo.loading import load
+from pedzoo.policies.policy import Policy
+from pedzoo.policies.walker import Walker
 from pedzoo.train.run import RunFolder
 from tools.pages.tables import table as markdown
-from tools.zoo.robots import fit_whole, is_finished, over_seeds
+from tools.zoo.robots import fit_whole, is_finished, over_seeds, with_spread
 
 EPOCHS = 24
 """Less than half of what the zoo's weights have: the changes are compared with one another."""
@@ -61,12 +63,6 @@ COLUMNS = {
     "agent_contacts_per_min": "touches of people per minute", "wall_contacts_per_min": "of walls",
 }  # fmt: skip
 
-TAUGHT = "sgan_goal_map.indoor"
-WALKED = {
-    "clean": "all through, no touch", "agent_contacts_per_min": "touches of people per minute",
-    "wall_contacts_per_min": "of walls",
-}  # fmt: skip
-
 HEADER = f"""# What each part of the paper's network does
 
 Made by `python tools/zoo/ablations.py train && python tools/zoo/ablations.py table`; as JSON: ABLATIONS.json.
@@ -75,15 +71,6 @@ their standard deviation behind ±. ADE is of the most likely forecast, 8 steps,
 others, of people with somebody within 2 m: see `pedzoo.metrics.inputs`. Walks: suite `goals`,
 `--quick`, without a safety layer.
 Numbers under different goals are of different tasks.
-"""
-
-
-LOOP_HEADER = f"""
-## What the network that was taught in the loop does with its inputs
-
-`{TAUGHT}` without a safety layer, suite `door`: an input is taken away while people walk. Without the floor
-plan they see free floor everywhere, and without others everybody is alone.
-
 """
 
 
@@ -118,25 +105,20 @@ class WholePlan(SGAN):
         self.map = _WholePlan(dim=architecture.map_dim)
 
 
-class NoPlan(SGAN):
-    """The paper's network on free floor, wherever it is."""
+class Blind(Policy):
+    """The network that was taught in the loop, without a safety layer; one of its inputs is taken away."""
 
-    def encode(self, batch: TensorDict, steps: int, alone: bool = False) -> Encoded:
-        """Return what `SGAN` makes of a batch without a map."""
-        return super().encode(without(batch, frozenset({"map"}))["map"], steps, alone)
+    def __init__(self, taken: str) -> None:
+        """Give it the features of free floor (``map``), or of somebody alone (``pooling``)."""
+        super().__init__(STEP_SECONDS)
+        self.walker = Walker(load("sgan_goal_map.indoor"), safety=False)
+        part = self.walker.model.get_submodule(taken)
+        nothing = part.get_parameter("head.bias") if taken == "map" else torch.zeros(())
+        part.register_forward_hook(lambda *seen: nothing.expand_as(seen[-1]))
 
-
-class NoOthers(SGAN):
-    """The paper's network for which everybody is alone."""
-
-    def encode(self, batch: TensorDict, steps: int, alone: bool = False) -> Encoded:
-        """Return what `SGAN` makes of a batch when the pooled features are those of nobody."""
-        assert self.pooling is not None
-        with_zeros = self.pooling.register_forward_hook(lambda *given: torch.zeros_like(given[-1]))
-        try:
-            return super().encode(batch, steps, alone)
-        finally:
-            with_zeros.remove()
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write each person's velocity (B, A, 2), m/s."""
+        return self.walker(tensordict)
 
 
 def run_of(change: str, seed: int, root: Path) -> RunFolder:
@@ -154,8 +136,7 @@ def train(one: tuple[int, str], root: Path) -> None:
     runs = run.path.parents[1]
     options = {"config": "sgan_goal_map", "data.fold": "zara1", "rollout.scenarios": "null"}
     options |= {"trainer.max_epochs": str(EPOCHS), "seed_everything": str(seed), "runs": str(runs)}
-    words = [word for key, value in (options | CHANGES[change]).items() for word in (f"--{key}", value)]
-    fit_whole(run, words, root / f"{runs.name}-{seed}.log")
+    fit_whole(run, options | CHANGES[change], root / f"{runs.name}-{seed}.log")
     print(f"{change}, seed {seed}", flush=True)
 
 
@@ -181,25 +162,6 @@ def row(change: str, seeds: list[int], root: Path) -> dict[str, Any]:
     return {"name": change, "seeds": len(seeds)} | over_seeds(by_seed)
 
 
-def in_the_loop() -> list[dict[str, Any]]:
-    """Return the doors of the weights that were taught in the loop, whole and with an input taken away."""
-    rows = []
-    for name, code in {"all inputs": "", "no floor plan": "NoPlan", "no others": "NoOthers"}.items():
-        policy = f"{__file__}:{code}:weights={TAUGHT}" if code else TAUGHT
-        report = evaluate([with_settings(policy, {"safety": False})], ["door"])
-        rows.append({"name": name} | {key: report["summary"][0][key] for key in ("n", "metrics")})
-    return rows
-
-
-def cell(row: dict[str, Any], key: str) -> str:
-    """Return a value with its spread, a dash where there is none."""
-    if key not in row["metrics"]:
-        return "-"
-    digits = 4 if key.endswith("_m") or key in ("map", "others of another scene") else 2
-    spread = row["spread"][key]
-    return f"{row['metrics'][key]:.{digits}f}" + (f" ± {spread:.{digits}f}" if spread is not None else "")
-
-
 def main() -> None:
     """Parse and run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
@@ -218,20 +180,10 @@ def main() -> None:
         for change in CHANGES
     }
     rows = [row(change, seeds, given.runs) for change, seeds in done.items() if seeds]
-    cells = [[one["name"], str(one["seeds"]), *(cell(one, key) for key in COLUMNS)] for one in rows]
+    cells = [[one["name"], str(one["seeds"]), *(with_spread(one, key) for key in COLUMNS)] for one in rows]
     page = HEADER + "\n" + markdown(["change", "seeds", *COLUMNS.values()], cells)
-    walked = in_the_loop()
-    cells = [
-        [one["name"], str(one["n"]), *(f"{one['metrics'][key]:.2f}" for key in WALKED)] for one in walked
-    ]
-    page += LOOP_HEADER + markdown(["inputs", "episodes", *WALKED.values()], cells)
     target = shipped("checkpoints") / "results"
-    report = {
-        "command": "tools/zoo/ablations.py table",
-        "versions": versions(),
-        "rows": rows,
-        "in_the_loop": walked,
-    }
+    report = {"command": "tools/zoo/ablations.py table", "versions": versions(), "rows": rows}
     write_atomically(target / "ABLATIONS.json", (json.dumps(report, separators=(",", ":")) + "\n").encode())
     write_atomically(target / "ABLATIONS.md", page.encode())
     print(page)

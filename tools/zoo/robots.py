@@ -66,8 +66,9 @@ def fit(words: list[str], log: Path) -> None:
         raise SystemExit(f"{' '.join(command)} failed: see {log}")
 
 
-def fit_whole(run: RunFolder, words: list[str], log: Path) -> None:
-    """Train a run with these words, or go on with it where it was interrupted; mark it as finished."""
+def fit_whole(run: RunFolder, options: Mapping[str, str], log: Path) -> None:
+    """Train a run with these options, or go on with it where it was interrupted; mark it as finished."""
+    words = [word for key, value in options.items() for word in (f"--{key}", value)]
     fit(["--resume", str(run.path)] if run.last.is_file() else words, log)
     (run.path / "finished").touch()
 
@@ -85,6 +86,13 @@ def over_seeds(by_seed: Sequence[Mapping[str, float]]) -> dict[str, Any]:
         "spread": {key: statistics.stdev(v) if len(v) > 1 else None for key, v in found.items()},
         "per_seed": found,
     }
+
+
+def with_spread(row: Mapping[str, Any], key: str, digits: int = 4) -> str:
+    """Return the mean of a metric and its standard deviation behind ±, nothing where there is none."""
+    spread = row.get("spread", {}).get(key)
+    text = f"{row['metrics'][key]:.{digits}f}" if key in row["metrics"] else ""
+    return text + (f" ± {spread:.{digits}f}" if spread is not None else "")
 
 
 def train(name: str, runs: Path, epochs: int | None) -> None:

@@ -29,7 +29,7 @@ from pedzoo.models.zoo.card import read_card, write_card
 from pedzoo.models.zoo.loading import load
 from pedzoo.models.zoo.publish import publish
 from tools.pages.tables import table as markdown
-from tools.zoo.robots import fit_whole, is_finished, over_seeds
+from tools.zoo.robots import fit_whole, is_finished, over_seeds, with_spread
 
 HEADER = """# Open-loop results of every seed
 
@@ -69,10 +69,9 @@ def train_one(recipe: Recipe, seed: int, root: Path) -> None:
     if is_finished(run):
         return
     options = {**recipe.options, "seed_everything": str(seed), "runs": str(recipe.runs(root))}
-    words = [word for key, value in options.items() for word in (f"--{key}", value)]
     if (weights := recipe.begins_with) and weights not in weight_files():
         raise SystemExit(f"{recipe.name} begins with {weights}: train and export these first")
-    fit_whole(run, words, root / f"{recipe.name}-{seed}.log")
+    fit_whole(run, options, root / f"{recipe.name}-{seed}.log")
     print(f"{recipe.name} seed {seed}: {recipe.monitor} {recipe.finished(root)[seed]:.4f}", flush=True)
 
 
@@ -141,7 +140,9 @@ def page(rows: list[dict]) -> str:
         pred_len, goal, fold = place
         columns = {key: title for key, title in COLUMNS.items() if any(key in row["metrics"] for row in mine)}
         lines += [f"## {fold}, goal `{goal}`, {pred_len} predicted steps, {mine[0]['n']} people\n"]
-        cells = [[row["name"], str(row["seeds"]), *(cell(row, key) for key in columns)] for row in mine]
+        cells = [
+            [row["name"], str(row["seeds"]), *(with_spread(row, key) for key in columns)] for row in mine
+        ]
         lines += [markdown(["model", "seeds", *columns.values()], cells)]
     return "\n".join(lines)
 
@@ -149,13 +150,6 @@ def page(rows: list[dict]) -> str:
 def place_of(case: dict) -> tuple[int, str, str]:
     """Return steps, goal protocol and fold; rows of earlier tables do not say how many steps."""
     return case.get("pred_len", 8), case["goal"], case["fold"]
-
-
-def cell(row: dict, key: str) -> str:
-    """Return a value with its spread, nothing where there is none."""
-    spread = row.get("spread", {}).get(key)
-    text = f"{row['metrics'][key]:.4f}" if key in row["metrics"] else ""
-    return text + (f" ± {spread:.4f}" if spread is not None else "")
 
 
 def main() -> None:
