@@ -171,11 +171,11 @@ _NUMBERS = 100_000_000
 @lru_cache(8)  # a policy meets a training set, an environment and little else
 def atlas_of(bank: MapBank, device: torch.device, weights: str | None, cell: float) -> Atlas:
     """Return AlexNet's features of every floor plan of a bank, on a device; some seconds for each plan."""
-    tensors = alexnet.load(weights) if bank.grids else {}
+    keys = [(grid.digest, bank.unknown, weights, cell) for grid in bank.grids]
+    tensors = {} if _ENCODED.keys() >= set(keys) else alexnet.load(weights)
     with torch.inference_mode(False):  # the next use may ask for gradients
         features = []
-        for grid in bank.grids:  # scenarios draw the same doors again and again
-            key = grid.digest, bank.unknown, weights, cell
+        for grid, key in zip(bank.grids, keys, strict=True):  # scenarios draw the same doors again and again
             if key not in _ENCODED:
                 _ENCODED[key] = encode(grid, bank, tensors, cell)
             _ENCODED.move_to_end(key)
