@@ -24,13 +24,13 @@ from pedzoo.data.recordings import (
     Scene,
     Split,
     find_fold,
+    grids_of,
     open_fold,
 )
 from pedzoo.data.scenes import KeptPeople, SceneSet, WindowCounts, augmentation
 from pedzoo.data.tracks import Tracks
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid
-from pedzoo.maps.plans import load_plan
 
 STAGES: dict[Split, str] = {"train": "fit", "val": "validate", "test": "test"}
 """Lightning's name for the stage that needs a split."""
@@ -151,7 +151,7 @@ class TrajectoryDataModule(L.LightningDataModule):
         self.min_people = min_people
         self.loading, self.imitated = loading, imitated
         self.source = OwnFiles(files, dt, split, map, homography) if files else open_fold(fold, root, clock)
-        self._grids: dict[Path, OccupancyGrid] = {}
+        self._grids: dict[Path | OccupancyGrid, OccupancyGrid] = {}
         self.bank = MapBank([])
         self.sets: dict[Split, SceneSet] = {}
         self.unrolled: SceneSet | None = None
@@ -179,9 +179,9 @@ class TrajectoryDataModule(L.LightningDataModule):
         real: list[Recording] = []
         if steps:
             real = recordings["train"] if self._real is self.source else self._recordings(self._real, "train")
-        plans = {recording.plan for part in (*recordings.values(), real) for recording in part}
-        if new := sorted(plan for plan in plans if plan and plan not in self._grids):
-            self._grids |= {plan: load_plan(plan) for plan in new}
+        every = [one for part in (*recordings.values(), real) for one in part]
+        if new := grids_of(one for one in every if one.plan not in self._grids):
+            self._grids |= new
             # recorded people walk where the camera did not see the floor: unknown cells are free here
             self.bank = MapBank([grid.at_home() for grid in self._grids.values()], unknown="free")
         for split in missing:
@@ -209,12 +209,14 @@ class TrajectoryDataModule(L.LightningDataModule):
             )
         return [one for one, out in zip(every, held, strict=True) if out == (split == "val")]
 
-    def crowds(self, split: Split) -> list[tuple[Tracks, int]]:
-        """Return the recordings of a split on the true clock, each with the ``map_id`` of its floor plan.
+    def crowds(self, split: Split) -> list[tuple[Tracks, int, float]]:
+        """Return the recordings of a split on the true clock, with ``map_id`` of floor plan, and weight.
 
         Their frame is that of the floor plan in the bank, see `pedzoo.data.recordings.Scene`.
         """
-        return [(one.tracks, map_id) for one, map_id in self._at_home(self._recordings(self._real, split))]
+        recordings = self._recordings(self._real, split)
+        placed = zip(self._at_home(recordings), recordings, strict=True)
+        return [(scene.tracks, map_id, one.weight) for (scene, map_id), one in placed]
 
     def _at_home(self, recordings: list[Recording]) -> list[tuple[Scene, int]]:
         """Return the scene of every recording, and the ``map_id`` of its floor plan."""

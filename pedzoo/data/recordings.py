@@ -3,7 +3,7 @@
 import inspect
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal, NamedTuple, cast
@@ -18,6 +18,7 @@ from pedzoo.core.untrusted import LARGEST_CARD, read_text
 from pedzoo.data.text_format import check_dt
 from pedzoo.data.tracks import Tracks, check_walks, doubts, rows_apart, say
 from pedzoo.maps.grid import OccupancyGrid, home_of
+from pedzoo.maps.plans import load_plan
 
 Split = Literal["train", "val", "test"]
 
@@ -26,10 +27,23 @@ OWN_FILES = "files"  # what the fold of people's own recordings is called in a p
 
 @dataclass(frozen=True)
 class Recording:
-    """One recording and its floor plan (`pedzoo.maps.plans.load_plan`), None where it has none."""
+    """One recording.
+
+    Attributes:
+        tracks: Its people.
+        plan: The floor plan: a file, as `load_plan` takes it, a drawn one, or None.
+        weight: By how much it counts in trainings that draw from recordings, beside the root of its states.
+    """
 
     tracks: Tracks
-    plan: Path | None = None
+    plan: Path | OccupancyGrid | None = None
+    weight: float = 1.0
+
+
+def grids_of(recordings: Iterable[Recording]) -> dict[Path | OccupancyGrid, OccupancyGrid]:
+    """Return the floor plans of recordings; every file is read once. Raises UserError: one is broken."""
+    plans = dict.fromkeys(one.plan for one in recordings if one.plan is not None)
+    return {plan: plan if isinstance(plan, OccupancyGrid) else load_plan(plan) for plan in plans}
 
 
 class Scene(NamedTuple):

@@ -1,6 +1,7 @@
 """Scene batches: keys, padding, goals, and augmentation that stays on its floor plan."""
 
 import math
+from pathlib import Path
 from typing import cast
 
 import numpy as np
@@ -200,7 +201,7 @@ def augmented_pair(
 @pytest.mark.parametrize("fold", ["zara1", "eth"])
 def test_augmented_people_see_the_same_walls(shared, fold):
     (recording,) = EthUcy(fold, str(shared / "data")).recordings("test")
-    assert recording.plan is not None
+    assert isinstance(recording.plan, Path)
     bank = MapBank([read_ros(recording.plan)])
     scenes = SceneSet([recording], [bank.id_of(fold)], bank, 8, 8)
     plain, turned = augmented_pair(scenes)

@@ -59,7 +59,7 @@ def test_people_walk_at_human_speeds_without_overlaps(split: Split) -> None:
 @pytest.mark.parametrize("split", list(PEOPLE))
 def test_no_person_is_inside_a_wall(split: Split) -> None:
     (recording,) = Embedded().recordings(split)
-    assert recording.plan is not None
+    assert isinstance(recording.plan, Path)
     grid = read_ros(recording.plan)
     affine = grid.map_to_cell()
     column, row = np.rint(affine[:, :2] @ recording.tracks.xy.T + affine[:, 2:]).astype(int)

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, cast
 from pedzoo.core.errors import UserError
 from pedzoo.core.registry import DATASETS
 from pedzoo.core.spec import Spec
-from pedzoo.data.recordings import Fold, find_fold, open_fold
+from pedzoo.data.recordings import Fold, find_fold, grids_of, open_fold
 from pedzoo.eval.realism import REAL, reference_rows, replay_row
 from pedzoo.eval.results import SEEN
 from pedzoo.eval.scoring.rows import HALVES, SPLITS
@@ -219,5 +219,6 @@ def digest_of(fold: str, root: str | None) -> str:
         tracks = recording.tracks
         for values in (tracks.frame, tracks.agent, tracks.xy):
             result.update(values.tobytes())
-        result.update(load_plan(recording.plan).digest.encode() if recording.plan else b"")
+        for plan in grids_of([recording]).values():
+            result.update(plan.digest.encode())
     return result.hexdigest()

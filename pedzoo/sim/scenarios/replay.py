@@ -14,12 +14,11 @@ from pedzoo.core.errors import UserError, unknown
 from pedzoo.core.geometry import passes_goal
 from pedzoo.core.randomness import Draws
 from pedzoo.core.types import GOAL_RADIUS, STEP_SECONDS
-from pedzoo.data.recordings import OpenFold, OwnFiles, Scene, find_fold, open_fold
+from pedzoo.data.recordings import OpenFold, OwnFiles, Scene, find_fold, grids_of, open_fold
 from pedzoo.maps.bank import MapBank
 from pedzoo.maps.grid import OccupancyGrid, Unknown
 from pedzoo.maps.planning.guidance import Guidance
 from pedzoo.maps.planning.planner import Planner, planner_class
-from pedzoo.maps.plans import load_plan
 from pedzoo.sim import kernel
 from pedzoo.sim.dynamics import substeps
 from pedzoo.sim.episodes import Episodes
@@ -116,7 +115,7 @@ class Replay(Scenario):
     def _scenes(self) -> list[Scene]:
         """Return the recordings with their floor plans, every file of which is read once."""
         recordings = self._source.recordings("test")
-        read = {one.plan: load_plan(one.plan) for one in recordings if one.plan}
+        read = grids_of(recordings)
         return [Scene.of(one.tracks, read[one.plan] if one.plan else None) for one in recordings]
 
     def prepare(self, clearance: float, planner: str = Planner.name) -> PreparedReplay:

@@ -129,10 +129,10 @@ class CrowdModule(ForecastModule):
         if stage != "fit" or data is None:
             return
         planner = self._planner = Planner(data.bank, CLEARANCE, cell=CELL)
-        crowds = [RecordedCrowd.of(tracks, map_id, planner) for tracks, map_id in data.crowds("train")]
+        crowds = [RecordedCrowd.of(tracks, at, planner) for tracks, at, _ in data.crowds("train")]
         self._crowds = [crowd for crowd in crowds if int(crowd.walks.sum()) >= _FEWEST]
         self._shares = torch.tensor([float(crowd.walks.sum()) ** 0.5 for crowd in self._crowds])
-        unseen = [RecordedCrowd.of(tracks, map_id, planner) for tracks, map_id in data.crowds("val")]
+        unseen = [RecordedCrowd.of(tracks, at, planner) for tracks, at, _ in data.crowds("val")]
         self._unseen = [crowd for crowd in unseen if int(crowd.walks.sum()) >= _FEWEST]
         if not self._crowds:
             raise UserError(
