@@ -20,6 +20,7 @@ MADE = {
     "table2": ("table2.Table2", f"{_WALKED} maps"),
     "figure4": ("figure4.Figure4", _WALKED),
     "loop": ("loop.Loop", f"{_WALKED} maps data_root"),
+    "gc": ("gc.GrandCentral", "models data_root"),
     "crowdnav": ("crowdnav.Crowdnav", "models episodes"),
     "robots": ("robots.RobotTransfer", f"{_WALKED} data_root"),
 }
@@ -31,10 +32,11 @@ forecasting  a best of 20 with a floor: centroids, networks on them, published r
 table2   from goal to goal: total steps, goals per person, steps per goal, at two speeds
 figure4  two people at a narrow door: who is blocked, who circles, who passes; with a picture
 loop     what controllers trained in the loop have to show: doors, buildings, crowds, noise, recorded people
+gc       people of Grand Central from 2 s of history to their exits, as PCS and SPDiff are judged
 crowdnav robots among CrowdNav's 5 and CrowdNav++'s 20 people; --models names robots, or FILE.py:Class
 robots   robots trained among each kind of people, tested among all others and in a recorded crowd
 
-Writes TABLE1.md and .json, TABLE2, FIGURE4, LOOP, FORECASTING, CROWDNAV, ROBOTS.
+Writes TABLE1.md and .json, TABLE2, FIGURE4, LOOP, FORECASTING, GC, CROWDNAV, ROBOTS.
 What was interrupted goes on."""
 
 _FLAGS = {"data_root": "data.root", "maps": "map"}
