@@ -29,9 +29,6 @@ DATA = f"{ANY} --data.fold embedded --data.loading.batch_size=8 --trainer.limit_
 DATA += " --trainer.limit_val_batches=1"
 SHORT, OFTEN = f"{DATA} --model.samples=2", "--trainer.check_val_every_n_epoch=1"
 TWO = "--trainer.devices=2 --trainer.strategy=ddp_find_unused_parameters_true"
-PPO = f"--weights sgan_goal.eth_ucy {SHORT} {OFTEN} --model.collection.envs=2 --model.collection.steps=3"
-PPO += " --model.optimisation.passes=2 --model.optimisation.minibatches=2 --model.scenarios=[hallway]"
-PPO += " --rollout.episodes=2 --rollout.scenarios=hallway --monitor=val/ade --monitor_mode=min"
 LOOP = f"{DATA} {OFTEN} --rollout.scenarios=[hallway] --rollout.episodes=2 --model.steps=2"
 LOOP += " --model.courses='[{scenario: hallway, scenes: 4}]'"
 ROBOT = f"{ANY} {OFTEN} --model.envs=4 --model.steps=8 --model.updates=2 --model.episodes=2"
@@ -43,7 +40,8 @@ TRAININGS = {
         "sgan": f"sgan {SHORT}",
         "sgan in two processes": f"sgan {SHORT} {TWO}",
         "anchor_net": f"anchor_net {SHORT} --monitor=val/ade",
-        "PPO in two processes": f"ppo/sgan_goal {PPO} {TWO}",
+        "likelihood": f"open_loop/mdn_walker {DATA} {OFTEN} --model.states=400",
+        "self-play": f"closed_loop/mdn_walker {DATA} {OFTEN} --model.steps=4 --model.states=400",
         "closed_loop/approach_net_goal": f"closed_loop/approach_net_goal {LOOP}",
         "closed_loop/social_walker": f"closed_loop/social_walker {LOOP} --trainer.max_epochs=3",
         "robot/ppo": f"robot/ppo {ROBOT}=\"['crowdnav:crowds=16']\"",

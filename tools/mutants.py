@@ -34,7 +34,7 @@ MODULES: dict[str, tuple[str, str]] = {
         "--ignore=tests/metrics/test_two_sample.py",
     ),
     "rewards": (
-        "pedzoo/sim/robots/rewards.py pedzoo/train/ppo/people.py",
+        "pedzoo/sim/robots/rewards.py pedzoo/train/ppo/self_play.py",
         "tests/sim/test_robot_env.py tests/train/test_ppo.py -k rewards+reward_adds+negative",
     ),
     "losses": (
@@ -72,7 +72,6 @@ EQUIVALENT = {
     "metrics/arrival.py": ("number.numel() else 1",),
     "metrics/realism/walks.py": ("scatter_reduce( -1",),
     "metrics/ratios.py": ("(at,))[:, -1]",),
-    "train/ppo/people.py": ('["pref_speed"][..., -1]',),
     "models/blocks/variety.py": ("zeros_like(z[", "self.best_k >= 1", "self.best_k > 0"),
     "maps/planning/graph.py": ("< _KEPT",),
     "models/blocks/people/pooling.py": (

@@ -15,7 +15,7 @@ from pedzoo.core.bodies import UNICYCLE
 from pedzoo.core.errors import UserError
 from pedzoo.eval.rollout import rollout
 from pedzoo.sim.env import PedestrianEnv
-from pedzoo.train.ppo.people import Reward
+from pedzoo.train.ppo.self_play import Rewards
 
 ROBOT = '''
     """A unicycle that turns to its short-term goal, and drives there as fast as it looks that way."""
@@ -221,13 +221,14 @@ def test_a_reward(folder: Path) -> None:
     before["agents", "action"] = torch.tensor([[[0.5, 0.0], [1.2, 0.0], [0.0, 0.1], [0.0, -1.0]]])
     after = env.step(before)["next"]
     terms = {f"{folder / 'reward.py'}:slow": 3.0}
-    more = Reward(terms=terms)(before, after) - Reward()(before, after)
+    more = Rewards(terms=terms)(before, after) - Rewards()(before, after)
     speed = after["agents", "velocity"].norm(dim=-1)
-    assert more.tolist() == torch.where(speed < 0.8, 3.0, 0.0).tolist() and 0 < int((more > 0).sum()) < 4
+    torch.testing.assert_close(more, torch.where(speed < 0.8, 3.0, 0.0))
+    assert 0 < int((more > 0).sum()) < 4
     with pytest.raises(UserError, match="did you mean 'slow'"):
-        Reward(terms={f"{folder / 'reward.py'}:slwo": 1.0})
+        Rewards(terms={f"{folder / 'reward.py'}:slwo": 1.0})(before, after)
     with pytest.raises(UserError, match=r"expected the reward of all agents \(1, 4\), not \(\)"):
-        Reward(terms={f"{folder / 'reward.py'}:scalar": 1.0})(before, after)
+        Rewards(terms={f"{folder / 'reward.py'}:scalar": 1.0})(before, after)
 
 
 def test_what_is_no_physics_is_refused(folder: Path) -> None:

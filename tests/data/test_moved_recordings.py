@@ -30,7 +30,7 @@ FAR = [np.array([10_000.37, -9_871.11]), np.array([500_000.5, 4_649_776.25])]
 FORECASTERS = (
     *("anchor_mlp.zara1", "anchor_net_goal.zara1", "anchors.zara1", "bent_line", "constant_velocity"),
     *("sgan_nopool.zara1", "sgan.zara1", "approach_net_goal_map.indoor"),
-    *("social_vrnn.zara1", "social_walker.eth_ucy", "straight_line"),
+    *("social_vrnn.zara1", "social_walker.eth_ucy", "straight_line", "mdn_walker.likelihood"),
 )
 """Weights of every architecture, with and without a goal and a floor plan."""
 

@@ -317,13 +317,16 @@ def test_damaged_records_of_a_run_are_told(name, content, tmp_path):
                 ("open_loop/approach_net_goal_map", "zara1", "approach_net_goal_map.controller_open_zara1"),
                 ("closed_loop/approach_net_goal_map", "eth_ucy", "approach_net_goal_map.indoor"),
                 ("closed_loop/approach_net_goal", "hotel", "approach_net_goal.indoor_hotel"),
-                ("ppo/sgan_goal", "eth_ucy", "sgan_goal.eth_ucy_ppo"),
                 ("closed_loop/social_walker", "zara1", "social_walker.zara1"),
                 ("closed_loop/social_walker_styled", "zara1", "social_walker.styled_zara1"),
                 ("closed_loop/social_walker_styled", "eth_ucy", "social_walker.styled"),
             )
             for clock in ("true", "benchmark")
         ),
+        ("open_loop/mdn_walker", {"fold": "mixed"}, "mdn_walker.likelihood"),
+        ("open_loop/mdn_walker", {"fold": "mixed_halls"}, "mdn_walker.likelihood_halls"),
+        ("closed_loop/mdn_walker", {"fold": "mixed"}, "mdn_walker.mixed"),
+        ("closed_loop/mdn_walker", {"fold": "mixed_zara1"}, "mdn_walker.zara1"),
     ],
 )
 def test_names_say_what_was_not_seen_and_what_is_unusual(config, changed, name):

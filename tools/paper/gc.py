@@ -38,8 +38,8 @@ STRAIGHT = "straight at one's speed"
 """The floor: to the exit, as fast as in the first 2 s."""
 
 POLICIES = (
-    *("mdn_walker.mixed", "mdn_walker.mixed:safety=false", "mdn_walker.likelihood", "social_walker.styled"),
-    *("approach_net_goal_map.indoor", "sgan_goal.eth_ucy", "orca:radius=0.2", "social_force:preset=indoor"),
+    *("mdn_walker.mixed", "mdn_walker.mixed:safety=false", "mdn_walker.likelihood:safety=false"),
+    *("social_walker.styled", "approach_net_goal_map.indoor", "orca:radius=0.2"),
 )
 
 PUBLISHED = {"PCS": (1.03, 1.60, None, None), "SPDiff": (0.91, 1.33, 0.009, 810)}

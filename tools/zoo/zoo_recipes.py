@@ -25,6 +25,7 @@ GOALS: dict[str, GoalProtocol] = {
     "closed_loop/social_walker_styled": "destination",
     "anchors": "none", "anchor_mlp": "none", "anchor_net": "none",
     "anchor_net_goal_destination": "destination",
+    **dict.fromkeys(("open_loop/mdn_walker", "closed_loop/mdn_walker"), "destination"),
 }  # fmt: skip
 """Goal protocols of the configs that are not trained for ``window_end``."""
 
@@ -63,6 +64,8 @@ class Recipe:
         """The validation metric that chooses checkpoint and seed: what the model is made for."""
         if self.on_crowds:
             return "val/unlike"
+        if self.config.endswith("mdn_walker"):
+            return "rollout/stl" if self.folder == "closed_loop" else "val/nll"
         if self.folder == "closed_loop":
             return "val/ade" if self.config == "closed_loop/sgan_goal_map" else "rollout/stl"
         if self.config in ANCHORED:
@@ -96,7 +99,7 @@ class Recipe:
         options = {"config": self.config, "data.fold": self.fold, "monitor": self.monitor}
         if self.begins_with:
             options |= {"weights": self.begins_with, "monitor_mode": self.best.__name__}
-            if self.fold != EVERYTHING:
+            if self.fold in SCENES:
                 # five trainings for replays of unseen folds alone: half as long each
                 options["trainer.max_epochs"] = "7"
         else:
@@ -148,6 +151,11 @@ RECIPES = [
     *(Recipe("open_loop/approach_net_goal_map", fold) for fold in SCENES),
     *(Recipe("closed_loop/approach_net_goal_map", fold, seeds=1) for fold in SCENES),
     *(Recipe(f"{half}/anchor_net_goal_map", fold, seeds=1) for half in CONTROLLER for fold in SCENES),
+    *(
+        Recipe(f"{stage}/mdn_walker", fold, seeds=1)
+        for stage in ("open_loop", "closed_loop")
+        for fold in ("mixed", *(f"mixed_{scene}" for scene in SCENES))
+    ),
     *(
         Recipe(f"closed_loop/social_walker{end}", fold)
         for end in ("", "_indoor", "_styled")

@@ -118,8 +118,15 @@ def zoo_name(config: str, protocol: Mapping[str, Any]) -> str:
     What differs from the usual follows: ``sgan.zara1_pred12``, ``sgan_goal.zara1_destination``. The usual
     clock is the benchmark's, and the true one for weights that saw every scene and for controllers. Those are
     ``.controller_open_zara1`` (``open_loop/``), ``.indoor_zara1`` and ``.styled_zara1`` (``closed_loop/``),
-    without a scene if they saw all; of ``ppo/sgan_goal`` comes ``sgan_goal.eth_ucy_ppo``.
+    without a scene if they saw all. Of ``closed_loop/mdn_walker`` on ``mixed_zara1`` comes
+    ``mdn_walker.zara1``, and of its first stage ``.likelihood_zara1``.
     """
+    if config.endswith("/mdn_walker"):
+        parts = (
+            "likelihood" * (config == "open_loop/mdn_walker"),
+            protocol["fold"].removeprefix("mixed").removeprefix("_"),
+        )
+        return f"mdn_walker.{'_'.join(filter(None, parts)) or 'mixed'}"
     folder, _, config = config.rpartition("/")
     whole_walks = config in WHOLE_WALKS
     fold = find_fold(protocol["fold"])

@@ -1,7 +1,7 @@
 """What all trainings by PPO share: decisions by TorchRL's collector, advantages, and passes over them."""
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import inf
 from typing import Any, cast
@@ -117,14 +117,23 @@ class Gatherer:
             self.env.physics.close()
 
 
-def actor(mean: TensorDictModuleBase, group: str, action: str) -> ProbabilisticActor:
-    """Return TorchRL's actor: writes ``action`` (B, A, 2) of a group by ``loc`` and ``scale`` of ``mean``."""
-    parameters: Any = {"loc": (group, "loc"), "scale": (group, "scale")}
+def actor(
+    mean: TensorDictModuleBase,
+    group: str,
+    action: str,
+    names: Sequence[str] = ("loc", "scale"),
+    distribution: Any = IndependentNormal,
+) -> ProbabilisticActor:
+    """Return TorchRL's actor: writes ``action`` (B, A, 2) of a group.
+
+    ``names`` are the arguments of the ``distribution``, which ``mean`` writes.
+    """
+    parameters: Any = {name: (group, name) for name in names}
     return ProbabilisticActor(
         cast("TensorDictModule", mean),
         in_keys=parameters,
         out_keys=[(group, action)],
-        distribution_class=IndependentNormal,
+        distribution_class=distribution,
         default_interaction_type=InteractionType.RANDOM,
         return_log_prob=True,
         log_prob_key=(group, "log_prob"),
