@@ -1,12 +1,15 @@
 """Numbers that a change of structure must not move: walks, trainings, scores and forecasts.
 
-`python tests/test_goldens.py` writes `goldens.json` anew, for a change that is meant to move them.
+Processors round sums differently, and walks that pass closely part from there: `goldens.json` has the numbers
+of two kinds. `python tests/test_goldens.py` writes those of this processor anew, for a change that is meant to
+move them; the other kind's have to be made there.
 """
 
 import csv
 import json
 import tempfile
 from pathlib import Path
+from platform import machine
 from typing import Any
 
 import pytest
@@ -79,6 +82,12 @@ def forecast(weights: str) -> dict[str, float]:
     return next(row["metrics"] for row in rows if row["name"] == weights)
 
 
+def processor() -> str:
+    """Return who made this one: ``AuthenticAMD``, ``GenuineIntel``, or its kind where nobody says it."""
+    lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").is_file() else []
+    return next((line.split(":")[1].strip() for line in lines if "vendor_id" in line), machine())
+
+
 KINDS: dict[str, tuple[Any, list[tuple[str, ...]]]] = {
     "walks": (walked, [(policy, scene) for policy in POLICIES for scene in SCENES]),
     "losses": (trained, [(config,) for config in TRAININGS]),
@@ -93,11 +102,13 @@ CASES = [(kind, case) for kind, (_, cases) in KINDS.items() for case in cases]
 @pytest.mark.parametrize("kind,case", CASES, ids=[" ".join((kind, *case)) for kind, case in CASES])
 def test_numbers_have_not_moved(kind: str, case: tuple[str, ...], monkeypatch) -> None:
     monkeypatch.setitem(TREES, "max_iter", 5)  # the classifier's numbers are not here
-    expected = json.loads(FILE.read_text())[kind][" ".join(case)]
-    assert KINDS[kind][0](*case) == pytest.approx(expected, abs=1e-5, rel=1e-5, nan_ok=True)
+    known = [numbers[kind][" ".join(case)] for numbers in json.loads(FILE.read_text()).values()]
+    got = KINDS[kind][0](*case)
+    assert any(got == pytest.approx(one, abs=1e-5, rel=1e-5, nan_ok=True) for one in known), got
 
 
 if __name__ == "__main__":
     torch.set_num_threads(1)
     numbers = {kind: {" ".join(case): make(*case) for case in cases} for kind, (make, cases) in KINDS.items()}
-    FILE.write_text(json.dumps(numbers, separators=(",", ":")) + "\n")
+    known = json.loads(FILE.read_text()) | {processor(): numbers}
+    FILE.write_text(json.dumps(known, separators=(",", ":")) + "\n")

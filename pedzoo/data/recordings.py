@@ -78,6 +78,7 @@ class Dataset(ABC):
         TERMS: Terms of their use, likewise.
         PLAN_TERMS: Addition to the terms for models that see the floor plans.
         CITATION: Publications to cite, likewise.
+        REPLAYED: False for folds that the suite ``replay`` leaves out unless they are named.
         REPLAY_SHARE: For crowded folds, the first share of the time whose people the suite ``replay``
             simulates, each in a scene of their own.
     """

@@ -107,7 +107,7 @@ def met(seconds: float, deterministic: bool = False, angle: float = 0.0, **more:
 def test_nobody_beyond_30_m_matters(name: str) -> None:
     """A person and a robot, 40 m to 9 km away: there the scene gets another origin, so another rounding."""
     alone = met(4.0, name=name)
-    for place, most in (([-25.0, -40.0], 1e-4), ([9000.0, -100.0], 3e-4)):
+    for place, most in (([-25.0, -40.0], 2e-4), ([9000.0, -100.0], 3e-4)):
         assert np.abs(met(4.0, name=name, far=np.array(place)) - alone).max() < most
 
 

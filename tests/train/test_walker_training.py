@@ -106,12 +106,10 @@ def test_draws_of_next_velocities_have_the_likelihood_of_changes():
     likely = one.log_prob(drawn)
     assert float(likely[0].detach()) == pytest.approx(0.0, abs=1e-6)
     assert likely.isfinite().all() and one.entropy().shape == (3,)
-    assert (
-        one.log_prob(drawn)[1]
-        == change._replace(hold=hold.hold).log_prob(
-            _turned_back(drawn, ahead) - before, torch.tensor([True, False, False])
-        )[1]
-    )
+    held = torch.tensor([True, False, False])
+    same = hold.log_prob(_turned_back(drawn, ahead) - before, held)
+    # a density near a narrow Gaussian turns rounding of a velocity into nats
+    assert float(likely[1].detach()) == pytest.approx(float(same[1].detach()), abs=1e-2)
 
 
 def _turned_back(velocity: torch.Tensor, ahead: torch.Tensor) -> torch.Tensor:

@@ -19,6 +19,7 @@ class Gc(FilesDataset):
     VALIDATED: ClassVar = ["gc_760"]
     DT: ClassVar = 0.08
     PHASES: ClassVar = (0, 2)
+    REPLAYED: ClassVar = False
     SOURCE: ClassVar = (
         "Grand Central Station; clips in https://github.com/tsinghua-fib-lab/SPDiff, data_origin/GC_dataset"
     )

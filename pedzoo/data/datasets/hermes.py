@@ -22,6 +22,7 @@ class Hermes(FilesDataset):
     VALIDATED: ClassVar = ["hermes_bot-360-075-075", "hermes_uo-145-240-240"]
     DT: ClassVar = 0.0625
     PHASES: ClassVar = (0, 3)
+    REPLAYED: ClassVar = False
     SOURCE: ClassVar = "HERMES; by way of https://github.com/crowdbotp/OpenTraj, datasets/HERMES/Corridor-2D"
     TERMS: ClassVar = "no licence stated: cite"
     CITATION: ClassVar = (

@@ -42,6 +42,7 @@ class Mixed(Dataset):
         "mixed_two_way": ["hermes_bo"],
     }
     ALWAYS_TRAINED: ClassVar = ["crowds_zara03", "uni_examples"]
+    REPLAYED: ClassVar = False
     SOURCE: ClassVar = (
         "ETH/UCY, Grand Central, HERMES and PAMELA: see the datasets eth_ucy, gc, hermes, pamela"
     )

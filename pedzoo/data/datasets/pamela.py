@@ -16,6 +16,7 @@ class Pamela(FilesDataset):
     VALIDATED: ClassVar = ["pamela_S1_run2"]
     DT: ClassVar = 0.08
     PHASES: ClassVar = (0, 1, 2, 3)
+    REPLAYED: ClassVar = False
     SOURCE: ClassVar = "UCL PAMELA; https://github.com/akaimody123/PAMELA_dataset"
     TERMS: ClassVar = "no licence stated: research use"
     CITATION: ClassVar = "UCL PAMELA pedestrian and robot trajectories (Jia and others)"

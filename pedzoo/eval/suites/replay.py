@@ -177,7 +177,8 @@ def _folds(options: EvaluationOptions) -> dict[str, Fold]:
     for fold in result:
         open_fold(fold, options.root, "true")
     for name in () if result else DATASETS.names():
-        folds = DATASETS.constant(name, "FOLDS") or {}
+        asked = DATASETS.constant(name, "REPLAYED") is not False
+        folds = (DATASETS.constant(name, "FOLDS") or {}) if asked else {}
         for fold in (fold for fold, tested in folds.items() if tested and fold != EMBEDDED):
             try:
                 open_fold(fold, options.root, "true")
