@@ -1,8 +1,8 @@
 """Numbers that a change of structure must not move: walks, trainings, scores and forecasts.
 
-Processors round sums differently, and walks that pass closely part from there: `goldens.json` has the numbers
-of two kinds. `python tests/test_goldens.py` writes those of this processor anew, for a change that is meant to
-move them; the other kind's have to be made there.
+Processors round sums differently, and walks that pass closely part from there: `goldens.json` has the
+numbers of two kinds. `python tests/test_goldens.py` writes those of this processor anew, for a change that
+is meant to move them; the other kind's have to be made there.
 """
 
 import csv
