@@ -151,7 +151,8 @@ def test_rewards_are_those_that_the_weights_say():
     touched, hit = (cast("Tensor", info[key]).any(-1).float() for key in ("agent_contact", "wall_contact"))
     progress = seen["next", "agents", "reward"][..., 0] + ((touched + hit) > 0).float()
     after = cast("TensorDict", seen["next", "agents"])
-    fast = (after["velocity"].norm(dim=-1) - after["pref_speed"][..., 0]).clamp_min(0)
+    speed = cast("Tensor", after["velocity"]).norm(dim=-1)
+    fast = (speed - after["pref_speed"][..., 0]).clamp_min(0)
     wanted = 2 * progress - 3 * touched - 5 * hit - 7 * fast - 0.25
     scored = lived["agents", "scored"]
     got = lived["next", "agents", "reward"][..., 0]

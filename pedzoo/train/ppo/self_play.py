@@ -203,7 +203,8 @@ class Rewards:
         info = cast("TensorDict", then["info"])
         touched, hit = (cast("Tensor", info[f"{what}_contact"]).any(-1) for what in ("agent", "wall"))
         progress = then["reward"][..., 0] + CONTACT_COST * (touched | hit)
-        fast = (then["velocity"].norm(dim=-1) - then["pref_speed"][..., 0]).clamp_min(0)
+        speed = cast("Tensor", then["velocity"]).norm(dim=-1)
+        fast = (speed - then["pref_speed"][..., 0]).clamp_min(0)
         cost = self.touch * touched + self.wall * hit + self.overspeed * fast
         reward: Tensor = self.progress * progress - cost - self.time
         for name, weight in self.terms.items():
