@@ -55,7 +55,7 @@ class Mixed(Dataset):
         "of ETH"
     )
     CITATION: ClassVar = (
-        """Find the files of all kinds below ``root`` or PEDZOO_DATA. Raises UserError: there are none."""
+        "Pellegrini et al., ICCV 2009; Lerner et al., Computer Graphics Forum 26(3), 2007; Yi, Li, Wang, CVPR "
         "2015; Zhang et al., KDD 2022; HERMES 2009, ped.fz-juelich.de; UCL PAMELA"
     )
 

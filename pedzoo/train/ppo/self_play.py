@@ -1,6 +1,6 @@
 """Self-play: people who all walk by one network learn from rewards, anchored to what recorded people do.
 
-The third stage of a walker. Scenes have no safety layer, so that people have to keep clear by themselves.
+The second stage of a walker. Scenes have no safety layer, so that people have to keep clear by themselves.
 What they do is rewarded, and so is being likely under the reference, the network before this stage (SPACeR,
 arXiv 2510.18060); updates go on to maximise the likelihood of recorded states, too.
 """
