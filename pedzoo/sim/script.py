@@ -41,6 +41,12 @@ class ScriptScenes(NamedTuple):
     lead: Tensor
     others: Tensor
 
+    @classmethod
+    def of_excerpts(cls, table: Tensor, begin: Tensor, steps: int) -> ScriptScenes:
+        """Return scenes that begin at frames (R,) long, last for so many steps, and have no lead."""
+        no_lead, all_others = torch.full_like(begin, -1), torch.ones_like(begin, dtype=torch.bool)
+        return cls(table, begin, begin + steps + 1, begin, begin + steps, no_lead, all_others)
+
 
 class Script:
     """Moves people as they were recorded, and says which are there.

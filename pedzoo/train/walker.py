@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, NamedTuple, cast
 
 import torch
@@ -9,15 +10,25 @@ from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from tensordict import TensorDict
 from torch import Tensor
 
-from pedzoo.core.errors import UserError, at_least_zero
+from pedzoo.core.errors import UserError, at_least_one, at_least_zero
 from pedzoo.core.geometry import unrotate
+from pedzoo.core.randomness import Draws
+from pedzoo.core.types import OBS_LEN, STEP_SECONDS
 from pedzoo.data.tracks import Tracks
 from pedzoo.maps.planning.planner import Planner
-from pedzoo.models.architectures.mdn_walker import HELD, Features, MdnWalker
+from pedzoo.models.architectures.mdn_walker import Features, MdnWalker
+from pedzoo.models.blocks.held_mixture import HELD
+from pedzoo.sim.dynamics import substeps
+from pedzoo.sim.episodes import Episodes
 from pedzoo.sim.make import CLEARANCE
-from pedzoo.sim.scenarios.replay import CELL
+from pedzoo.sim.observation import observed
+from pedzoo.sim.physics.compiled import Compiled
+from pedzoo.sim.recorded_people import people_of
+from pedzoo.sim.scenario import rules_of
+from pedzoo.sim.scenarios.replay import CELL, PreparedReplay, Replay
+from pedzoo.sim.script import Script, ScriptScenes
+from pedzoo.sim.state import TRACE_PER_STEP
 from pedzoo.train.module import ForecastModule
-from pedzoo.train.recorded_states import RecordedStates
 
 Crowd = tuple[Tracks, int, float]
 """As of `TrajectoryDataModule.crowds`."""
@@ -27,6 +38,57 @@ NEVER = 1000.0
 
 AT_ONCE = 48
 """Scenes whose people are looked at together."""
+
+
+class RecordedScenes(NamedTuple):
+    """B scenes at one moment of a recording, and how their people went on."""
+
+    batch: TensorDict  # the scene batch (B,)
+    mine: Tensor  # which people a policy moves, of whom the steps before and after are known (B, A) bool
+    velocity: Tensor  # recorded velocities (B, A, 2), m/s: in the last step ...
+    following: Tensor  # ... and in the next one
+
+
+class RecordedStates:
+    """One recording, at any frame of which scenes can begin."""
+
+    def __init__(self, tracks: Tracks, map_id: int, weight: float, planner: Planner) -> None:
+        """Take tracks at 0.4 s in the frame of their floor plan, -1 for none, and how much they count."""
+        tables = torch.tensor([map_id])
+        people, xy = people_of([tracks], planner.bank.index(tables).tolist(), planner)
+        self.weight = weight
+        self._script, self._physics = Script.of_recordings(people, xy), Compiled(planner.bank)
+        self._whole = PreparedReplay(
+            scenario=Replay(), planner=planner, tables=tables, script=self._script, home=torch.zeros(1, 2)
+        )
+        frame = torch.arange(int(people.last.max()))
+        moved = people.controlled.unsqueeze(1) & (people.handover.unsqueeze(1) <= frame)
+        count = (moved & (people.last.unsqueeze(1) > frame)).sum(0)
+        self.frames = frame[count > 0]
+        """Frames in which somebody can be moved (F,) long."""
+        self.states = int(count.sum())
+        """States of people in them."""
+
+    def excerpts(self, begin: Tensor, steps: int) -> PreparedReplay:
+        """Return a replay of scenes that begin at frames (B,) long and last for so many steps."""
+        scenes = ScriptScenes.of_excerpts(torch.zeros_like(begin), begin, steps)
+        script = Script(self._script.people, self._script.xy, self._script.occupants, scenes)
+        return dataclasses.replace(self._whole, script=script)
+
+    def scenes(self, begin: Tensor) -> RecordedScenes:
+        """Return the scenes at frames ``begin`` (B,) long."""
+        prepared = self.excerpts(begin, 1)
+        script, people = prepared.script, prepared.persons
+        rules = rules_of(prepared, TRACE_PER_STEP, substeps(prepared.fastest_agent))
+        episodes = Episodes(prepared, "recorded", self._physics, rules)
+        state = episodes.begin(Draws.for_episodes(0, torch.arange(len(begin))))
+        person, now = state.person, begin.unsqueeze(1).expand_as(state.person)
+        batch = observed(state, rules.guidance(state), prepared.bank)
+        first = people.first[person].unsqueeze(2) + torch.arange(OBS_LEN)
+        batch["agents", "first_history"] = script.places(person.unsqueeze(2).expand_as(first), first)
+        mine = state.decides & (person >= 0) & (people.first[person] < now) & (people.last[person] > now)
+        before, here, after = (script.places(person, now + more) for more in (-1, 0, 1))
+        return RecordedScenes(batch, mine, (here - before) / STEP_SECONDS, (after - here) / STEP_SECONDS)
 
 
 class Targets(NamedTuple):
@@ -74,13 +136,10 @@ class WalkerModule(ForecastModule):
         """
         super().__init__(generator, **options)
         at_least_zero("--model.", jitter=jitter, forget=forget, weight_decay=weight_decay)
-        if min(states, states_per_step, epochs_per_draw) < 1:
-            raise UserError(
-                f"states {states}, states_per_step {states_per_step}, epochs_per_draw {epochs_per_draw}: "
-                "expected at least 1"
-            )
         self.automatic_optimization = False
-        self.states, self.states_per_step, self.epochs_per_draw = states, states_per_step, epochs_per_draw
+        self.states = at_least_one("--model.states", states)
+        self.states_per_step = at_least_one("--model.states_per_step", states_per_step)
+        self.epochs_per_draw = at_least_one("--model.epochs_per_draw", epochs_per_draw)
         self.jitter, self.forget, self.weight_decay = jitter, forget, weight_decay
         self._recordings: list[RecordedStates] = []
         self._unseen: list[RecordedStates] = []

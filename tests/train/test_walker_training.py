@@ -21,8 +21,7 @@ from pedzoo.models.architectures.mdn_walker import Architecture, MdnWalker
 from pedzoo.sim.make import make_env
 from pedzoo.train.closed_loop.segments import Course
 from pedzoo.train.ppo.self_play import NextVelocity, Rewards, Seeing, SelfPlayModule, seen_in
-from pedzoo.train.recorded_states import RecordedStates
-from pedzoo.train.walker import WalkerModule
+from pedzoo.train.walker import RecordedStates, WalkerModule
 
 pytestmark = LIGHTNING_MARKS
 

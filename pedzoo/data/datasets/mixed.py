@@ -55,8 +55,8 @@ class Mixed(Dataset):
         "of ETH"
     )
     CITATION: ClassVar = (
-        "Pellegrini et al., ICCV 2009; Lerner et al., Computer Graphics Forum 26(3), 2007; Yi, Li, Wang, CVPR "
-        "2015; Zhang et al., KDD 2022; HERMES 2009, ped.fz-juelich.de; UCL PAMELA"
+        "Pellegrini et al., ICCV 2009; Lerner et al., Computer Graphics Forum 26(3), 2007; Yi, Li, Wang, "
+        "CVPR 2015; Zhang et al., KDD 2022; HERMES 2009, ped.fz-juelich.de; UCL PAMELA"
     )
 
     def __init__(self, fold: str, root: str | None, clock: TimeBase = "true") -> None:

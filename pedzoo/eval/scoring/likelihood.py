@@ -137,11 +137,9 @@ def _with_roles(parts: RecordedPeople, people: RecordedPeople) -> RecordedPeople
 def _scenes(parts: RecordedPeople, windows: int) -> tuple[Tensor, ScriptScenes]:
     """Return who is in which slot, and the scenes of windows."""
     number = torch.arange(windows)
-    begin = torch.full_like(number, OBS_LEN - 1)
-    no_lead, others = torch.full_like(number, -1), torch.ones_like(number, dtype=torch.bool)
-    ends = begin + STEPS + 1, begin, begin + STEPS
     occupants = occupants_of(parts.recording, parts.first, parts.removal.clamp_max(OBS_LEN + STEPS))
-    return occupants, ScriptScenes(number, begin, *ends, no_lead, others)
+    begin = torch.full_like(number, OBS_LEN - 1)
+    return occupants, ScriptScenes.of_excerpts(number, begin, STEPS)
 
 
 def joint_rollouts(windows: JointWindows, parts: Iterable[Rollout]) -> JointRollouts:

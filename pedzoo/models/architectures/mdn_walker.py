@@ -23,7 +23,7 @@ from pedzoo.models.blocks.held_mixture import HELD, Change
 from pedzoo.models.blocks.map_encoders import Viewpoints, rings
 from pedzoo.models.blocks.mlp import mlp
 from pedzoo.models.blocks.people.style import STYLE_DIM, style_of
-from pedzoo.models.blocks.timed_noise import timed_noise
+from pedzoo.models.blocks.timed_noise import drawn_walks
 
 WALL_RINGS, WALL_RAYS, FAR_WALL = (0.4, 1.0, 2.0), 12, 2.5
 """Metres at which distances to walls are read, points of each ring, and from where on walls are far."""
@@ -190,7 +190,8 @@ def features(now: View, neighbours: int) -> Features:
     with_me, against = (weight * (sign * along).clamp_min(0) for sign in (1, -1))
     amount = weight.sum(2)
     share = weight / amount.clamp_min(0.1).unsqueeze(2)
-    side = unrotate(away, frame)[..., 1].clamp(-1, 1)
+    away, moves = unrotate(away, frame), unrotate(moves, frame)
+    side = away[..., 1].clamp(-1, 1)
     crowd = torch.stack(
         (
             amount.log1p(),
@@ -209,8 +210,7 @@ def features(now: View, neighbours: int) -> Features:
     mate = now.companions.to(away.dtype) * (apart < SIGHT)
     company = mate.sum(2, keepdim=True)
     mates = mate.unsqueeze(3) / company.clamp_min(1).unsqueeze(3)
-    place = (mates * unrotate(away, frame)).sum(2)
-    pace = (mates * unrotate(moves, frame)).sum(2)
+    place, pace = (mates * away).sum(2), (mates * moves).sum(2)
     goal = unrotate(now.goal - here, now.ahead)
     goal = goal / goal.norm(dim=-1, keepdim=True).clamp_min(4)  # the carrot is some 4 m ahead
     state = (
@@ -244,7 +244,7 @@ def features(now: View, neighbours: int) -> Features:
 
     distance, other = apart.topk(min(neighbours, people), 2, largest=False)
     index = other.unsqueeze(-1)
-    place, moving = (unrotate(v.gather(2, index.expand(-1, -1, -1, 2)), frame) for v in (away, moves))
+    place, moving = (v.gather(2, index.expand(-1, -1, -1, 2)) for v in (away, moves))
     absent = distance > SIGHT
     distance = distance.masked_fill(absent, SIGHT)
     scene = torch.arange(len(other), device=other.device).view(-1, 1, 1)
@@ -367,16 +367,7 @@ class MdnWalker(Forecaster):
     def sample(self, batch: TensorDict, samples: int, steps: int, generator: Random = None) -> Tensor:
         """Return random futures (B, K, A, T, 2): each sample is one in which all people walk together."""
         now = self.view(batch)
-        scenes = len(now.mask)
-        now = View(*(value.repeat(samples, *[1] * (value.dim() - 1)) for value in now))
-        key = torch.randint(2**62, (len(now.mask), 1), generator=generator).to(now.mask.device)
-        agent = torch.arange(now.mask.shape[1], device=key.device).expand(now.mask.shape)
-        path = []
-        for number in range(steps):
-            time = now.history.new_full((len(key), 1), number * STEP_SECONDS)
-            path.append(self.step(now, timed_noise(key, agent, time, self.noise_periods)))
-            now = now.after(path[-1])
-        return torch.stack(path, 3).transpose(2, 3).unflatten(0, (samples, scenes)).transpose(0, 1)
+        return drawn_walks(now, self.step, self.noise_periods, samples, steps, generator)
 
     def log_likelihood(self, batch: TensorDict, generator: Random = None) -> Tensor:
         """Return the log likelihood of the true steps (B, A), nats, all of a person added.

@@ -26,7 +26,7 @@ from pedzoo.models.blocks.people.nearest import FEATURES, nearest
 from pedzoo.models.blocks.people.setting_out import AT_ONCE, setting_out
 from pedzoo.models.blocks.people.step_features import RAYS, WALLS, Situation
 from pedzoo.models.blocks.people.style import STYLE_DIM, held_of, jitter_of, kink_of_change, kinks_of
-from pedzoo.models.blocks.timed_noise import timed_noise
+from pedzoo.models.blocks.timed_noise import drawn_walks
 
 LASTING, SMOOTH, EVERY_STEP, JITTER = 3, (24.0, 8.0, 4.0, 2.0), 4, 2
 """Noise: numbers that last, periods of those that change smoothly (s), and numbers drawn at every step."""
@@ -249,17 +249,14 @@ class SocialWalker(Forecaster):
     def sample(self, batch: TensorDict, samples: int, steps: int, generator: Random = None) -> Tensor:
         """Return random futures (B, K, A, T, 2): each sample is one in which all people walk together."""
         now = Situation.of(batch, self.sees_walls)
-        scenes = len(now.mask)
-        now = Situation(*(value.repeat(samples, *[1] * (value.dim() - 1)) for value in now))
-        key = torch.randint(2**62, (len(now.mask), 1), generator=generator).to(now.mask.device)
-        agent = torch.arange(now.mask.shape[1], device=key.device).expand(now.mask.shape)
-        path = []
-        for number in range(steps):
-            time = now.history.new_full((len(key), 1), number * STEP_SECONDS)
-            step = self.velocity(now, timed_noise(key, agent, time, self.noise_periods)) * STEP_SECONDS
-            path.append(torch.where(now.mask.unsqueeze(-1), step, 0.0))
-            now = now.after(path[-1])
-        return torch.stack(path, 3).transpose(2, 3).unflatten(0, (samples, scenes)).transpose(0, 1)
+        return drawn_walks(
+            now,
+            lambda seen, noise: self.velocity(seen, noise) * STEP_SECONDS,
+            self.noise_periods,
+            samples,
+            steps,
+            generator,
+        )
 
     def loss(self, batch: TensorDict, generator: Random = None) -> Tensor:
         """Return the energy score of two forecasts at every step, metres, summed over people.

@@ -5,6 +5,8 @@ One of a negative period is the second difference of numbers of every step, as w
 """
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -14,6 +16,32 @@ from pedzoo.core.types import STEP_SECONDS
 
 _EVERY_STEP = 1.5 * STEP_SECONDS
 """Seconds: numbers of shorter periods are drawn at every step, and do not turn."""
+
+
+def drawn_walks(
+    now: Any,
+    step: Callable[[Any, Tensor], Tensor],
+    periods: tuple[float, ...],
+    samples: int,
+    steps: int,
+    generator: torch.Generator | None,
+) -> Tensor:
+    """Return random futures (B, K, A, T, 2), metres per step: in each sample all people walk together.
+
+    ``now`` is a NamedTuple of tensors (B, A, ...) with ``mask`` and ``after(step)``. ``step`` returns the
+    next step (B, A, 2), metres, of one, for noise (B, A, Z).
+    """
+    scenes = len(now.mask)
+    now = type(now)(*(value.repeat(samples, *[1] * (value.dim() - 1)) for value in now))
+    key = torch.randint(2**62, (len(now.mask), 1), generator=generator).to(now.mask.device)
+    agent = torch.arange(now.mask.shape[1], device=key.device).expand(now.mask.shape)
+    path = []
+    for number in range(steps):
+        time = torch.full((len(key), 1), number * STEP_SECONDS, device=key.device)
+        drawn = step(now, timed_noise(key, agent, time, periods))
+        path.append(torch.where(now.mask.unsqueeze(-1), drawn, 0.0))
+        now = now.after(path[-1])
+    return torch.stack(path, 3).transpose(2, 3).unflatten(0, (samples, scenes)).transpose(0, 1)
 
 
 def timed_noise(key: Tensor, agent: Tensor, time: Tensor, periods: tuple[float, ...]) -> Tensor:

@@ -25,7 +25,8 @@ from pedzoo.core.errors import UserError
 from pedzoo.core.geometry import rotate, unrotate
 from pedzoo.core.registry import function_in_file
 from pedzoo.maps.planning.planner import Planner
-from pedzoo.models.architectures.mdn_walker import Change, Features, MdnWalker, Reader
+from pedzoo.models.architectures.mdn_walker import Features, MdnWalker, Reader
+from pedzoo.models.blocks.held_mixture import Change
 from pedzoo.policies.memory import FirstSeenMemory
 from pedzoo.sim.make import make_env, make_scenario
 from pedzoo.sim.state import CONTACT_COST
@@ -36,14 +37,14 @@ from pedzoo.train.walker import Targets, WalkerModule
 _SAME = 1e-4
 """m/s: a velocity that differs by less is held. No Gaussian draws one."""
 
-_DECIDED = (
-    *("own", "near", "absent", "ahead", "before", "action", "log_prob", "scored"),
-    *("advantage", "value", "value_target"),
-)
-"""What an update needs of a decision."""
-
 _SEEN = ("own", "near", "absent", "ahead", "before")
 """What a decision is made from, beside the network."""
+
+_DECIDED = (*_SEEN, "action", "log_prob", "scored", "advantage", "value", "value_target")
+"""What an update needs of a decision."""
+
+_CHANGE = ("hold", "logits", "mean", "spread", "tilt")
+"""The fields of a `Change` as a batch has them."""
 
 
 class NextVelocity(Distribution):
@@ -110,9 +111,7 @@ class Deciding(TensorDictModuleBase):
     """Writes the distribution of each person's next velocity."""
 
     in_keys: ClassVar[list[Any]] = [("agents", name) for name in _SEEN]
-    out_keys: ClassVar[list[Any]] = [
-        ("agents", name) for name in ("hold", "logits", "mean", "spread", "tilt")
-    ]
+    out_keys: ClassVar[list[Any]] = [("agents", name) for name in _CHANGE]
 
     def __init__(self, walker: MdnWalker) -> None:
         """Take the walker."""
@@ -292,7 +291,7 @@ class SelfPlayModule(PPO, WalkerModule):
     def on_fit_start(self) -> None:
         """Take the reference, and make the actor and TorchRL's loss."""
         self.reference = (deepcopy(self.walker).eval().requires_grad_(False),)
-        names = "hold", "logits", "mean", "spread", "tilt", "ahead", "before"
+        names = *_CHANGE, "ahead", "before"
         self._actor = actor(Deciding(self.walker), "agents", "action", names, NextVelocity)
         self._objective = Objective(self._actor, self.critic, self.how, self.device)
 
@@ -404,7 +403,7 @@ class SelfPlayModule(PPO, WalkerModule):
     @staticmethod
     def _packed(known: TensorDict) -> TensorDict:
         """Return the decisions that count (M,), each of one agent, of decisions (N,) of A agents."""
-        agents = agents_of(known).select(*_DECIDED, strict=False)
+        agents = agents_of(known).select(*_DECIDED)
         chosen = cast("TensorDict", agents[agents["scored"]])
         return TensorDict({"agents": chosen.unsqueeze(1)}, chosen.batch_size)
 
